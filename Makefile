@@ -89,6 +89,9 @@ arm-reference: install  ## docs/arm_toml.md, from the definitions that the reade
 gap-score: install  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, six minutes; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.score $(if $(CASES),--cases $(CASES))
 
+gap-orientation: install  ## what measured orientations add to the gap workflow: wrist effects by position and with orientation, and nulls; CASES=20
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.static.oriented $(if $(CASES),--cases $(CASES))
+
 trust-study: install  ## do 95 % ellipsoids of predicted tip errors hold the truth over the whole workspace? some minutes; CASES=20 arms of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.trust_coverage $(if $(CASES),--cases $(CASES))
 

@@ -30,6 +30,7 @@ def build_gripper(gripper: Gripper, scenario: Scenario) -> GripperPlant:
         friction_N=table.friction_N,
         start_m=table.start * gripper.travel_m,
         counts_per_m=gripper.encoder_counts_per_rev * turns_per_m,
+        travel_per_turn_m=gripper.travel_per_turn_m,
     )
     plant = GripperPlant(parts, scenario.plant.timestep_s)
     if table.object_m is not None:

@@ -8,6 +8,7 @@ file descriptor.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 
 from control.model.description import Arm
@@ -21,7 +22,6 @@ from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import CanOut, FaultPlan, Frames, Line, check_fault
 from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
 from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
-from hil_mocks.plant.gripper import GripperPlant
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import tool_parts
 from hil_mocks.plant.plant import Plant
@@ -47,18 +47,18 @@ class MockRobot:
         self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
         self.plant = plant or build_plant(arm, scenario)
         self._reading_rad = self.plant.encoder_angles_rad()  # of this tick
-        self._wiring = wiring_of(arm, scenario)
+        self.gripper = None if arm.gripper is None else build_gripper(arm.gripper, scenario)
+        driven = replace(arm, drives=arm.motors)  # a gripper on a bought board is to it one joint more
+        self._wiring = wiring_of(driven, scenario)
         self.encoder_boards = build_encoder_boards(arm, scenario, self._wiring)
-        self.bought = Bought(arm, self._wiring, lambda j: self._encoder_rad()[j])
+        self.bought = Bought(driven, self._wiring, self._shaft_rad)
         self._has_bought = bool(self.bought.names)
         self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
         self.motor_boards = [
             build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
             for j in self._motor_joints
         ]
-        self.gripper: GripperPlant | None = None
-        if arm.gripper is not None:
-            self.gripper = build_gripper(arm.gripper, scenario)
+        if arm.gripper is not None and self.gripper is not None and not arm.gripper.board:
             self.motor_boards.append(build_gripper_board(arm.gripper, scenario, self.gripper))
             self._motor_joints.append(self.plant.joints)  # its motor comes after those of the joints
         self.pins = PinWires(arm, scenario, self.motor_boards)
@@ -86,7 +86,7 @@ class MockRobot:
     def _wire_up(self, arm: Arm) -> None:
         """What the motors are driven with, and what is on its way to the host."""
         self._directions = [w.motor_direction for w in self._wiring]
-        if arm.gripper is not None:
+        if arm.gripper is not None and not arm.gripper.board:
             self._directions.append(arm.gripper.motor_direction)
         self._polarity = list(self._directions)
         self._applied: list[Output] = [OPEN for _ in self._directions]
@@ -205,7 +205,8 @@ class MockRobot:
         encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
         if self._has_bought:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
-            for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, joint_rad)):
+            turned_rad = joint_rad if gripper is None else (*joint_rad, gripper.motor_rad())
+            for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, turned_rad)):
                 self._apply(*driven)
             self._gather_bought()
         for i, encoder in enumerate(self.encoder_boards):
@@ -266,6 +267,12 @@ class MockRobot:
         if j in self._loose:
             reading_rad += self._loose[j].slip_rad
         return self._wiring[j].motor_count(reading_rad)
+
+    def _shaft_rad(self, j: int) -> float:
+        """The encoder angle of a joint, or of the gripper's motor."""
+        if j == self.plant.joints and self.gripper is not None:
+            return self.gripper.motor_rad()
+        return self._encoder_rad()[j]
 
     def _encoder_rad(self) -> list[float]:
         """Encoder angles in joint angles."""

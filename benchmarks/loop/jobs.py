@@ -11,7 +11,7 @@ from control.model.table import table_of
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import Waypoints, circle
 from control.server.client import ArmClient
-from hil_mocks.scenario import Scenario, Start, TrueDh, load_scenario
+from hil_mocks.scenario import EveryJoint, Scenario, Start, TrueDh, load_scenario
 
 CIRCLE_SPEED_m_s = 0.15
 HEIGHT_m = 0.05  # above the board, as in the demo
@@ -27,8 +27,8 @@ def reference_arm(mode: PidMode = "voltage") -> Arm:
 def known_geometry(has_friction: bool, seed: int) -> Scenario:
     """The demo's arm as in arm.toml: no hidden DH deviations, zeros known, with its noise."""
     demo = load_scenario("demo")
-    effects = demo.effect if has_friction else ()
-    return msgspec.structs.replace(demo, seed=seed, true_dh=TrueDh(), effect=effects, start=Start(homed=True))
+    known = msgspec.structs.replace(demo, seed=seed, true_dh=TrueDh(), start=Start(homed=True))
+    return known if has_friction else msgspec.structs.replace(known, effect=(), every_joint=EveryJoint())
 
 
 def circle_path(arm: Arm, turns: int = 1) -> PlannedPath:

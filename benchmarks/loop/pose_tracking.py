@@ -23,7 +23,7 @@ from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from hil_mocks.rig import SteppedRig
-from hil_mocks.scenario import EffectTable, Scenario, Start, TrueDh, load_scenario
+from hil_mocks.scenario import EffectTable, EveryJoint, Scenario, Start, TrueDh, load_scenario
 from procedures.mock.arm import wired_to
 
 PERIOD_S = 0.002
@@ -84,5 +84,6 @@ def _scenario(q_rad: tuple[float, ...], has_friction: bool) -> Scenario:
         for joint, torque in enumerate(FRICTION_Nm, 1)
     )
     return msgspec.structs.replace(
-        demo, true_dh=TrueDh(), effect=effects if has_friction else (), start=Start(q_rad=q_rad, homed=True)
-    )
+        demo, true_dh=TrueDh(), every_joint=EveryJoint(), effect=effects if has_friction else (),
+        start=Start(q_rad=q_rad, homed=True),
+    )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, rotation_of
 from calib.arm_problem.joint_effects import corrections, known_corrections
-from calib.arm_problem.link_bending import known_bending_m
+from calib.arm_problem.link_bending import known_bending
 from calib.arm_problem.observations import Correction, Observations
 from calib.arm_problem.parameters import Bounds
 from calib.arm_problem.posed import TARGET
@@ -126,6 +126,7 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
         else:
             position[rows] = cavities
             frames.append(frame)
+    bent = known_bending(arm, points.q_rad, points.payload_kg)
     return Observations(
         frozen(points.q_rad + known_corrections(arm, points, choice.effects)),
         frozen(position),
@@ -134,9 +135,10 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
         points.setup,
         points.point,
         (*corrections(arm, points, choice.effects), *choice.corrections),
-        known_bending_m(arm, points.q_rad, points.payload_kg),
+        None if bent is None else bent.shift,
         *_orientations(arm, points, choice),
         _covariances(arm, points, choice),
+        None if bent is None else bent.turn,
     )
 
 

@@ -11,6 +11,7 @@ A link extends from its joint to the next, or to the tip, including fixed links 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +48,13 @@ def _ends_m(arm: Arm, frames: LinkFrames, link: int) -> tuple[Array, Array]:
     return frames.origin_m[:, link - before], end
 
 
+class Bending(NamedTuple):
+    """What a beam does per 1 / EI [1 / (N m^2)]: displacements of the tip, turns of the last link, (m, 3) each; base frame."""
+
+    shift: Array
+    turn: Array
+
+
 def bending_m(
     arm: Arm,
     dh: Array,
@@ -55,7 +63,19 @@ def bending_m(
     link: int,
     accelerated: Callable[[Array], Array] | None = None,
 ) -> Array:
-    """Displacement of the tip, (m, 3) per 1 / EI [1 / (N m^2)], if `link` (1-based) bends; base frame.
+    """The displacements of the tip of `bending`, (m, 3) [m N m^2]."""
+    return bending(arm, dh, q_rad, payload_kg, link, accelerated).shift
+
+
+def bending(
+    arm: Arm,
+    dh: Array,
+    q_rad: Array,
+    payload_kg: Array,
+    link: int,
+    accelerated: Callable[[Array], Array] | None = None,
+) -> Bending:
+    """What happens per 1 / EI if `link` (1-based) bends.
 
     dh (links, 4), q_rad (m, n), payload_kg (m,). `accelerated`: for time series, from the positions (m, 3)
     of a mass to its accelerations, whose forces also bend. MissingModel if the arm's file has no masses.
@@ -77,7 +97,7 @@ def bending_m(
         shift += across * at**2 * (3.0 * length - at) / 6.0
         shift += np.cross(moment, along) * (at * length - 0.5 * at**2)
         turn += np.cross(along, across) * 0.5 * at**2 + moment * at
-    return np.asarray(shift + np.cross(turn, frames.tip_m - end))
+    return Bending(shift + np.cross(turn, frames.tip_m - end), turn)
 
 
 def _masses(
@@ -98,14 +118,19 @@ def _across(vectors: Array, along: Array) -> Array:
     return np.asarray(vectors - np.sum(vectors * along, axis=1, keepdims=True) * along)
 
 
-def known_bending_m(arm: Arm, q_rad: Array, payload_kg: Array) -> Array | None:
-    """Displacement of the tip, (m, 3), by the flexures that the arm already has; None if it has none."""
+def known_bending(arm: Arm, q_rad: Array, payload_kg: Array) -> Bending | None:
+    """Displacements of the tip [m] and turns of the last link [rad], (m, 3) each, by the flexures that the arm already has.
+
+    None if it has none.
+    """
     known = [one for one in arm.effects if one.effect == FLEXURE and one.joint is not None]
     if not known:
         return None
     extra_kg = sum(one.parameters["mass_kg"] for one in arm.effects if one.effect == "payload")
     loads = np.nan_to_num(payload_kg) + extra_kg
-    shift = np.zeros((len(q_rad), 3))
+    shift, turn = np.zeros((len(q_rad), 3)), np.zeros((len(q_rad), 3))
     for one in known:
-        shift += bending_m(arm, arm.dh, q_rad, loads, one.joint or 1) / one.parameters["EI_Nm2"]
-    return frozen(shift)
+        found = bending(arm, arm.dh, q_rad, loads, one.joint or 1)
+        shift += found.shift / one.parameters["EI_Nm2"]
+        turn += found.turn / one.parameters["EI_Nm2"]
+    return Bending(frozen(shift), frozen(turn))

@@ -42,7 +42,8 @@ class Observations:
 
     q_rad (m, n) from the encoders; position_m (m, 3): where the tip was, in the frame frames[frame[i]];
     `setup` and `point` name each pose. `known_shift_m` (m, 3): displacement of the tip by the arm's present effects, besides
-    joint angles. `rotation` (m, 3, 3): the measured target's orientation in the same frame, NaN where there is none, or None;
+    joint angles; `known_turn_rad` (m, 3): turn of the last link by them, a rotation vector in the base frame.
+    `rotation` (m, 3, 3): the measured target's orientation in the same frame, NaN where there is none, or None;
     an error of it counts as `lever_m` times its angle; `is_target_known`: the target's axes are the last link's. `covariance`
     (m, 2, 3, 3): of position and orientation in the frame's axes, NaN where nothing was measured; None: all points count alike.
     """
@@ -59,6 +60,7 @@ class Observations:
     lever_m: float = 0.0
     is_target_known: bool = False
     covariance: Array | None = None
+    known_turn_rad: Array | None = None
 
     def __post_init__(self) -> None:
         """ValueError for inconsistent shapes, which are a programming error."""
@@ -99,6 +101,7 @@ class Observations:
             self.lever_m,
             self.is_target_known,
             None if self.covariance is None else frozen(self.covariance[keep]),
+            None if self.known_turn_rad is None else frozen(self.known_turn_rad[keep]),
         )
 
     @property

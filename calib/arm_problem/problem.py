@@ -23,6 +23,7 @@ from calib.arm_problem.observations import Observations
 from calib.arm_problem.parameters import Bounds, Parameter, dh_parameters, require_known_names
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
+from control.kinematics.rotation import exponentials
 
 ALL = slice(None)
 TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
@@ -271,7 +272,10 @@ class ArmProblem:
             by_model[:, :, place] = np.einsum("rij,rj->ri", by_model[:, :, theta], correction.slope_rad[rows])
         measured, by_measured = self._measured_turns(moves, rows)
         scaled = [part[:, :, self._places] * self._scale for part in (by_model, by_measured)]
-        return Turns(slopes.by_tool, measured, *scaled)
+        model = slopes.by_tool
+        if self.observed.known_turn_rad is not None:
+            model = exponentials(self.observed.known_turn_rad[rows]) @ model
+        return Turns(model, measured, *scaled)
 
     def _measured_turns(self, moves: Array, rows: npt.NDArray[np.intp]) -> tuple[Array, Array]:
         """Measured orientations in the base frame, (r, 3, 3), and their derivatives by free frames (r, 3, K)."""

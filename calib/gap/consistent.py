@@ -15,6 +15,7 @@ CHANNELS = {
     "current_A": "the motors' currents",
     "voltage_V": "the motors' voltages",
     "tip_m": "the tip",
+    "turn_rad": "the tip's orientation",
 }  # those that name effects
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 UNITS = {
     "tip_m": ("mm", 1e3), "current_A": ("mA", 1e3), "voltage_V": ("mV", 1e3), "q_rad": ("mrad", 1e3),
-    "q_loop_rad": ("mrad", 1e3),
+    "q_loop_rad": ("mrad", 1e3), "turn_rad": ("mrad", 1e3),
 }  # fmt: skip
 
 

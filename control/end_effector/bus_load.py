@@ -11,7 +11,8 @@ PIN_FRAMES = 2  # a DIGITAL_COMMAND and its reply, for each board with pins
 
 def end_frames_Hz(arm: Arm) -> float:
     """Frames a second, whatever the rate of the loop."""
-    grips = GRIPPER_FRAMES / gripper.PERIOD_s if arm.gripper is not None else 0.0
+    is_on_node = arm.gripper is not None and not arm.gripper.board
+    grips = GRIPPER_FRAMES / gripper.PERIOD_s if is_on_node else 0.0
     return grips + PIN_FRAMES * len({pin.board for pin in arm.digital}) / outputs.PERIOD_s
 
 

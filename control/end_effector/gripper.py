@@ -13,7 +13,7 @@ from enum import Enum
 from typing import Final
 
 from control.errors import ArmError
-from control.hardware.gripper_board import GripperBoard, GripperFeedback
+from control.hardware.gripper_board import GripperFeedback, GripperHardware
 from control.model.end_effector import Gripper
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import voltage_range
@@ -68,7 +68,7 @@ class Goal:
 class GripperControl:
     """One gripper. `cycle` is called in each control cycle, and works every PERIOD_s."""
 
-    def __init__(self, described: Gripper, board: GripperBoard) -> None:
+    def __init__(self, described: Gripper, board: GripperHardware) -> None:
         self.state = State.OFF
         self.goal: Goal | None = None
         self.why = ""  # it stopped, or does not work
@@ -142,7 +142,8 @@ class GripperControl:
         """
         feedback = self._board.read(now_s)
         self._note_opening()
-        if now_s < self._next_s and (feedback.is_enabled or not is_ready):
+        is_early = now_s < self._next_s and feedback.problem is None  # which is said once
+        if is_early and (feedback.is_enabled or not is_ready):
             return None  # on its way to OPERATION ENABLED it is as quick as the joints' boards
         self._next_s = now_s + PERIOD_s - 1e-6
         elapsed_s = PERIOD_s if self._last_s is None else min(now_s - self._last_s, 3.0 * PERIOD_s)

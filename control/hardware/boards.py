@@ -140,6 +140,9 @@ class BoardHardware:
         for drive in self._drives:
             with contextlib.suppress(LinkError):
                 drive.emergency_stop()
+        if self.end.gripper is not None:
+            with contextlib.suppress(LinkError):
+                self.end.gripper.emergency_stop()
 
     def arm_index(self, joint: int) -> None:
         """Arm the index latch of the joint."""

@@ -11,7 +11,8 @@ from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
 from control.hardware.boards import NO_END, BoardHardware
-from control.hardware.gripper_board import GripperBoard
+from control.hardware.gripper_board import GripperBoard, GripperHardware
+from control.hardware.gripper_on_board import GripperOnBoard, take_out
 from control.hardware.interface import EndBoards, OutputMode
 from control.hardware.kinds import open_boards
 from control.hardware.opened import Opened, collect
@@ -115,8 +116,8 @@ def connect(
     ]
     problems: list[LinkError] | None = None if shared_bus is None else []
     motors = _motors(arm, clock, opened, shared_bus, problems)
-    end = _end_boards(arm, motors, period_s, opened.failures) if motors else EndBoards()
     open_boards(arm, clock, period_s, opened)
+    end = _end_boards(arm, motors, period_s, opened)
     motor_boards = max(len(motors), any(not drive.board for drive in arm.drives))
     attempted = len(arm.encoder_boards) + motor_boards + len(arm.boards)
     camera = None
@@ -277,12 +278,17 @@ def _own_bus(can: CanBus, clock: Clock, opened: Opened) -> MotorBus:
 
 
 def _end_boards(
-    arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_s: float, failures: list[LinkError]
+    arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_s: float, opened: Opened
 ) -> EndBoards:
     """The gripper's board and the pins of all boards, checked against arm.toml."""
-    bus, boards = motors[0][0], {board.node: board for _, board in motors}
-    gripper: GripperBoard | None = None
-    if arm.gripper is not None:
+    drive, encoder = take_out(arm.joint_count, opened.encoders, opened.drives)
+    gripper: GripperHardware | None = None
+    if arm.gripper is not None and drive is not None:
+        gripper = GripperOnBoard(arm.gripper, arm.joint_count, drive, encoder)
+    if not motors:
+        return EndBoards(gripper)
+    bus, boards, failures = motors[0][0], {board.node: board for _, board in motors}, opened.failures
+    if arm.gripper is not None and not arm.gripper.board:
         problems: list[LinkError] = []
         board = MotorBoard(bus, arm.gripper.motor_node, "gripper", problems)
         with collect(failures):

@@ -3,13 +3,14 @@
 import contextlib
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 from control.hardware.board_stop import BoardStop
 from control.model.end_effector import Gripper
 from firmware_iface.errors import BoardFaulted, LinkError
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.cia402 import State
-from firmware_iface.motor.wire import Output, Parameter
+from firmware_iface.motor.wire import Fault, Output, Parameter
 
 FULL_FORCE_AT_m = (
     1e-3  # of the board's own hold: it pushes with the whole current at this distance from where it was
@@ -29,8 +30,69 @@ class GripperFeedback:
     problem: LinkError | None = None  # it restarted, or sent nonsense; once
 
 
+def in_words(faults: Fault) -> str:
+    """The faults of a board by name; empty without any."""
+    return ", ".join(str(fault.name).replace("_", " ").lower() for fault in faults)
+
+
+class GripperHardware(Protocol):
+    """The gripper's motor, on a board of any kind."""
+
+    feedback: GripperFeedback
+
+    def read(self, now_s: float) -> GripperFeedback:
+        """The values by now; the links have been drained before."""
+        ...
+
+    def write(self, volts: float | None, now_s: float) -> None:
+        """Command a voltage, opening positive, or an open circuit (None)."""
+        ...
+
+    def enable(self) -> None:
+        """Upload what the board does not have, and let `write` enable it. Waits."""
+        ...
+
+    def disable(self) -> None:
+        """Let `write` take it off."""
+        ...
+
+    def reset_fault(self) -> None:
+        """Acknowledge the board's fault, if it has one."""
+        ...
+
+    def emergency_stop(self) -> None:
+        """Stop now, where the joints' stop does not reach it."""
+        ...
+
+
+class CountedTravel:
+    """The way of the fingers from a motor's count of 32 bits, which wraps."""
+
+    def __init__(self, gripper: Gripper) -> None:
+        counts = gripper.encoder_counts_per_rev
+        self.m_per_count = (
+            gripper.motor_direction * gripper.travel_per_turn_m / counts if counts else math.nan
+        )
+        self._last: int | None = None
+        self._moved = 0
+
+    def at(self, count: int) -> float:
+        """How far the fingers have moved in all by this count, opening positive."""
+        if self._last is not None:
+            self._moved += (count - self._last + (1 << 31)) % (1 << 32) - (1 << 31)
+        self._last = count
+        return self._moved * self.m_per_count
+
+    def forget(self) -> None:
+        """The next count begins anew: the board has restarted."""
+        self._last = None
+
+
 class GripperBoard:
-    """Sends one COMMAND for each `write`, and asks for the count of the board's own encoder."""
+    """A reference motor board; meets `GripperHardware`.
+
+    Sends one COMMAND for each `write`, and asks for the count of the board's own encoder.
+    """
 
     def __init__(
         self,
@@ -44,41 +106,29 @@ class GripperBoard:
         self._watchdog_s, self._stop = watchdog_s, stop
         self.feedback = GripperFeedback()
         self._gripper, self._board, self._problems = gripper, board, problems
-        counts = gripper.encoder_counts_per_rev
-        self._m_per_count = (
-            gripper.motor_direction * gripper.travel_per_turn_m / counts if counts else math.nan
-        )
+        self._travel = CountedTravel(gripper)
         self._is_wanted_enabled = False
         self._configured_resets = -1
         self._is_resetting = False
         self._is_asked = False
         self._asked_at_s = -math.inf
-        self._last_count: int | None = None
-        self._moved_count = 0
 
     def read(self, now_s: float) -> GripperFeedback:
         """The values by now; the bus has been drained before."""
         feedback, board = self.feedback, self._board
         feedback.problem = self._problems.pop(0) if self._problems else None
         if feedback.problem is not None:
-            self._last_count, self._is_asked = None, False
+            self._travel.forget()
+            self._is_asked = False
         feedback.reply_at_s = board.reply_at_s
         feedback.is_enabled = board.state is State.OPERATION_ENABLED
         if (reply := board.reply) is not None:
             feedback.current_A = self._gripper.motor_direction * reply.current_A
-            names = (str(fault.name).replace("_", " ").lower() for fault in reply.fault_flags)
-            feedback.faults = ", ".join(names) if reply.faults else ""
+            feedback.faults = in_words(reply.fault_flags)
         if self._is_asked and (count := board.count_taken()) is not None:
             self._is_asked = False
-            self._take_count(count)
-            feedback.moved_m, feedback.moved_at_s = self._moved_count * self._m_per_count, self._asked_at_s
+            feedback.moved_m, feedback.moved_at_s = self._travel.at(count), self._asked_at_s
         return feedback
-
-    def _take_count(self, count: int) -> None:
-        """The board's count has 32 bits and wraps."""
-        if self._last_count is not None:
-            self._moved_count += (count - self._last_count + (1 << 31)) % (1 << 32) - (1 << 31)
-        self._last_count = count
 
     def write(self, volts: float | None, now_s: float) -> None:
         """Command a voltage, opening positive, or an open circuit (None). A board on its way gets the next state command."""
@@ -116,11 +166,14 @@ class GripperBoard:
         """Let `write` acknowledge the board's fault, if it has one: the arm is held meanwhile, so nothing waits here."""
         self._is_resetting = True
 
+    def emergency_stop(self) -> None:
+        """The joints' stop is a broadcast, which this board hears, too."""
+
     def _parameters(self) -> list[tuple[Parameter, int]]:
         gripper = self._gripper
         holds = gripper.on_fault == "hold"
         kp_V_m = gripper.resistance_ohm * gripper.current_limit_A / FULL_FORCE_AT_m
-        per_count = abs(self._m_per_count) if gripper.encoder_counts_per_rev else 0.0
+        per_count = abs(self._travel.m_per_count) if gripper.encoder_counts_per_rev else 0.0
         return [
             (Parameter.WATCHDOG_ms, round(self._watchdog_s * 1e3)),
             (Parameter.WATCHDOG_ACTION, Output.HOLD if holds else Output.OPEN_CIRCUIT),

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
-from control.hardware.gripper_board import GripperBoard
+from control.hardware.gripper_board import GripperHardware
 from control.hardware.pins import NamedPins
 
 
@@ -69,7 +69,7 @@ class Feedback:
 class EndBoards:
     """What is at the end of the arm, if anything: the boards that the joints do not need."""
 
-    gripper: GripperBoard | None = None
+    gripper: GripperHardware | None = None
     pins: NamedPins | None = None
 
     def enable(self) -> None:

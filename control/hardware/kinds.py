@@ -1,6 +1,7 @@
 """How the boards of each kind are opened; what they offer is in `control.model.board_kinds`."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 from control.hardware.bought import cia402, dynamixel, feetech, moteus, odrive, roboclaw, vesc
@@ -23,7 +24,8 @@ OPENERS: Final[Mapping[str, Opener]] = {
 
 
 def open_boards(arm: Arm, clock: Clock, period_s: float, opened: Opened) -> None:
-    """Open every [[board]] that drives a joint."""
+    """Open every [[board]] that drives a joint, or the gripper as one joint more."""
+    arm = replace(arm, drives=arm.motors)
     named = {drive.board for drive in arm.drives}
     for kind, opener in OPENERS.items():
         boards = [board for board in arm.boards if board.kind == kind and board.name in named]

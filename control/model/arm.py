@@ -441,6 +441,21 @@ class Arm:
         board = self.board(drive)
         return REFERENCE if board is None else KINDS[board.kind]
 
+    @property
+    def motors(self) -> tuple[Drive, ...]:
+        """The drives of the joints, and of a gripper on a [[board]] as of one joint more, whose angle is its motor's."""
+        gripper = self.gripper
+        if gripper is None or not gripper.board:
+            return self.drives
+        own = Drive(
+            joint=self.joint_count + 1, gear_ratio=1.0, encoder_counts_per_rev=max(gripper.encoder_counts_per_rev, 1),
+            torque_constant_Nm_A=gripper.torque_constant_Nm_A, resistance_ohm=gripper.resistance_ohm, supply_V=gripper.supply_V,
+            rotor_inertia_kg_m2=gripper.rotor_inertia_kg_m2, current_limit_A=gripper.current_limit_A,
+            encoder_direction=gripper.motor_direction, motor_direction=gripper.motor_direction, board=gripper.board,
+            board_channel=gripper.board_channel,
+        )  # fmt: skip
+        return (*self.drives, own)
+
     def has_absolute_encoder(self, drive: Drive) -> bool:
         """Return whether a drive's encoder knows the joint's angle at power-up."""
         board = self.board(drive)
@@ -456,7 +471,7 @@ class Arm:
     def usual_rate_Hz(self) -> float:
         """The loop's rate if none is asked for: what the slowest kind of board carries."""
         return min(
-            (self.kind_of(drive).usual_rate_Hz for drive in self.drives), default=REFERENCE.usual_rate_Hz
+            (self.kind_of(drive).usual_rate_Hz for drive in self.motors), default=REFERENCE.usual_rate_Hz
         )
 
     @property

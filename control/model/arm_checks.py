@@ -5,6 +5,7 @@ from collections.abc import Hashable, Iterable
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
 from control.model.board_kinds import KINDS, BoardKind
 from control.model.effects import check_effect
+from control.model.end_effector import Gripper
 from control.model.joint_map import JointMap
 from control.model.maps import check_map
 from control.model.plausible import check_plausible
@@ -167,22 +168,14 @@ def _closes_own_loop(drive: Drive, kind: BoardKind) -> bool:
 
 def _check_end(arm: Arm) -> None:
     nodes = {drive.motor_node: f"joint {drive.joint}" for drive in arm.drives if not drive.board}
-    if arm.drives and not nodes and (arm.gripper is not None or arm.digital):
-        key = "gripper" if arm.gripper is not None else "digital"
+    is_on_node = arm.gripper is not None and not arm.gripper.board
+    if arm.drives and not nodes and (is_on_node or arm.digital):
+        key = "gripper" if is_on_node else "digital"
         expected = "a reference motor board among the drives: their bus carries gripper and pins"
-        raise Rejected((key,), expected, "only drives with a [[board]]")
-    if (gripper := arm.gripper) is not None:
-        if gripper.motor_node in nodes:
-            expected = "a motor board of its own"
-            raise Rejected(
-                ("gripper", "motor_node"),
-                expected,
-                f"{gripper.motor_node}, that of {nodes[gripper.motor_node]}",
-            )
-        if gripper.usual_force_N > gripper.force_limit_N:
-            expected = f"at most {gripper.force_limit_N:.1f} N, the force at current_limit_A"
-            raise Rejected(("gripper", "force_N"), expected, str(gripper.force_N))
-        nodes[gripper.motor_node] = "the gripper"
+        remedy = "a gripper may have a [[board]] instead: board" if is_on_node else ""
+        raise Rejected((key,), expected, "only drives with a [[board]]", remedy)
+    if arm.gripper is not None:
+        _check_gripper(arm, arm.gripper, nodes)
     for i, pin in enumerate(arm.digital):
         if pin.board not in nodes:
             known = ", ".join(str(node) for node in sorted(nodes)) or "none"
@@ -204,6 +197,53 @@ def _check_end(arm: Arm) -> None:
             ("digital",),
             f"at most {DIGITAL_MOST} pins (a recording holds them in 32 bits)",
             str(len(arm.digital)),
+        )
+
+
+def _check_gripper(arm: Arm, gripper: Gripper, nodes: dict[int, str]) -> None:
+    """Whose motor board it has; adds its own to `nodes`."""
+    if gripper.usual_force_N > gripper.force_limit_N:
+        expected = f"at most {gripper.force_limit_N:.1f} N, the force at current_limit_A"
+        raise Rejected(("gripper", "force_N"), expected, str(gripper.force_N))
+    if gripper.board:
+        _check_gripper_board(arm, gripper)
+    elif gripper.motor_node < 0:
+        raise Rejected(("gripper", "motor_node"), "the node of its motor board, or board", "neither")
+    elif gripper.motor_node in nodes:
+        got = f"{gripper.motor_node}, that of {nodes[gripper.motor_node]}"
+        raise Rejected(("gripper", "motor_node"), "a motor board of its own", got)
+    else:
+        nodes[gripper.motor_node] = "the gripper"
+
+
+def _check_gripper_board(arm: Arm, gripper: Gripper) -> None:
+    if gripper.motor_node >= 0:
+        raise Rejected(("gripper", "motor_node"), "motor_node or board", "both")
+    board = next((board for board in arm.boards if board.name == gripper.board), None)
+    if board is None:
+        names = ", ".join(board.name for board in arm.boards) or "none"
+        raise Rejected(("gripper", "board"), f"the name of a [[board]] of this file ({names})", gripper.board)
+    kind = KINDS[board.kind]
+    if "voltage" not in kind.modes:
+        able = ", ".join(name for name, one in KINDS.items() if "voltage" in one.modes)
+        remedy = "the gripper's force is kept by the loop, which commands its voltage"
+        raise Rejected(
+            ("gripper", "board"), f"a board that takes voltages ({able})", f"a {board.kind}", remedy
+        )
+    if gripper.board_channel > kind.motors:
+        raise Rejected(("gripper", "board_channel"), f"1 to {kind.motors}", str(gripper.board_channel))
+    for drive in arm.drives:
+        if (drive.board, drive.board_channel) == (gripper.board, gripper.board_channel):
+            got = f"motor {drive.board_channel} of {drive.board}, that of joint {drive.joint}"
+            raise Rejected(("gripper", "board_channel"), "a motor output of its own", got)
+    if board.kind == "vesc" and not gripper.encoder_counts_per_rev:
+        expected = (
+            "the counts a turn that a vesc sends (docs/vesc.md), which needs an encoder to turn a motor"
+        )
+        raise Rejected(("gripper", "encoder_counts_per_rev"), expected, "0")
+    if gripper.on_fault == "release" and not kind.can_free:
+        raise Rejected(
+            ("gripper", "on_fault"), f'"hold": a {board.kind} cannot open a motor\'s circuit', "release"
         )
 
 

@@ -280,7 +280,7 @@ def _claims(placed: Placed) -> list[tuple[str, str, object]]:
     claims += [("encoder_ports", "a port", ("port", board.port)) for board in arm.encoder_boards]
     if can is not None:
         nodes = [drive.motor_node for drive in arm.drives if not drive.board]
-        nodes += [arm.gripper.motor_node] if arm.gripper is not None else []
+        nodes += [arm.gripper.motor_node] if arm.gripper is not None and not arm.gripper.board else []
         bus = (can.interface, can.channel)
         claims += [("motor_nodes", f"a motor node (here {node})", ("node", *bus, node)) for node in nodes]
     if arm.camera is not None:

@@ -10,6 +10,7 @@ from control.model.rules import (
     FINGER_SPEED,
     NODE,
     NOT_NEGATIVE,
+    ONE_OR_MORE,
     PIN,
     POSITION,
     POSITIVE,
@@ -50,12 +51,11 @@ NO_TOOL = Tool()
 
 @dataclass(frozen=True, slots=True)
 class Gripper:
-    """A gripper: one motor, on a motor board of its own, opens and closes the fingers (docs/tools.md).
+    """A gripper: one motor, on a motor board of its own or a [[board]], opens and closes the fingers (docs/tools.md).
 
     The opening is the distance that the motor moves them: 0 closed, `travel_m` open.
     """
 
-    motor_node: Annotated[int, NODE, "CAN node of its motor board"]
     travel_m: Annotated[Positive, TRAVEL, "from closed to open"]
     travel_per_turn_m: Annotated[Positive, TRAVEL, "of the opening, per motor turn"]
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
@@ -63,6 +63,9 @@ class Gripper:
     supply_V: Annotated[Positive, "of the motor board"]
     current_limit_A: Annotated[Positive, "what the motor bears continuously"]
     speed_limit_m_s: Annotated[Positive, FINGER_SPEED, "of the opening"]
+    motor_node: Annotated[int, NODE, "CAN node of its motor board; or `board`", "none"] = -1
+    board: Annotated[str, "name of the [[board]] that drives it, one that takes voltages"] = ""
+    board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
     encoder_counts_per_rev: Annotated[
         int, ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
     ] = 0

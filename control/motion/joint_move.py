@@ -46,7 +46,7 @@ class JointMove:
         state = start if isinstance(start, SetPoint) else at_rest(tuple(start))
         target = tuple(float(q) for q in q_to_rad)
         _require_sane("joint move", state, target, limits)
-        _require_inside(target, limits)
+        target = _inside(target, limits)
         is_moving = any(state.speed_rad_s) or any(state.acceleration_rad_s2)
         means = limits.slower(speed_fraction) if is_moving else limits.scaled(speed_fraction)
         self._trajectory = _calculate(state, target, means)
@@ -179,8 +179,11 @@ def _require_sane(what: str, state: SetPoint, target: tuple[float, ...], limits:
             raise MotionError(f"{what}: expected {count} finite numbers for angles, speeds ..., got {values}")
 
 
-def _require_inside(target: tuple[float, ...], limits: JointLimits) -> None:
-    """Raise MotionError for the first joint whose target is outside of its range."""
+def _inside(target: tuple[float, ...], limits: JointLimits) -> tuple[float, ...]:
+    """The target, on its range where rounding has put it beyond: the loop's last guard lets no set-point out.
+
+    MotionError for the first joint whose target is farther outside.
+    """
     for joint, (q, low, high) in enumerate(zip(target, limits.lower_rad, limits.upper_rad, strict=True), 1):
         beyond = max(q - high, low - q)
         if beyond > _ROUNDING_RAD:
@@ -188,6 +191,7 @@ def _require_inside(target: tuple[float, ...], limits: JointLimits) -> None:
                 f"joint move: joint {joint} cannot go to {q:.4f} rad, {beyond:.4f} rad outside of its range"
                 f" {low:.4f} .. {high:.4f} rad"
             )
+    return tuple(map(min, map(max, target, limits.lower_rad), limits.upper_rad))
 
 
 def _require_way_inside(trajectory: "ruckig.Trajectory", state: SetPoint, limits: JointLimits) -> None:

@@ -25,6 +25,7 @@ class GripperParts:
     friction_N: float
     start_m: float
     counts_per_m: float
+    travel_per_turn_m: float
 
 
 class GripperPlant:
@@ -58,6 +59,10 @@ class GripperPlant:
     def count(self) -> int:
         """Edges of the motor's encoder, opening positive."""
         return math.floor((self.opening_m - self._parts.start_m) * self._parts.counts_per_m)
+
+    def motor_rad(self) -> float:
+        """How far its motor has turned since the start, opening positive."""
+        return 2.0 * math.pi * (self.opening_m - self._parts.start_m) / self._parts.travel_per_turn_m
 
     def step(self, steps: int) -> None:
         """Advance by a number of time steps."""

@@ -27,6 +27,7 @@ from control.model.arm import Arm
 from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.demo.gap_hidden import Hidden
+from procedures.demo.handover import shut_down, start_again
 from procedures.gap.recording import Bench as RecordingBench
 from procedures.gap.recording import record
 from procedures.mock.bench import Bench
@@ -94,7 +95,7 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     recordings, outcome = _recorded(own, plans, out, advance)
     advance("moving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
-    _shut_down(arm, client, bench)
+    shut_down(arm, bench, client)
 
     if recordings.log_files:
         outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
@@ -140,8 +141,7 @@ def _driven_off_and_on(
 ) -> tuple[Drive, Drive]:
     """On a runtime that uses `model`: by its geometry without the added effects, and by the whole model."""
     advance("moving with the correction off", 0.8)
-    client = bench.start(model)
-    client.enable()
+    client = start_again(model, bench)
     recording = _newest(out)
     bare = dataclasses.replace(
         model, effects=tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
@@ -149,7 +149,7 @@ def _driven_off_and_on(
     off = _driven("off", bare, model, programme, client, recording, bench, out)
     advance("moving with the correction on", 0.87)
     on = _driven("on", model, model, programme, client, recording, bench, out)
-    _shut_down(model, client, bench)
+    shut_down(model, bench, client)
     return off, on
 
 
@@ -174,7 +174,7 @@ def programme_of(arm: Arm) -> Programme:
         except ArmError:
             continue
         if np.abs(solved - pose).max() < 1e-3 and np.hypot(tip[0], tip[1]) > FROM_AXIS_m:
-            found.append(Place("free", f"v{len(found) + 1}", (tip[0], tip[1], tip[2])))
+            found.append(Place("free", f"v{len(found) + 1}", (tip[0], tip[1], tip[2]), tuple(pose.tolist())))
     return Programme(tuple(found), ways(tables.table_of(arm), ("normal",)))
 
 
@@ -213,12 +213,6 @@ def _following_rad(recording: Path, first: int, last: int, joints: int) -> float
     rows = rows[(rows["run"] >= first) & (rows["run"] <= last)]
     errors = [rows[f"q{j}_set_rad"] - rows[f"q{j}_rad"] for j in range(1, joints + 1)]
     return float(np.sqrt(np.mean(np.square(errors)))) if len(rows) else float("nan")
-
-
-def _shut_down(arm: Arm, client: ArmClient, bench: Bench) -> None:
-    if arm.rest is not None:
-        client.move_joints(arm.rest.q_rad, bench.speed)
-    bench.stop()
 
 
 def _newest(out: Path) -> Path:

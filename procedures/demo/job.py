@@ -28,6 +28,7 @@ from control.model import table as tables
 from control.model.arm import Arm, Table
 from control.progress import Advance
 from control.server.client import ArmClient
+from procedures.demo.handover import shut_down, start_again
 from procedures.mock.bench import Bench
 from procedures.ports import HandPort, RuntimePort
 from procedures.verify.models import Model
@@ -78,18 +79,16 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
     _drive(before, bench, client)
     for done, what in _session(arm, table, bench, client, out / "points.csv"):
         advance(what, 0.15 + 0.6 * done)
-    recording_before = _shut_down(arm, bench, client)
+    recording_before = shut_down(arm, bench, client)
 
     advance("identification", 0.77)
     calibrated = _calibrate(arm, table, out)
 
     advance("verification, after", 0.8)
-    client = bench.start(calibrated.arm)
-    client.enable()
-    client.home()  # at once where the boards still have their zeros
+    client = start_again(calibrated.arm, bench)
     after = _survey(calibrated.arm, programme, out / "verification_after.csv")
     _drive(after, bench, client)
-    recording_after = _shut_down(calibrated.arm, bench, client)
+    recording_after = shut_down(calibrated.arm, bench, client)
 
     advance("report", 0.94)
     verification = compared(programme, before.points(), after.points())
@@ -156,13 +155,6 @@ def _report(
         ),
     )
     return Outcome(verification, calibration, found, paths, report, made.file)
-
-
-def _shut_down(arm: Arm, bench: Bench, client: ArmClient) -> Path:
-    """Move to the rest pose, if there is one, where the arm sinks little when the drives turn off; return the recording."""
-    if arm.rest is not None:
-        client.move_joints(arm.rest.q_rad, bench.speed)
-    return bench.stop()
 
 
 def _session(

@@ -16,7 +16,12 @@ from calib.points.writer import PointsWriter
 from calib.session.sequence import FreePose, Progress, take_free_poses
 from calib.session.take import SessionSettings
 from control.errors import ArmError
+from control.model.arm import Arm
+from control.motion.guard import Guard
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import JointMove
 from control.motion.plan import PlannedPath, plan_path
+from control.motion.setpoint import at_rest
 from control.motion.spline import hermite
 from control.motion.waypoints import Waypoints
 from control.server.client import ArmClient
@@ -39,17 +44,31 @@ class Run:
 
 
 def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float]) -> tuple[FreePose, ...]:
-    """Joint angles at the places, each on the branch of the previous one; ArmError names the first out of reach."""
+    """Joint angles at the places, each near its own posture, or on the branch of the previous one.
+
+    ArmError names the first out of reach.
+    """
     poses = []
     for place in places:
         try:
-            q_near_rad = model.inverse.nearest(model.in_base(place.tip_m), q_near_rad)
+            q_near_rad = model.inverse.nearest(model.in_base(place.tip_m), place.near_rad or q_near_rad)
         except ArmError as error:
             raise ArmError(
                 f"verification point {place.setup} {place.point}: {error}; nothing moved"
             ) from error
         poses.append(FreePose(place.setup, place.point, tuple(q_near_rad)))
     return tuple(poses)
+
+
+def require_clear(arm: Arm, stages: Sequence[tuple[Sequence[float], Sequence[float]]]) -> None:
+    """ArmError if a joint move from one stage's end to the next one's beginning meets the floor, the table or the base.
+
+    `stages`: joint angles at the beginning and at the end of each.
+    """
+    limits = JointLimits.of(arm)
+    guard = Guard(arm, limits)
+    for (_, start), (end, _) in pairwise(stages):
+        guard.require_move(JointMove(start, end, limits), at_rest(tuple(start)), end)
 
 
 def visit(

@@ -23,11 +23,15 @@ _LEAST_RADIUS_m = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A verification point: the wanted tip position in the frame of table and camera."""
+    """A verification point: the wanted tip position in the frame of table and camera.
+
+    `near_rad`: the posture near which an arm with free joints reaches it; None: that of the point before.
+    """
 
     setup: str
     point: str
     tip_m: Vector3
+    near_rad: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

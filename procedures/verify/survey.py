@@ -12,7 +12,7 @@ from calib.session.sequence import Progress
 from calib.validation.tracks import Track, TrackPair
 from calib.validation.verify import Comparison, compare_repeated
 from control.server.client import ArmClient
-from procedures.verify.driving import Run, planned, poses_at, run, visit
+from procedures.verify.driving import Run, planned, poses_at, require_clear, run, visit
 from procedures.verify.models import Model
 from procedures.verify.places import Place, Way
 from procedures.verify.tracks import track_of
@@ -31,7 +31,9 @@ class Programme:
 
 
 class Survey:
-    """The arm moved by one model. ArmError if a place or a path is out of reach, before anything moves."""
+    """The arm moved by one model. ArmError if a place or a path is out of reach, or a move from one to the next meets
+    something, before anything moves.
+    """
 
     def __init__(self, model: Model, programme: Programme, q_near_rad: Sequence[float], file: Path) -> None:
         self.model = model
@@ -40,6 +42,9 @@ class Survey:
         self._poses = poses_at(programme.places, model, q_near_rad)
         near = self._poses[0].q_rad if self._poses else q_near_rad
         self._paths = [planned(way, model, programme.path_speed_m_s, near) for way in programme.ways]
+        stays = [(pose.q_rad, pose.q_rad) for pose in self._poses]
+        runs = [(path.q_start_rad, path.q_waypoints_rad[-1]) for path in self._paths]
+        require_clear(model.arm, [*stays, *runs])
         self._runs: list[tuple[Way, Run]] = []
 
     @property

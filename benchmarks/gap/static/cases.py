@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, TILTS, ChainModel, angles_for, board_points, deviations
-from benchmarks.gap.static import physics
+from benchmarks.gap.static import physics, turned
 from benchmarks.gap.static.physics import (
     Hidden,
     Poses,
@@ -50,6 +50,7 @@ class Design:
     has_payload: bool = True
     has_time: bool = True
     is_noise_told: bool = True
+    turn_noise_rad: float = 0.0  # of measured orientations; 0: there are none
 
 
 def _six() -> Arm:
@@ -163,11 +164,16 @@ def _measured(
     for one in hidden:
         tip = camera_m(one, poses, tip)
     per_A = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in rig.arm.drives]) * constants
+    seen = None
+    if design.turn_noise_rad > 0.0:
+        (own,) = rng.spawn(1)  # a stream of its own: the rest of a case is the same without orientations
+        seen = turned.orientations(own, rig, true_dh, poses, hidden, design.turn_noise_rad)
     current = held / per_A + rng.normal(0.0, NOISE_A, held.shape)
     return make_points(
         poses.setup, [row[1] for row in rows], [row[2] for row in rows], encoder, tip,
         last if design.has_directions else None, current if design.has_currents else None,
         t_s if design.has_time else None, stated if design.has_payload else None,
+        orientation=seen,
     )  # fmt: skip
 
 

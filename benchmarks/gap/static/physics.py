@@ -168,7 +168,17 @@ def shifted_m(one: Hidden, at: Poses, rig: Rig, dh: np.ndarray, tip: np.ndarray)
 def _bent(
     one: Hidden, at: Poses, rig: Rig, frames: list[np.ndarray], tip: np.ndarray, down: np.ndarray
 ) -> np.ndarray:
-    """A link as a row of small hinges from its joint to the next, each turned by the moment of everything beyond it."""
+    """How a bent link moves the tip, (m, 3)."""
+    return bent(one, at, rig, frames, tip, down)[0]
+
+
+def bent(
+    one: Hidden, at: Poses, rig: Rig, frames: list[np.ndarray], tip: np.ndarray, down: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A link as a row of small hinges from its joint to the next, each turned by the moment of everything beyond it.
+
+    Displacement of the tip (m, 3), and the hinges' turns together (m, 3).
+    """
     k, turning = one.joint or 2, [r for r, link in enumerate(rig.arm.links, 1) if link.joint == "revolute"]
     following = next((r for r in turning if r > k), None)
     before = 0 if rig.chain.modified else 1
@@ -176,7 +186,7 @@ def _bent(
     end = tip if following is None else frames[following - before][:, :3, 3]
     along = (end - begin) / np.linalg.norm(end - begin, axis=1, keepdims=True)
     piece = np.linalg.norm(end - begin, axis=1, keepdims=True) / SEGMENTS
-    shift = np.zeros_like(tip)
+    shift, turned = np.zeros_like(tip), np.zeros_like(tip)
     for s in range(SEGMENTS):
         hinge, moment = begin + (s + 0.5) * piece * along, np.zeros_like(tip)
         for link, mass, place in weights(rig, frames, at.payload, {}):
@@ -184,8 +194,9 @@ def _bent(
             is_beyond = hangs | (np.sum((place - hinge) * along, axis=1) > 0.0) & (link >= k)
             moment += np.where(is_beyond[:, None], np.cross(place - hinge, mass[:, None] * down), 0.0)
         moment -= np.sum(moment * along, axis=1, keepdims=True) * along
-        shift += np.cross(moment / one.value * piece, tip - hinge)
-    return shift
+        turn = moment / one.value * piece
+        shift, turned = shift + np.cross(turn, tip - hinge), turned + turn
+    return shift, turned
 
 
 def camera_m(one: Hidden, at: Poses, tip: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.link_bending import beams, bending_m
+from calib.arm_problem.link_bending import Bending, beams, bending
 from calib.arm_problem.link_frames import link_frames
 from calib.arrays import Array
 from calib.gap.effects.columns import straight
@@ -30,32 +30,38 @@ def _flexure(record: EffectRecord, scene: Scene) -> Iterator[Term]:
         return
     q, hung = scene.points.q_rad, stated_kg(scene.points) + own_payload_kg(arm)
     for link in beams(arm):
-        bare = bending_m(arm, arm.dh, q, np.zeros(len(q)), link)
-        payload = bending_m(arm, arm.dh, q, hung, link) - bare
+        bare = _both(bending(arm, arm.dh, q, np.zeros(len(q)), link))
+        payload = _both(bending(arm, arm.dh, q, hung, link)) - bare
         alone = dataclasses.replace(
             arm, links=tuple(dataclasses.replace(one, mass_kg=one.mass_kg if k == link else 0.0)
                              for k, one in enumerate(arm.links, start=1)),
         )  # fmt: skip
         own = (
-            bending_m(alone, arm.dh, q, np.zeros(len(q)), link)
+            _both(bending(alone, arm.dh, q, np.zeros(len(q)), link))
             if alone.links[link - 1].mass_kg
             else 0.0 * bare
         )
-        for variant, weight in enumerate((own, _spread_m(arm, q, link)) if own.any() else (own,)):
+        for variant, weight in enumerate((own, _both(_spread(arm, q, link))) if own.any() else (own,)):
             parts = [weight, bare - own, payload]
             total = np.asarray(sum(parts))
             if np.ptp(total, axis=0).max() == 0.0:
                 continue
             departs = [part for part in parts if np.ptp(part, axis=0).max() > 0.0]
+            columns = size * np.array([total, *departs])
             yield Term(
-                EffectName(record.effect, link), "", 1, len(departs), size, slope_m=size * np.array([total, *departs]),
+                EffectName(record.effect, link), "", 1, len(departs), size, slope_m=columns[..., :3], turn_rad=columns[..., 3:],
                 variant=float(variant), is_positive=True, parameters=parameters_of(record.effect), variable="load",
                 traits=record.traits,
             )  # fmt: skip
 
 
-def _spread_m(arm: Arm, q_rad: Array, link: int) -> Array:
-    """How the tip moves, (m, 3) per 1 / EI, when a link's own weight is spread evenly along it (q l^4 / 8, q l^3 / 6)."""
+def _both(bent: Bending) -> Array:
+    """Displacements and turns side by side, (m, 6)."""
+    return np.hstack(bent)
+
+
+def _spread(arm: Arm, q_rad: Array, link: int) -> Bending:
+    """What happens per 1 / EI when a link's own weight is spread evenly along it (q l^4 / 8, q l^3 / 6)."""
     frames = link_frames(ArmModel(arm), arm.dh, q_rad)
     before = 0 if arm.dh_convention == "modified" else 1
     following = next(
@@ -73,7 +79,7 @@ def _spread_m(arm: Arm, q_rad: Array, link: int) -> Array:
     force = np.broadcast_to(mass * np.asarray(arm.gravity_m_s2), begin.shape)
     across = force - np.sum(force * along, axis=1, keepdims=True) * along
     turn = np.cross(along, across) * length**2 / 6.0
-    return np.asarray(across * length**3 / 8.0 + np.cross(turn, frames.tip_m - end))
+    return Bending(across * length**3 / 8.0 + np.cross(turn, frames.tip_m - end), turn)
 
 
 def _links(arm: Arm) -> tuple[int, ...]:

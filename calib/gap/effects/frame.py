@@ -36,13 +36,14 @@ def _frame(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     if not np.isfinite(points.tip_m).all():
         return
     place = base_frame_of(arm).to_base(points.tip_m)
-    columns, sizes = [], []
+    columns, turns, sizes = [], [], []
     for axis in _AXES_OF[2] if arm.dh_convention == "modified" else _AXES_OF[4]:
         unit = np.eye(3)[axis]
         columns += [np.broadcast_to(-SHIFT_m * unit, place.shape), -TURN_rad * np.cross(unit, place)]
+        turns += [np.zeros(place.shape), np.broadcast_to(-TURN_rad * unit, place.shape)]
         sizes += [SHIFT_m, TURN_rad]
     yield Term(
-        EffectName(record.effect), "", len(sizes), 0, 1.0, slope_m=np.stack(columns),
+        EffectName(record.effect), "", len(sizes), 0, 1.0, slope_m=np.stack(columns), turn_rad=np.stack(turns),
         parameters=sized(np.array(sizes), _total(arm)), traits=record.traits,
     )  # fmt: skip
 

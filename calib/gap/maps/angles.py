@@ -17,7 +17,8 @@ from calib.gap.finding import MapCheck
 from calib.gap.maps.candidate import Candidate, maps_of, over_angle, over_load
 from calib.gap.maps.choose import Measured, Places, chosen
 from calib.gap.maps.outcome import DrawnMap, MapsFound, rms
-from calib.gap.poses.linear import FREE_PRECISION, tip_by_joint
+from calib.gap.poses.linear import FREE_PRECISION
+from calib.gap.poses.measured import Fit, by_joints
 from calib.gap.poses.outcome import StaticGap
 from calib.identify.objective import LeastSquares
 from calib.identify.solver import minimise
@@ -39,7 +40,7 @@ def angle_maps(arm: Arm, gap: StaticGap) -> tuple[Arm, MapsFound]:
     """
     problem = problem_of(arm, gap.points)
     x = minimise(problem.of_rows(gap.split.known), LeastSquares(), 1).x
-    there = _Poses(gap.points, load_of(arm, gap.points), tip_by_joint(problem, x))
+    there = _Poses(gap.points, load_of(arm, gap.points), by_joints(Fit(problem, x, None))[0])
     measured = _measured(problem, x, gap, there)
     found = chosen(measured)
     if found is None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
 from calib.gap.effects.catalogue import is_load
 from calib.gap.effects.frame import FRAME
@@ -21,8 +20,6 @@ from calib.gap.finding import (
     GapFinding,
     NamedEffect,
     Parameters,
-    Remainder,
-    Unknown,
 )
 from calib.gap.model_update import updated_arm
 from calib.gap.poses.as_written import left_as_written, without_unnamed
@@ -32,11 +29,13 @@ from calib.gap.poses.drawn_laws import drawn_laws
 from calib.gap.poses.experiments import next_experiment, open_questions
 from calib.gap.poses.floor import Floor, noise_floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
+from calib.gap.poses.measured import Fit, Left
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import Split
+from calib.gap.poses.remainder import remainders, unknown_part
 from calib.gap.poses.state import Around
 from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, UNSURE, CHANGED_sd
-from calib.gap.posterior.decide import Decision, left_with, share_of
+from calib.gap.posterior.decide import Decision, share_of
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.parameters import Estimated, estimated
 from calib.gap.posterior.search import Weighed
@@ -59,25 +58,24 @@ class Looked:
     loaded: Arm
     points: Points
     parts: Split
-    problem: ArmProblem
-    x: Array
+    fit: Fit
     floor: Floor
     currents: Currents | None
     out: Mask
 
-    def refloored(self, residual_m: Array) -> Looked:
-        """With the noise as repeats show it beside residual_m (m, 3) of a model: a joint that drifts parts repeats, too."""
-        found = noise_floor(self.arm, self.points, residual_m, self.out)
+    def refloored(self, left: Left) -> Looked:
+        """With the noise as repeats show it beside what a model leaves: a joint that drifts parts repeats, too."""
+        found = noise_floor(self.arm, self.points, left, self.out)
         return dataclasses.replace(self, floor=found) if math.isfinite(found.tip_m) else self
 
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """A name that is given, its estimate, and the residual (m, 3) with it and all names before it in the model."""
+    """A name that is given, its estimate, and what is left with it and all names before it in the model."""
 
     name: EffectName
     found: Estimated
-    residual_m: Array
+    left: Left
 
 
 def answered(
@@ -86,58 +84,63 @@ def answered(
     """The finding of a decision, with what its report draws."""
     best, points, parts = decision.best, looked.points, looked.parts
     decision, estimates, reasons = _borne_out(looked, around, decision)
-    residual = around.fitted(best)[1]
+    left = around.fitted(best)[1]
     x, _ = around.fitted(without_unnamed(around, best, decision.names))
-    floor = looked.refloored(residual).floor
+    floor = looked.refloored(left).floor
     if floor.doubt >= UNMEASURED:
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa)
     changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
     order = _ordered(around, best, changed)
     geometry, stages = _stages(around, best, decision, order)
     named = [Named(name, estimates[name], left) for name, left in zip(order, stages, strict=True)]
-    nominal_problem = problem_of(looked.arm, points)
-    nominal = nominal_problem.residuals(np.zeros(len(nominal_problem.parameters)))
+    nominal = Fit.nominal(problem_of(looked.arm, points)).left()
     sure = parts.report & ~_unsure(around, [one.found for one in named])
     effects = [_named(around, decision, one, floor, sure) for one in named]
-    freed = 3 * parts.known.sum() * (rms(nominal, parts.known) ** 2 - rms(geometry, parts.known) ** 2)
-    if freed > GEOMETRY_PAYS * floor.tip_m**2:
-        gap = rms(geometry, sure) / floor.tip_m
+    freed = parts.known.sum() * (_square(nominal, floor, parts.known) - _square(geometry, floor, parts.known))
+    if 3 * freed > GEOMETRY_PAYS:
+        gap = geometry.times(floor.tip_m, floor.turn_rad, sure)
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(around, best, x), gap))
-    sizes = rms(nominal, sure), rms(stages[-1] if stages else geometry, sure)
-    finding = _finding(looked, around, decision, reasons, tuple(effects), floor, sizes, source)
-    problem = around.state.posed()
-    written = left_as_written(updated_arm(looked.arm, finding, problem.solution(x).dh), points, parts.known)
-    finding = dataclasses.replace(finding, gap_as_written=rms(written, sure) / floor.tip_m)
-    warnings += tuple(about_fit(looked.arm, problem, x, floor, around.noise_m * best.kappa))
-    grown = [(str(one.name), one.residual_m) for one in named]
+    ends = nominal, stages[-1] if stages else geometry
+    finding = _finding(looked, around, decision, reasons, tuple(effects), floor, ends, sure, source)
+    posed = around.state.posed()
+    written = left_as_written(
+        updated_arm(looked.arm, finding, posed.problem.solution(x).dh), points, parts.known
+    )
+    as_written = written.times(floor.tip_m, floor.turn_rad, sure)
+    finding = dataclasses.replace(finding, gap_as_written=as_written)
+    warnings += tuple(about_fit(looked.arm, posed.problem, x, floor, around.noise_m * best.kappa))
+    grown = [(str(one.name), one.left.tip_m) for one in named]
     return StaticGap(
-        finding, points, parts, floor, (("nominal", nominal), ("link geometry", geometry), *grown), problem, x, warnings,
-        looked.out, load_of(looked.arm, points), drawn_laws(around, best, order, residual),
+        finding, points, parts, floor, (("nominal", nominal.tip_m), ("link geometry", geometry.tip_m), *grown),
+        posed.problem, x, warnings, looked.out, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m),
     )  # fmt: skip
+
+
+def _square(left: Left, floor: Floor, rows: Mask) -> float:
+    return left.times(floor.tip_m, floor.turn_rad, rows) ** 2
 
 
 def _finding(
     looked: Looked, around: Around, decision: Decision, reasons: Mapping[EffectName, str],
-    effects: tuple[NamedEffect, ...], floor: Floor, sizes: tuple[float, float], source: str,
+    effects: tuple[NamedEffect, ...], floor: Floor, ends: tuple[Left, Left], sure: Mask, source: str,
 ) -> GapFinding:  # fmt: skip
-    """`sizes`: root mean square of the tip [m] at the poses that report, before and after."""
-    before, after = sizes
-    remainder, unknown = _remainder(around, decision, reasons), _unknown(around, decision, reasons)
+    """`ends`: what is left before and after; `sure` (m,): the poses that report."""
+    (before_si, after_si), (before, after) = zip(
+        *((left.sizes(sure), left.times(floor.tip_m, floor.turn_rad, sure)) for left in ends), strict=True
+    )
+    noise = {channel: size for channel, size in floor.sizes.items() if channel in before_si}
+    remainder, unknown = remainders(around, decision, reasons), unknown_part(around, decision, reasons)
     could = nameable(around.evidence)
     has_free = "free" in looked.points.setup
     return GapFinding(
-        arm=looked.arm.name, data=(source,), noise_floor={"tip_m": floor.tip_m}, gap_before=before / floor.tip_m,
-        gap_after=after / floor.tip_m, before_si={"tip_m": before}, after_si={"tip_m": after}, effects=effects,
+        arm=looked.arm.name, data=(source,), noise_floor=noise, gap_before=before, gap_after=after,
+        before_si={channel: before_si[channel] for channel in noise},
+        after_si={channel: after_si[channel] for channel in noise}, effects=effects,
         ambiguous=decision.ambiguous, unknown=unknown, nameable=could,
         next_experiment=next_experiment(decision.ambiguous, unknown, could, has_free),
         is_held_out=looked.parts.is_divided, remainder=remainder,
         open_questions=open_questions(decision.ambiguous, remainder),
     )  # fmt: skip
-
-
-def rms(residual_m: Array, rows: Mask) -> float:
-    """Of one axis, over the poses of a mask (m,)."""
-    return float(np.sqrt(np.mean(residual_m[rows] ** 2)))
 
 
 def _borne_out(
@@ -258,8 +261,8 @@ def _flank(term: Term) -> Array:
 
 def _stages(
     around: Around, best: Weighed, decision: Decision, order: Sequence[EffectName]
-) -> tuple[Array, list[Array]]:
-    """Residuals (m, 3) with the geometry and what the file has, then with one name more at a time; refitted, no blocks."""
+) -> tuple[Left, list[Left]]:
+    """What is left with the geometry and what the file has, then with one name more at a time; refitted, no blocks."""
     keys = {one: around.terms[one[0]].key for one in best.members}
     unchanged = [name for name in decision.names if name not in order]
     base = [one for one, key in keys.items() if key in unchanged]
@@ -274,7 +277,7 @@ def _stages(
 def _named(around: Around, decision: Decision, one: Named, floor: Floor, sure: Mask) -> NamedEffect:
     numbers = {around.terms[k].key: k for k, _ in decision.best.members}
     return NamedEffect(
-        one.name, _parameters(one), rms(one.residual_m, sure) / floor.tip_m,
+        one.name, _parameters(one), one.left.times(floor.tip_m, floor.turn_rad, sure),
         probability=decision.probability[one.name],
         share=share_of(around.evidence, decision.best, [numbers[one.name]]),
         departure=one.found.departure, variable=one.found.variable, is_nothing=_is_nothing(one.found),
@@ -288,73 +291,11 @@ def _parameters(one: Named) -> Parameters:
 
 def _geometry(around: Around, best: Weighed, x: Array) -> Parameters:
     """The DH deviations under the names of docs/formats.md, with standard deviations."""
-    problem = around.state.problem
+    problem = around.state.fit.problem
     still = np.zeros(len(around.linear.y))
     _, covariance = around.linear.geometry(around.rows, around.noise_m * best.kappa, still)
-    sd = np.sqrt(np.diag(covariance)) * np.array([one.scale for one in problem.parameters])
+    sd = np.sqrt(np.diag(covariance))[: len(x)] * np.array([one.scale for one in problem.parameters])
     deviation = (problem.solution(x).dh - problem.model.nominal_dh).ravel()
     return {
         f"link{k // 4 + 1}_{KINDS[k % 4]}": (float(deviation[k]), float(sd[k])) for k in range(len(deviation))
     }
-
-
-def _remainder(
-    around: Around, decision: Decision, reasons: Mapping[EffectName, str]
-) -> tuple[Remainder, ...]:
-    """What is left without one name, the largest first: blocks, sets that are ambiguous, laws that do not hold."""
-    best = decision.best
-    numbers = {around.terms[k].key: k for k, _ in best.members}
-    found = []
-    for group in (*decision.ambiguous, *decision.remainders):
-        own = [numbers[key] for key in group if key in numbers]
-        if not own:
-            continue
-        move = around.moved_m(best, own)
-        size = {"tip_m": rms(move, around.rows)} if move.any() else {}
-        blocks = [around.terms[k].words for k in own if not around.terms[k].is_name]
-        names = " or ".join(str(key) for key in group if isinstance(key, EffectName))
-        unnamed = blocks[0] if blocks else "; ".join(why for key, why in reasons.items() if key in group)
-        where = names if group in decision.ambiguous else unnamed
-        found.append(Remainder(where, share_of(around.evidence, best, own), size))
-    return tuple(sorted(found, key=lambda one: -one.share))
-
-
-def _unknown(around: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> Unknown | None:
-    """The remainder without a name that explains most, if there is one."""
-    if not decision.remainders:
-        return None
-    best, terms = decision.best, around.terms
-    numbers = {terms[k].key: k for k, _ in best.members}
-    blocks = [key for group in decision.remainders for key in group if isinstance(key, Block)]
-    ranked = sorted(
-        (share_of(around.evidence, best, [numbers[key]]), terms[numbers[key]].words)
-        for key in blocks
-        if key in numbers
-    )
-    names = [key for group in decision.remainders for key in group if isinstance(key, EffectName)]
-    if ranked:
-        where = ranked[-1][1]
-    elif blocks:
-        where = terms[around.evidence.of_key[blocks[0]][0]].words
-    else:
-        where = reasons[names[0]]
-    return Unknown(where, *_nearest(around, decision))
-
-
-def _nearest(around: Around, decision: Decision) -> tuple[EffectName | None, float]:
-    """The effect that is not named and explains most beside the names, and its share of what these leave."""
-    evidence, best = around.evidence, decision.best
-    named = tuple(one for one in best.members if around.terms[one[0]].key in decision.names)
-    added = evidence.added(named, best.kappa)
-    others = [k for k, one in enumerate(around.terms) if one.is_name and one.key not in decision.names]
-    if not others:
-        return None, 0.0
-    top = max(others, key=lambda k: float(added.log[k]))
-    key = around.terms[top].key
-    alone, with_it = (
-        left_with(evidence, dataclasses.replace(best, members=some))
-        for some in (named, (*named, (top, int(added.best[top]))))
-    )
-    excess = alone - left_with(evidence, best)
-    share = min(1.0, max(0.0, (alone - with_it) / excess)) if excess > 0.0 else 0.0
-    return (key if isinstance(key, EffectName) else None), round(share, 3)

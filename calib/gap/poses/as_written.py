@@ -11,6 +11,7 @@ from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
+from calib.gap.poses.measured import Fit, Left
 from calib.gap.poses.state import Around
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Key
@@ -20,13 +21,13 @@ from control.model.arm import Arm
 STEPS = 2  # of the places of tool and boards, which follow in nearly a straight line
 
 
-def left_as_written(arm: Arm, points: Points, rows: Mask) -> Array:
-    """Residuals (m, 3) of an arm's file as it is; what no file says (tool, boards) is placed by the poses of a mask (m,)."""
+def left_as_written(arm: Arm, points: Points, rows: Mask) -> Left:
+    """What an arm's file leaves as it is; what no file says (tool, boards, target) is placed by the poses of a mask (m,)."""
     problem = problem_of(arm, points)
     x = np.zeros(len(problem.parameters))
     for _ in range(STEPS):
         x = _placed(problem, x, rows)
-    return problem.residuals(x)
+    return Fit.nominal(problem, x).left()
 
 
 def _placed(problem: ArmProblem, x: Array, rows: Mask) -> Array:

@@ -27,8 +27,9 @@ UNBEARABLE = 5.0  # times what a drive holds at its current limit
 MILLI = 10.0  # times the limit
 INFLATED = 1.3  # times the floor, from which on what the list leaves is worth saying
 
-POSITIONS_ONLY = (
-    "the measured orientations (qw to qz) are checked and not used: effects are named from positions"
+UNKNOWN_TURNS = (
+    "the measured orientations (qw to qz) are checked and not used, as their noise is not known: repeat a dozen poses, or give"
+    " [camera] orientation_noise_rad in arm.toml"
 )
 
 
@@ -36,8 +37,6 @@ def require_posed(arm: Arm, points: Points) -> tuple[str, ...]:
     """UnusablePointsError for points that are misread or too few; warnings otherwise."""
     warnings = require_usable(arm, points, problem_of(arm, points))
     _require_bearable(arm, points)
-    if np.isfinite(points.orientation).any():
-        return (*warnings, POSITIONS_ONLY)
     return warnings
 
 
@@ -177,6 +176,12 @@ def _about_travel(points: Points) -> Iterator[str]:
                 f"no pose has q{j + 1}_rad between {low:.2f} and {high:.2f}, {100 * steps.max() / travel:.0f} % of its travel:"
                 " what happens there is not known"
             )
+
+
+def about_orientations(points: Points, floor: Floor) -> Iterator[str]:
+    """Why measured orientations tell nothing."""
+    if np.isfinite(points.orientation).any() and not floor.lever_m > 0.0:
+        yield UNKNOWN_TURNS
 
 
 def about_outliers(points: Points, out: Mask) -> Iterator[str]:

@@ -2,7 +2,8 @@
 
 Per joint: motor torque by the nominal constant minus gravity = a constant and a share of the load for each direction of the last
 motion (friction, asymmetric friction, load friction, the sensor's offset: never named here) + what a candidate adds + scatter.
-The scatter is that of friction, which holds a joint anywhere in its band; it is measured, not assumed.
+Levers may be off by LEVER_m, which is integrated out with the friction. The scatter is that of friction, which holds a joint
+anywhere in its band; it is measured, not assumed.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ SATURATED = 0.98  # of the drive's limit
 CAUTION = 1.5  # neighbouring poses share their friction: fewer independent values than poses
 POSES_LEAST = 24
 RESOLUTION = 1e-3  # of a joint's largest torque: no motor current tells more
+LEVER_m = 0.002  # what nominal lengths and centres of mass are off by: no torque constant is told beyond that
 SWAY = 3.0  # of a joint's largest torque: the prior of the friction's part
 
 
@@ -68,7 +70,13 @@ def holding_currents(arm: Arm, points: Points, columns_Nm: Array) -> Currents | 
     torque = np.where(usable, points.current_A * per_A - gravity, 0.0)
     if not (usable.sum(axis=0) >= POSES_LEAST).any():
         return None
-    friction = np.stack([_friction(points, gravity, torque, j) for j in range(points.joint_count)])
+    unsure = _lever_errors_Nm(arm, points, gravity)
+    friction = np.stack(
+        [
+            np.column_stack((_friction(points, gravity, torque, j), unsure[:, j]))
+            for j in range(points.joint_count)
+        ]
+    )
     sd = np.array(
         [_scatter(friction[j], columns_Nm[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))]
     )
@@ -81,6 +89,15 @@ def _friction(points: Points, gravity: Array, torque: Array, j: int) -> Array:
     size = SWAY * max(float(np.abs(torque[:, j]).max()), 1e-6)
     sides = [size * (last == side) for side in (-1.0, 0.0, 1.0)]
     return np.column_stack((*sides, last * np.abs(gravity[:, j])))
+
+
+def _lever_errors_Nm(arm: Arm, points: Points, gravity: Array) -> Array:
+    """What LEVER_m on the lever of all that a joint carries does to its torque, (m, n): much on a short last link."""
+    turning = [k for k, link in enumerate(arm.links) if link.joint == "revolute"]
+    carried_kg = [sum(link.mass_kg or 0.0 for link in arm.links[k:]) for k in turning]
+    weight_N = (np.array(carried_kg) + stated_kg(points).max()) * float(np.linalg.norm(arm.gravity_m_s2))
+    most = np.maximum(np.abs(gravity).max(axis=0), 1e-9)
+    return np.asarray(gravity * (LEVER_m * weight_N / most))
 
 
 def _scatter(friction: Array, columns: Array, torque: Array, usable: Mask) -> float:

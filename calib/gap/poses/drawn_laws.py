@@ -10,7 +10,7 @@ from calib.arrays import Array
 from calib.gap.drawn_law import DrawnLaw
 from calib.gap.effects.pose_columns import NO_TORQUE_Nm
 from calib.gap.finding import EffectName
-from calib.gap.poses.linear import tip_by_joint
+from calib.gap.poses.measured import by_joints
 from calib.gap.poses.state import Around
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Term
@@ -24,7 +24,7 @@ def drawn_laws(
     """Of the names that move joints, or the tip along one line; residual_m (m, 3): what the whole set leaves."""
     size, _ = around.evidence.estimate(best.members, best.kappa)
     found, first = {}, 0
-    by_joint = tip_by_joint(around.state.posed(), around.state.x)
+    by_joint, _ = by_joints(around.state.posed())
     for number, _ in best.members:
         one = around.terms[number]
         own = size[first : first + one.count]

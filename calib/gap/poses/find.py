@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arm_problem.problem import ArmProblem
-from calib.arrays import Array, Mask
+from calib.arrays import Array
 from calib.errors import UnusablePointsError
 from calib.gap.effects.catalogue import are_total_in_poses, is_load, pose_terms
 from calib.gap.effects.frame import FRAME
 from calib.gap.effects.pose_scene import Scene
 from calib.gap.finding import EffectName
 from calib.gap.poses.answer import Looked, answered
-from calib.gap.poses.cautions import about_data, about_outliers, cleaned, require_posed
+from calib.gap.poses.cautions import about_data, about_orientations, about_outliers, cleaned, require_posed
 from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.floor import FINEST_m, Floor, noise_floor
-from calib.gap.poses.linear import Linear, tip_by_joint
+from calib.gap.poses.linear import Linear
+from calib.gap.poses.measured import Fit
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.outlying import middle, outlying
 from calib.gap.poses.recordings import Split, split
@@ -29,8 +29,6 @@ from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Key, Term
-from calib.identify.objective import LeastSquares
-from calib.identify.solver import minimise
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.progress import Advance, silent
@@ -56,7 +54,7 @@ def find(
     looked = _prepared(arm, cleaned(points), without)
     looked, around, decision = _searched(looked, without, advance)
     advance("reporting", 0.85)
-    warnings += about_outliers(points, looked.out)
+    warnings += [*about_orientations(points, looked.floor), *about_outliers(points, looked.out)]
     return answered(looked, around, decision, tuple(warnings), source)
 
 
@@ -64,29 +62,31 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     """The geometry alone fitted, outliers left out, the noise found."""
     own = [one for one in arm.effects if are_total_in_poses(one.effect) and one.effect not in without]
     loads = [one for one in own if is_load(one.effect)]
-    bare_arm = dataclasses.replace(arm, effects=tuple(one for one in arm.effects if one not in own))
-    loaded = dataclasses.replace(bare_arm, effects=(*bare_arm.effects, *loads))
+    bare_arm = replace(arm, effects=tuple(one for one in arm.effects if one not in own))
+    loaded = replace(bare_arm, effects=(*bare_arm.effects, *loads))
     parts = split(points)
-    problem, x = _geometry(bare_arm, points, parts.known)
-    fitted = bare_arm.with_dh(problem.solution(x).dh)
-    scene = Scene.of(fitted, dataclasses.replace(fitted, effects=loaded.effects), points)
+    fit = Fit.to(problem_of(bare_arm, points), parts.known)
+    fitted = bare_arm.with_dh(fit.problem.solution(fit.x).dh)
+    scene = Scene.of(fitted, replace(fitted, effects=loaded.effects), points)
     variants = _laws(scene, without)
     laws = [middle(same) for same in variants]
-    linear = Linear.around(problem, x, np.zeros((len(points), 3)), laws)
-    residual = problem.residuals(x)
-    scatter_m = _scatter_m(noise_floor(arm, points, residual), residual)
-    out = outlying(linear, variants, tip_by_joint(problem, x), scatter_m)
+    left = fit.left()
+    first = noise_floor(arm, points, left)
+    scatter_m = _scatter_m(first, left.tip_m)
+    linear = Linear.around(fit, replace(first, tip_m=scatter_m).lever_m, laws)
+    out = outlying(linear, variants, scatter_m)
     if out.any():
         parts = parts.without(out)
-        problem, x = _geometry(bare_arm, points, parts.known)
-        residual = problem.residuals(x)
-    floor = noise_floor(arm, points, residual, out)
+        fit = Fit.to(fit.problem, parts.known)
+        left = fit.left()
+    floor = noise_floor(arm, points, left, out)
     if not math.isfinite(floor.tip_m):
-        floor = _from_the_richest(linear, parts, residual)
+        richest = _from_the_richest(Linear.around(fit, 0.0, laws), parts, left.tip_m)
+        floor = replace(richest, turn_rad=floor.turn_rad)
     torques = [one.slope_Nm for one in laws if one.slope_Nm is not None]
     columns = np.concatenate(torques) if torques else np.zeros((0, *points.q_rad.shape))
     currents = holding_currents(bare_arm, points, columns)
-    return Looked(arm, bare_arm, loaded, points, parts, problem, x, floor, currents, out)
+    return Looked(arm, bare_arm, loaded, points, parts, fit, floor, currents, out)
 
 
 def _laws(scene: Scene, without: Collection[str]) -> list[list[Term]]:
@@ -96,12 +96,6 @@ def _laws(scene: Scene, without: Collection[str]) -> list[list[Term]]:
         if isinstance(one.key, EffectName) and one.key.effect not in without:
             variants.setdefault(one.key, []).append(one.law_alone())
     return list(variants.values())
-
-
-def _geometry(arm: Arm, points: Points, rows: Mask) -> tuple[ArmProblem, Array]:
-    """Fitted to the poses of a mask (m,); the geometry is near and interior, so that one search finds it."""
-    problem = problem_of(arm, points)
-    return problem, minimise(problem.of_rows(rows), LeastSquares(), 1).x
 
 
 def _scatter_m(floor: Floor, residual_m: Array) -> float:
@@ -138,15 +132,16 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
     ]
     if BASE in Choice().for_points(looked.arm, looked.points).freed and FRAME not in without:
         forced.append(EffectName(FRAME))  # a camera's or tracker's frame is never known to the noise
-    state = State.bare(looked.problem, looked.x, looked.loaded)
+    state = State.bare(looked.fit, looked.loaded)
     known: list[frozenset[Key]] = []
     blocks: tuple[Term, ...] = ()
     for look in range(LOOKS):
         advance("weighing effects", 0.2 + 0.2 * look)
         noise = looked.floor.tip_m, max(looked.floor.doubt, FLOOR_DOUBT)
         around = Around.of(
-            state, looked.bare_arm, looked.points, looked.parts.known, noise, looked.currents, without, blocks
-        )
+            state, looked.bare_arm, looked.points, looked.parts.known, noise, looked.currents, without, blocks,
+            looked.floor.lever_m,
+        )  # fmt: skip
         blocks = around.blocks
         search = Search(around.evidence, forced)
         found = search.run(known)

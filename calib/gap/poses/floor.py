@@ -1,14 +1,17 @@
-"""The noise floor of static poses: what one measurement of the tip scatters by, and who says so."""
+"""The noise floor of static poses: what one measurement of tip and orientation scatters by, and who says so."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from calib.arrays import Array, Mask
+from calib.gap.poses.measured import Left
+from calib.points.covariance import matrices_of
 from calib.points.points import Points
 from control.model.arm import Arm
 
@@ -19,6 +22,7 @@ QUARTILE_CHANCE = (
     3.0 * 0.745
 )  # three standard deviations of its root, as a share, times the root of the count
 AGREE = 0.2  # share by which two estimates of the same may differ
+FINEST_rad = 1e-7  # the same of orientations
 FINEST_m = 1e-7  # repeats that are closer are copies of each other: no camera or tracker measures finer
 SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it out
 
@@ -27,20 +31,40 @@ SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it o
 class Floor:
     """Standard deviation of one axis of the tip, and where the figure comes from; NaN where nothing tells it.
 
-    `doubt`: the figure's own standard deviation, as a share of it, as far as it rests on repeats.
+    `doubt`: the figure's own standard deviation, as a share of it, as far as it rests on repeats. `turn_rad`: of a measured
+    orientation about one axis.
     """
 
     tip_m: float
     source: str
     doubt: float = 0.0
+    turn_rad: float = math.nan
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """By channel, of those whose noise is known."""
+        return {"tip_m": self.tip_m} | ({"turn_rad": self.turn_rad} if math.isfinite(self.turn_rad) else {})
+
+    @property
+    def lever_m(self) -> float:
+        """Noise of a tip over that of an orientation; 0 where nothing tells the latter, so that orientations are not used."""
+        return self.tip_m / self.turn_rad if math.isfinite(self.turn_rad) else 0.0
 
 
-def noise_floor(arm: Arm, points: Points, residual_m: Array, out: Mask | None = None) -> Floor:
+def noise_floor(arm: Arm, points: Points, left: Left, out: Mask | None = None) -> Floor:
     """From repeats: poses of one point with the same payload and approach; else from the camera's data sheet.
 
-    residual_m (m, 3) of any fitted model: what it lacks is the same for all repeats of a point, and drops out. `out` (m,):
-    poses that do not count.
+    `left` of any fitted model: what it lacks is the same for all repeats of a point, and drops out. `out` (m,): poses that do
+    not count.
     """
+    pairs = _pairs(points, out)
+    return replace(
+        _of_tips(arm, points, left.tip_m, pairs), turn_rad=_of_turns(arm, points, left.turn_rad, pairs)
+    )
+
+
+def _pairs(points: Points, out: Mask | None) -> list[tuple[int, int]]:
+    """Repeats of one pose that follow each other."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for k in range(len(points)) if out is None else np.flatnonzero(~out).tolist():
         key = (
@@ -50,7 +74,23 @@ def noise_floor(arm: Arm, points: Points, residual_m: Array, out: Mask | None = 
             *points.direction[k].tolist(),
         )
         groups.setdefault(key, []).append(k)
-    pairs = [pair for rows in groups.values() for pair in pairwise(rows) if _is_same_pose(points, *pair)]
+    return [pair for rows in groups.values() for pair in pairwise(rows) if _is_same_pose(points, *pair)]
+
+
+def _of_turns(arm: Arm, points: Points, turn_rad: Array, pairs: Sequence[tuple[int, int]]) -> float:
+    """Of orientations [rad]: their repeats, else the points' covariances or the data sheet; NaN where nothing tells it."""
+    first, second = (turn_rad[[pair[k] for pair in pairs]] for k in (0, 1))
+    apart = (first - second)[np.isfinite(first - second).all(axis=1)] if pairs else np.zeros((0, 3))
+    if len(apart) >= REPEATS_LEAST and (scatter := _scatter_m(apart)) > FINEST_rad:
+        return scatter
+    stated = points.covariance[np.isfinite(points.covariance[:, 6:]).all(axis=1), 6:]
+    if len(stated):
+        return float(np.median(np.sqrt(np.trace(matrices_of(stated), axis1=1, axis2=2) / 3.0)))
+    sheet = arm.camera.orientation_noise_rad if arm.camera is not None else 0.0
+    return sheet if sheet > 0.0 else math.nan
+
+
+def _of_tips(arm: Arm, points: Points, residual_m: Array, pairs: Sequence[tuple[int, int]]) -> Floor:
     sheet_m = arm.camera.position_noise_m if arm.camera is not None else 0.0
     if len(pairs) < REPEATS_LEAST:
         if sheet_m > 0.0:

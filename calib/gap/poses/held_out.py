@@ -38,7 +38,7 @@ def shows_in_others(around: Around, best: Weighed, block: Block) -> bool:
 def _helps(around: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]) -> bool:
     own = [one for one in best.members if around.terms[one[0]].key == key]
     folds = list(_folds(around, labels))
-    if len(folds) < 2 or not around.moved_m(best, [k for k, _ in own]).any():
+    if len(folds) < 2 or not around.moves(best, [k for k, _ in own]):
         return True
     without = dataclasses.replace(best, members=tuple(one for one in best.members if one not in own))
     return sum(_missed(around, best, *fold) for fold in folds) < sum(
@@ -60,16 +60,12 @@ def _missed(around: Around, found: Weighed, fitted: Mask, left_out: Mask) -> flo
     whole = np.hstack((base, columns))
     spread = [around.evidence.scales[k][0][h] for k, h in found.members]
     precision = np.concatenate([around.linear.precision, *(sd**-2.0 for sd in map(_positive, spread))])
-    white, y = _whitened(around, whole, fitted), _whitened(around, around.linear.y[:, None], fitted)
+    values, noise_m = around.linear.y[:, None], around.noise_m
+    white = around.linear.whitened(whole, fitted, noise_m)
+    y = around.linear.whitened(values, fitted, noise_m)
     x = np.linalg.solve(white.T @ white + np.diag(precision), white.T @ y)
-    rest = _whitened(around, around.linear.y[:, None] - whole @ x, left_out)
-    return float(np.sum(rest**2))
+    return float(np.sum(around.linear.whitened(values - whole @ x, left_out, noise_m) ** 2))
 
 
 def _positive(sd: Array) -> Array:
     return np.maximum(sd, 1e-9)
-
-
-def _whitened(around: Around, values: Array, rows: Mask) -> Array:
-    own = values.reshape(len(rows), 3, -1)[rows]
-    return np.asarray((around.linear.weight[rows] / around.noise_m @ own).reshape(-1, own.shape[2]))

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
 from calib.gap.poses.currents import Currents
+from calib.gap.poses.measured import Fit, Measured
 from calib.gap.posterior.evidence import Gram
 from calib.gap.posterior.term import Term
 
@@ -18,9 +18,10 @@ FREE_PRECISION = 1e-6  # of an unknown without a bound, in its own scale
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Around unknowns x: geometry `base` (3m, k), values `y` (3m,) and columns (3m, p) in metres, weights (m, 3, 3).
+    """Around a fit, of its R rows: geometry `base` (3R, K), values `y` (3R,) and columns (3R, p) in metres, weights (R, 3, 3).
 
-    y is the residual with all geometry deviations and terms at zero, so that priors around zero mean what they say.
+    y is the residual with all geometry deviations and terms at zero, so that priors around zero mean what they say. The last
+    unknowns of the geometry are the turn of the measured target, if there is one.
     """
 
     base: Array
@@ -29,36 +30,39 @@ class Linear:
     columns: Array
     weight: Array
     places: tuple[slice, ...]
+    measured: Measured
 
     @classmethod
     def around(
-        cls, problem: ArmProblem, x: Array, moved_m: Array, terms: Sequence[Term], weight: Array | None = None
+        cls,
+        fit: Fit,
+        lever_m: float,
+        terms: Sequence[Term],
+        moved: Array | None = None,
+        weight: Array | None = None,
     ) -> Linear:
-        """`moved_m` (m, 3): what terms that the problem holds already do to the tip, to first order."""
-        residual, jacobian = problem.residuals_and_jacobian(x)
-        base = -jacobian.reshape(-1, len(x))
-        by_joint = tip_by_joint(problem, x)
-        columns = np.concatenate([moved_by(one, by_joint) for one in terms])
+        """`moved` (m, 6): what terms that the fit's problem holds already do to tip and last link, to first order."""
+        measured = fit.measured(lever_m)
+        count = measured.jacobian.shape[2]
+        base = -measured.jacobian.reshape(-1, count)
+        columns = np.concatenate([measured.moved_by(one) for one in terms])
         ends = np.cumsum([one.count for one in terms])
         places = tuple(slice(int(end) - one.count, int(end)) for one, end in zip(terms, ends, strict=True))
-        precision = np.array([1.0 if one.has_bound else FREE_PRECISION for one in problem.parameters])
-        y = (residual + moved_m).ravel() + base @ x
-        root = np.tile(np.eye(3), (len(residual), 1, 1)) if weight is None else weight
-        return cls(base, precision, y, columns.reshape(len(columns), -1).T, root, places)
+        precision = np.full(count, FREE_PRECISION)
+        precision[: len(fit.x)][[one.has_bound for one in fit.problem.parameters]] = 1.0
+        known = measured.residual if moved is None else measured.residual + measured.rows_of(moved)
+        y = known.ravel() + base[:, : len(fit.x)] @ fit.x
+        root = np.tile(np.eye(3), (len(measured.pose), 1, 1)) if weight is None else weight
+        return cls(base, precision, y, columns.reshape(len(columns), -1).T, root, places, measured)
 
-    def projected(self, rows: Mask, noise_m: float, more: tuple[Array, Array] | None = None) -> Gram:
-        """What evidence needs, from the poses `rows` (m,); `more`: Gram and pull of the currents' channel."""
-        root = self.weight[rows] / noise_m
-        count = int(rows.sum())
-
-        def white(values: Array) -> Array:
-            own = values.reshape(len(rows), 3, -1)[rows]
-            return np.asarray((root @ own).reshape(3 * count, -1))
-
-        base, columns, y = white(self.base), white(self.columns), white(self.y)[:, 0]
+    def projected(self, poses: Mask, noise_m: float, more: tuple[Array, Array] | None = None) -> Gram:
+        """What evidence needs, from some poses (m,); `more`: Gram and pull of the currents' channel."""
+        base, columns, y = (
+            self.whitened(values, poses, noise_m) for values in (self.base, self.columns, self.y[:, None])
+        )
         inner = np.linalg.cholesky(base.T @ base + np.diag(self.precision))
         taken = np.linalg.solve(inner, base.T @ columns)
-        own = np.linalg.solve(inner, base.T @ y)
+        own = np.linalg.solve(inner, base.T @ y[:, 0])
         # as residual plus prior's share, not as a difference of large numbers
         fit = np.linalg.solve(inner.T, np.column_stack((taken, own)))
         rest = np.column_stack((columns, y)) - base @ fit
@@ -66,31 +70,20 @@ class Linear:
         seen = rest.T @ rest + prior.T @ prior
         used = float(np.sum(np.linalg.solve(inner, base.T) ** 2))
         zero = np.zeros((len(seen) - 1, len(seen) - 1)), np.zeros(len(seen) - 1)
-        return Gram(seen[:-1, :-1], seen[:-1, -1], *(more or zero), float(seen[-1, -1]), 3 * count - used)
+        return Gram(seen[:-1, :-1], seen[:-1, -1], *(more or zero), float(seen[-1, -1]), len(base) - used)
 
-    def geometry(self, rows: Mask, noise_m: float, total: Array) -> tuple[Array, Array]:
-        """Unknowns x (k,) of the geometry beside the terms' move `total` (3m,), and their covariance."""
-        root = self.weight[rows] / noise_m
-        base = (root @ self.base.reshape(len(rows), 3, -1)[rows]).reshape(-1, self.base.shape[1])
-        left = (root @ (self.y - total).reshape(-1, 3, 1)[rows]).ravel()
+    def geometry(self, poses: Mask, noise_m: float, total: Array) -> tuple[Array, Array]:
+        """Unknowns (K,) of the geometry beside the terms' move `total` (3R,), and their covariance."""
+        base = self.whitened(self.base, poses, noise_m)
+        left = self.whitened((self.y - total)[:, None], poses, noise_m)[:, 0]
         covariance = np.linalg.inv(base.T @ base + np.diag(self.precision))
         return np.asarray(covariance @ (base.T @ left)), np.asarray(covariance)
 
-
-def tip_by_joint(problem: ArmProblem, x: Array) -> Array:
-    """How the tip follows each joint, (m, 3, n)."""
-    found = problem.solution(x)
-    by_dh = problem.model.slopes(found.dh, problem.observed.q_rad, found.tool_m).by_dh
-    return np.asarray(by_dh[:, :, list(problem.model.theta_places)])
-
-
-def moved_by(one: Term, by_joint: Array) -> Array:
-    """What a term's columns do to the tip, (c, m, 3)."""
-    moved = np.zeros((one.count, len(by_joint), 3))
-    if one.slope_rad is not None:
-        for j in np.flatnonzero(one.slope_rad.any(axis=(0, 1))):
-            moved += one.slope_rad[:, :, j, None] * by_joint[:, :, j]
-    return moved if one.slope_m is None else moved + one.slope_m
+    def whitened(self, values: Array, poses: Mask, noise_m: float) -> Array:
+        """Values (3R, c) at some poses (m,), in standard deviations of the noise."""
+        rows = self.measured.of(poses)
+        own = values.reshape(len(rows), 3, -1)[rows]
+        return np.asarray((self.weight[rows] / noise_m @ own).reshape(3 * int(rows.sum()), -1))
 
 
 def of_currents(currents: Currents | None, terms: Sequence[Term], rows: Mask) -> tuple[Array, Array] | None:

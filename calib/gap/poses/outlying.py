@@ -13,7 +13,8 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
-from calib.gap.poses.linear import Linear, moved_by
+from calib.gap.poses.linear import Linear
+from calib.gap.poses.measured import Measured
 from calib.gap.posterior.term import Term
 
 FAR = 7.0  # times the scatter of the others
@@ -22,21 +23,20 @@ LOOKS = 8
 MEDIAN = 1.5382  # of the length of three unit normals
 
 
-def outlying(linear: Linear, variants: Sequence[Sequence[Term]], by_joint: Array, noise_m: float) -> Mask:
+def outlying(linear: Linear, variants: Sequence[Sequence[Term]], noise_m: float) -> Mask:
     """The poses (m,) that are to be left out; none where many or none are far off.
 
-    `variants` of each term of `linear`, which has the middle ones; by_joint (m, 3, n): how the tip follows each joint;
-    noise_m: a first idea of the noise.
+    `variants` of each term of `linear`, which has the middle ones; noise_m: a first idea of the noise.
     """
     terms, columns = [middle(same) for same in variants], linear.columns
-    out = _far(linear, columns, terms, by_joint, noise_m)
+    out = _far(linear, columns, terms, noise_m)
     if not 0.0 < out.mean() <= SHARE_MOST:
         return np.zeros_like(out)
     for number, same in enumerate(variants):
         for one in same if len(same) > 1 else ():
             tried, others = columns.copy(), [*terms[:number], one, *terms[number + 1 :]]
-            tried[:, linear.places[number]] = moved_by(one, by_joint).reshape(one.count, -1).T
-            far = _far(linear, tried, others, by_joint, noise_m)
+            tried[:, linear.places[number]] = linear.measured.moved_by(one).reshape(one.count, -1).T
+            far = _far(linear, tried, others, noise_m)
             if far.sum() < out.sum():
                 out, columns, terms = far, tried, others
     return out
@@ -47,32 +47,42 @@ def middle(variants: Sequence[Term]) -> Term:
     return variants[len(variants) // 2]
 
 
-def _far(linear: Linear, columns: Array, terms: Sequence[Term], by_joint: Array, noise_m: float) -> Mask:
-    """Poses (m,) that columns (3m, p) beside the geometry leave far off, both fitted to the other poses."""
-    whole, y = np.hstack((linear.base, columns)) / noise_m, linear.y / noise_m
-    out = np.zeros(len(y) // 3, dtype=bool)
+def _far(linear: Linear, columns: Array, terms: Sequence[Term], noise_m: float) -> Mask:
+    """Poses (m,) that columns (3R, p) beside the geometry leave far off, both fitted to the other poses."""
+    whole, y, pose = np.hstack((linear.base, columns)) / noise_m, linear.y / noise_m, linear.measured.pose
+    out = np.zeros(int(pose.max()) + 1, dtype=bool)
+    kinds = np.arange(len(pose)) < len(out)  # of tips; the other rows are orientations
     for _ in range(LOOKS):
-        keep = np.repeat(~out, 3)
+        keep = np.repeat(~out[pose], 3)
         size = _fitted(whole[keep], y[keep])
         left = (y - whole @ size).reshape(-1, 3)
-        flanks = _uncertain(linear, terms, size[linear.base.shape[1] :], by_joint / noise_m)
+        flanks = _uncertain(linear, terms, size[linear.base.shape[1] :], noise_m)
         far = np.sqrt(np.einsum("mi,mij,mj->m", left, np.linalg.inv(np.eye(3) + flanks), left))
-        scatter = float(np.median(far)) / MEDIAN
-        now = far > FAR * max(scatter, 1.0)  # few poses are fitted too well
+        now = np.zeros_like(out)
+        for kind in (kinds, ~kinds) if not kinds.all() else (kinds,):
+            scatter = float(np.median(far[kind])) / MEDIAN
+            now[pose[kind][far[kind] > FAR * max(scatter, 1.0)]] = True  # few poses are fitted too well
         if (now == out).all():
             break
         out = now
     return out
 
 
-def _uncertain(linear: Linear, terms: Sequence[Term], size: Array, by_joint: Array) -> Array:
-    """Covariance (m, 3, 3) of the tip, in variances of the noise, from gears that may lie on the other flank."""
-    total = np.zeros((len(by_joint), 3, 3))
+def _uncertain(linear: Linear, terms: Sequence[Term], size: Array, noise_m: float) -> Array:
+    """Covariance (R, 3, 3) of the rows, in variances of the noise, from gears that may lie on the other flank."""
+    measured = linear.measured
+    total = np.zeros((len(measured.pose), 3, 3))
     for one, place in zip(terms, linear.places, strict=True):
-        if one.doubt is not None and isinstance(one.key, EffectName) and one.key.joint is not None:
-            lever = by_joint[:, :, one.key.joint - 1] * (one.size * size[place.start])
-            total += one.doubt[:, None, None] * lever[:, :, None] * lever[:, None, :]
+        total += flank_covariance(measured, one, float(size[place.start]) / noise_m)
     return total
+
+
+def flank_covariance(measured: Measured, one: Term, coefficient: float) -> Array:
+    """Covariance (R, 3, 3) of rows whose joint may lie on the other flank; 0 where nothing is uncertain."""
+    if one.doubt is None or not isinstance(one.key, EffectName) or one.key.joint is None:
+        return np.zeros((1, 3, 3))
+    lever = measured.by_joint[:, :, one.key.joint - 1] * (one.size * coefficient)
+    return np.asarray(one.doubt[measured.pose, None, None] * lever[:, :, None] * lever[:, None, :])
 
 
 def _fitted(columns: Array, y: Array) -> Array:

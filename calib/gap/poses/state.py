@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, frozen
 from calib.gap.effects.catalogue import is_load, pose_terms
 from calib.gap.effects.frame import FRAME, beyond_linear_m
@@ -17,8 +16,10 @@ from calib.gap.effects.pose_scene import Scene, load_of
 from calib.gap.finding import EffectName
 from calib.gap.model_update import effect_of, with_totals
 from calib.gap.poses.currents import Currents
-from calib.gap.poses.linear import Linear, of_currents, tip_by_joint
+from calib.gap.poses.linear import Linear, of_currents
+from calib.gap.poses.measured import Fit, Left, by_joints
 from calib.gap.poses.nameless.blocks import blocks_of
+from calib.gap.poses.outlying import flank_covariance
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Term
@@ -28,39 +29,42 @@ from control.model.arm import Arm
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The point of linearisation: unknowns x (k,), joints moved by turn_rad (m, n), the tip by shift_m (m, 3).
+    """The point of linearisation: the geometry, joints moved by turn_rad (m, n), tip and last link by `moved` (m, 6: m, rad).
 
-    `linear_m` (m, 3): the part of these moves that is linear in coefficients. `weight` (m, 3, 3) whitens poses whose flank is
-    uncertain; `loaded`: the arm with the geometry and the loads found so far.
+    `linear` (m, 6): the part of these moves that is linear in coefficients. `weight` (R, 3, 3) whitens rows whose flank is
+    uncertain, None: of none; `loaded`: the arm with the geometry and the loads found so far.
     """
 
-    problem: ArmProblem
-    x: Array
+    fit: Fit
     turn_rad: Array
-    shift_m: Array
-    linear_m: Array
-    weight: Array
+    moved: Array
+    linear: Array
+    weight: Array | None
     loaded: Arm
 
     @classmethod
-    def bare(cls, problem: ArmProblem, x: Array, arm: Arm) -> State:
+    def bare(cls, fit: Fit, arm: Arm) -> State:
         """The geometry alone; `arm` carries the loads that its file states."""
-        m, n = problem.observed.q_rad.shape
-        still = np.zeros((m, 3))
-        weight = np.tile(np.eye(3), (m, 1, 1))
-        return cls(problem, x, np.zeros((m, n)), still, still, weight, arm.with_dh(problem.solution(x).dh))
+        m, n = fit.problem.observed.q_rad.shape
+        still = np.zeros((m, 6))
+        return cls(fit, np.zeros((m, n)), still, still, None, arm.with_dh(fit.problem.solution(fit.x).dh))
 
-    def posed(self) -> ArmProblem:
-        """The problem with what the effects move."""
-        moved = copy.copy(self.problem)
-        known = self.problem.observed.known_shift_m
-        shift = self.shift_m if known is None else self.shift_m + known
+    def posed(self) -> Fit:
+        """The fit of the problem with what the effects move."""
+        moved = copy.copy(self.fit.problem)
+        observed = moved.observed
         moved.observed = dataclasses.replace(
-            self.problem.observed,
-            q_rad=frozen(self.problem.observed.q_rad + self.turn_rad),
-            known_shift_m=frozen(shift),
+            observed,
+            q_rad=frozen(observed.q_rad + self.turn_rad),
+            known_shift_m=_beside(observed.known_shift_m, self.moved[:, :3]),
+            known_turn_rad=_beside(observed.known_turn_rad, self.moved[:, 3:]),
         )
-        return moved
+        return dataclasses.replace(self.fit, problem=moved)
+
+
+def _beside(known: Array | None, more: Array) -> Array:
+    """What arm's file and found effects do together."""
+    return frozen(more if known is None else known + more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +95,16 @@ class Around:
         currents: Currents | None,
         without: Collection[str],
         blocks: Sequence[Term] = (),
+        lever_m: float = 0.0,
     ) -> Around:
-        """`arm`: without the effects that are looked for; `noise`: floor [m] and its doubt; `blocks`: of a look before."""
+        """`arm`: without the effects that are looked for; `noise`: floor [m] and its doubt; `blocks`: of a look before.
+
+        `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used.
+        """
         scene = Scene.of(arm.with_dh(state.loaded.dh), state.loaded, points)
         names = [_unlisted(one, without) for one in pose_terms(scene)]
         terms = [*names, *(blocks or blocks_of(scene, names))]
-        problem = state.posed()
-        linear = Linear.around(problem, state.x, state.linear_m, terms, state.weight)
+        linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight)
         gram = linear.projected(rows, noise[0], of_currents(currents, terms, rows))
         return cls(state, arm, points, rows, noise[0], linear, Evidence(gram, terms, noise[1]))
 
@@ -107,20 +114,32 @@ class Around:
         return tuple(one for one in self.terms if isinstance(one.key, Block) and one.parameters is None)
 
     def columns(self, numbers: Sequence[int]) -> Array:
-        """What terms do to the tips, (3m, c)."""
+        """What terms do to the rows, (3R, c)."""
         if not numbers:
             return np.zeros((len(self.linear.y), 0))
         return np.concatenate([self.linear.columns[:, self.linear.places[k]] for k in numbers], axis=1)
 
-    def fitted(self, found: Weighed) -> tuple[Array, Array]:
-        """Geometry x beside a set, and the residuals (m, 3) of all poses."""
+    def fitted(self, found: Weighed) -> tuple[Array, Left]:
+        """Geometry x (k,) beside a set, and what they leave of all poses."""
+        fit, left = self._solved(found)
+        return fit.x, left
+
+    def _solved(self, found: Weighed) -> tuple[Fit, Left]:
         size, _ = self.evidence.estimate(found.members, found.kappa)
-        move = self.columns([k for k, _ in found.members]) @ size
-        x, _ = self.linear.geometry(self.rows, self.noise_m * found.kappa, move)
-        return x, (self.linear.y - self.linear.base @ x - move).reshape(-1, 3)
+        move, linear = self.columns([k for k, _ in found.members]) @ size, self.linear
+        x, _ = linear.geometry(self.rows, self.noise_m * found.kappa, move)
+        return self.state.fit.at(x), linear.measured.left(linear.y - linear.base @ x - move)
 
     def moved_m(self, found: Weighed, numbers: Sequence[int]) -> Array:
         """What the terms `numbers` of a set do to the tips, (m, 3)."""
+        return self._moved(found, numbers).tip_m
+
+    def moves(self, found: Weighed, numbers: Sequence[int]) -> bool:
+        """Whether they move a tip or an orientation at all."""
+        moved = self._moved(found, numbers)
+        return bool(moved.tip_m.any() or np.nan_to_num(moved.turn_rad).any())
+
+    def _moved(self, found: Weighed, numbers: Sequence[int]) -> Left:
         size, _ = self.evidence.estimate(found.members, found.kappa)
         moved, first = np.zeros(len(self.linear.y)), 0
         for number, _ in found.members:
@@ -128,7 +147,7 @@ class Around:
             first += len(own)
             if number in numbers:
                 moved += self.columns([number]) @ own
-        return moved.reshape(-1, 3)
+        return self.linear.measured.left(moved)
 
     def gravity_Nm(self) -> Array | None:
         """Gravity's torques under the loads found, (m, n); None for an arm without masses."""
@@ -136,32 +155,32 @@ class Around:
 
     def next_state(self, found: Weighed) -> State:
         """Linearised anew around a set."""
-        state = self.state
+        state, linear = self.state, self.linear
         size, _ = self.evidence.estimate(found.members, found.kappa)
-        x, _ = self.fitted(found)
-        turn, shift = np.zeros_like(state.turn_rad), np.zeros_like(state.shift_m)
-        extra, beyond, first, loads = np.zeros_like(state.weight), np.zeros_like(shift), 0, []
-        problem = state.posed()
-        by_joint = tip_by_joint(problem, state.x)
+        fit, _ = self._solved(found)
+        turn, moved, beyond = (
+            np.zeros_like(state.turn_rad),
+            np.zeros_like(state.moved),
+            np.zeros_like(state.moved),
+        )
+        extra, first, loads = np.zeros_like(linear.weight), 0, []
         for number, _ in found.members:
             one = self.terms[number]
             own = size[first : first + one.count]
             first += one.count
             turn += 0.0 if one.slope_rad is None else np.einsum("c,cmn->mn", own, one.slope_rad)
-            shift += 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", own, one.slope_m)
-            if one.doubt is not None and isinstance(one.key, EffectName) and one.key.joint is not None:
-                lever = by_joint[:, :, one.key.joint - 1] * (one.size * own[0] / self.noise_m)
-                extra += one.doubt[:, None, None] * lever[:, :, None] * lever[:, None, :]
+            moved[:, :3] += 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", own, one.slope_m)
+            moved[:, 3:] += 0.0 if one.turn_rad is None else np.einsum("c,cmi->mi", own, one.turn_rad)
+            extra += flank_covariance(linear.measured, one, float(own[0]) / self.noise_m)
             if one.key == EffectName(FRAME):
-                beyond += beyond_linear_m(one, own, state.problem.references_m)
+                beyond[:, :3] += beyond_linear_m(one, own, fit.problem.references_m)
             if isinstance(one.key, EffectName) and is_load(one.key.effect) and one.parameters is not None:
                 loads.append(effect_of(one.key, one.parameters(own[:1] * one.size, np.zeros((1, 1)))))
         weight = np.linalg.inv(np.linalg.cholesky(np.eye(3) + extra))
-        moved = dataclasses.replace(state, x=x, turn_rad=turn, shift_m=shift + beyond, weight=weight)
-        by_joint = tip_by_joint(moved.posed(), x)
-        linear = np.einsum("mn,min->mi", turn, by_joint) + shift
-        loaded = with_totals(state.loaded.with_dh(moved.problem.solution(x).dh), loads)
-        return dataclasses.replace(moved, linear_m=linear, loaded=loaded)
+        loaded = with_totals(state.loaded.with_dh(fit.problem.solution(fit.x).dh), loads)
+        new = State(fit, turn, moved + beyond, moved, weight, loaded)
+        by_joint = np.concatenate(by_joints(new.posed()), axis=1)
+        return dataclasses.replace(new, linear=np.einsum("mn,min->mi", turn, by_joint) + moved)
 
 
 def _unlisted(one: Term, without: Collection[str]) -> Term:

@@ -53,9 +53,10 @@ NO_TRAITS = Traits()
 class Term:
     """One variant of an effect or block: c columns, the first `laws` of them the law, `departures` after them, then nuisances.
 
-    Of joints `slope_rad` (c, m, n), of the tip `slope_m` (c, m, 3), of holding torques `slope_Nm` (c, m, n); None where nothing
-    moves. `size` is the usual coefficient of the law; departure and nuisance columns are scaled to it already. `variant`: what
-    sets this one apart, `least` and `most` what a positive coefficient lies between, in usual sizes, `doubt_rad` (m,) the
+    Of joints `slope_rad` (c, m, n), of the tip `slope_m` (c, m, 3) and of the last link `turn_rad` (c, m, 3: rotation vectors in
+    the base frame) besides what the joints do, of holding torques `slope_Nm` (c, m, n); None where nothing moves. `size` is the
+    usual coefficient of the law; departure and nuisance columns are scaled to it already. `variant`: what sets this one apart,
+    `least` and `most` what a positive coefficient lies between, in usual sizes, `doubt_rad` (m,) the
     variance of the joint's angle per squared coefficient where the flank is uncertain.
     """
 
@@ -66,6 +67,7 @@ class Term:
     size: float
     slope_rad: Array | None = None
     slope_m: Array | None = None
+    turn_rad: Array | None = None
     slope_Nm: Array | None = None
     variant: float = 0.0
     is_positive: bool = False
@@ -79,16 +81,16 @@ class Term:
     @property
     def count(self) -> int:
         """How many columns."""
-        for slope in (self.slope_rad, self.slope_m, self.slope_Nm):
+        for slope in (self.slope_rad, self.slope_m, self.turn_rad, self.slope_Nm):
             if slope is not None:
                 return len(slope)
         return 0
 
     def law_alone(self) -> Term:
         """The same without departures and nuisances."""
-        slopes = (self.slope_rad, self.slope_m, self.slope_Nm)
-        rad, m, Nm = (None if slope is None else slope[: self.laws] for slope in slopes)
-        return dataclasses.replace(self, departures=0, slope_rad=rad, slope_m=m, slope_Nm=Nm)
+        slopes = (self.slope_rad, self.slope_m, self.turn_rad, self.slope_Nm)
+        rad, m, turn, Nm = (None if slope is None else slope[: self.laws] for slope in slopes)
+        return dataclasses.replace(self, departures=0, slope_rad=rad, slope_m=m, turn_rad=turn, slope_Nm=Nm)
 
     @property
     def is_name(self) -> bool:

@@ -270,14 +270,19 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
 def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) -> RoboClaw:
     board = RoboClaw(line, described.address, described.name)
     identity = board.identify()
-    mine = {joint: drive for joint, drive in enumerate(arm.drives) if drive.board == described.name}
-    counted = {joint: drive for joint, drive in mine.items() if drive.encoder_board < 0}
+    driven = {joint: drive for joint, drive in enumerate(arm.drives) if drive.board == described.name}
+    counted = {joint: drive for joint, drive in driven.items() if drive.encoder_board < 0}
     for drive in counted.values():
         board.require_quadrature(drive.board_channel)
     if counted:
         line.keep_asking(board.counts_question)
-        opened.encoders.append(RoboClawEncoders(board, counted))
-    opened.drives.append(RoboClawDrives(board, mine, arm.limits.watchdog_s, line.shout))
+    for joints in (range(arm.joint_count), range(arm.joint_count, len(arm.drives))):  # the gripper's apart
+        mine = {joint: drive for joint, drive in driven.items() if joint in joints}
+        own = {joint: drive for joint, drive in counted.items() if joint in joints}
+        if own:
+            opened.encoders.append(RoboClawEncoders(board, own))
+        if mine:
+            opened.drives.append(RoboClawDrives(board, mine, arm.limits.watchdog_s, line.shout))
     opened.identities.append((board.where, identity.version))
     return board
 

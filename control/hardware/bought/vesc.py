@@ -114,7 +114,7 @@ def _open_vesc(bus: VescBus, described: Board, joint: int, drive: Drive, opened:
         _require_one_turn(board, drive)
     if drive.encoder_board < 0 and drive.encoder_counts_per_rev != wire.COUNTS_PER_TURN:
         raise MisuseError(
-            f"{board.where}: joint {drive.joint}: a VESC sends its angle in {wire.COUNTS_PER_TURN} counts a turn, whatever the"
+            f"{board.where}: a VESC sends its angle in {wire.COUNTS_PER_TURN} counts a turn, whatever the"
             f" encoder: encoder_counts_per_rev = {wire.COUNTS_PER_TURN}, got {drive.encoder_counts_per_rev}"
         )
     board.identify()

@@ -15,7 +15,6 @@ from calib.arm_problem.weighted import whole_problem
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
-from calib.gap.poses.cautions import POSITIONS_ONLY, require_posed
 from calib.identify import identify
 from calib.identify.objective import objective_named
 from calib.iso9283.evaluate_poses import pose_criterion
@@ -245,9 +244,3 @@ def test_iso_9283_takes_the_angles_from_quaternions() -> None:
         assert sorted(values.values()) == pytest.approx(sorted([angle, -angle]), abs=2e-4)
         assert all(f.value < 6e-4 for f in figures if f.symbol == f"RP_{letter}")
     assert any("target where it fits" in note for note in notes)
-
-
-def test_the_gap_says_that_it_looks_at_positions_only() -> None:
-    arm, _, points = session(14)
-    assert POSITIONS_ONLY in require_posed(arm, points)
-    assert POSITIONS_ONLY not in require_posed(arm, without_orientation(points))

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.arm_problem.link_bending import known_bending_m
+from calib.arm_problem.link_bending import known_bending
 from calib.arrays import norms
 from calib.errors import CalibrationError
 from calib.identify import ArmModel, LeastSquares, problem_of
@@ -104,7 +104,9 @@ def test_a_flexure_that_the_arms_file_has_bends_what_is_left_out_too() -> None:
     rng = np.random.default_rng(9)
     arm = dataclasses.replace(RIGHT, effects=(Effect("link_flexure", 2, {"EI_Nm2": 60.0}),))
     points = board_points(rng, true_dh(rng))
-    bent = known_bending_m(arm, points.q_rad, points.payload_kg)
+    known = known_bending(arm, points.q_rad, points.payload_kg)
+    assert known is not None
+    bent = known.shift
     assert norms(bent).min() > 10 * NOISE_m
     points = with_rows(points, tip_m=points.tip_m + bent)
     found = held_out(lambda some: problem_of(arm, some), points, 3, LSQ)

@@ -128,6 +128,11 @@ def test_targets_at_the_ends_of_the_range_are_allowed():
     assert JointMove(START, LIMITS.lower_rad, LIMITS).at(99.0).q_rad == LIMITS.lower_rad
 
 
+def test_a_target_beyond_the_range_by_rounding_ends_on_it():
+    low = tuple(q - 5e-10 for q in LIMITS.lower_rad)
+    assert JointMove(START, low, LIMITS).at(99.0).q_rad == LIMITS.lower_rad
+
+
 def test_a_joint_outside_its_range_may_come_back():
     move = JointMove((2.7, 0.0, 0.0), (2.5, 0.0, 0.0), LIMITS)
     assert move.at(move.duration_s).q_rad[0] == 2.5

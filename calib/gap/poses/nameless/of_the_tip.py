@@ -14,7 +14,7 @@ from calib.arm_problem.link_frames import LinkFrames, link_frames
 from calib.arrays import Array
 from calib.gap.effects.pose_scene import Scene
 from calib.gap.poses.nameless.of_joints import PER_TURN
-from calib.gap.poses.nameless.shape import SIZE_m, edges, harmonic, of_tip
+from calib.gap.poses.nameless.shape import SIZE_m, edges, harmonic, of_tip, of_turns
 from calib.gap.posterior.term import Term
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -32,6 +32,8 @@ def of_the_tip(scene: Scene) -> Iterator[Term]:
     frames = link_frames(ArmModel(arm), arm.dh, points.q_rad)
     if np.isfinite(points.tip_m).all():
         yield from _of_the_camera(frames.tip_m)
+    if np.isfinite(points.orientation).any():
+        yield from _of_the_target(arm, frames)
     yield from _of_setups(points, frames.tip_m)
     yield from _of_the_axes(arm, points, frames)
     yield from _of_the_tool(arm, frames)
@@ -84,13 +86,14 @@ def _of_the_camera(tip: Array) -> Iterator[Term]:
         )
 
 
-def _rigid(tip: Array, course: Array) -> list[Array]:
-    """The six moves and turns of poses (m, 3), each times a course (m,)."""
+def _stands_elsewhere(variable: str, words: str, tip: Array, course: Array, manner: str = ELSEWHERE) -> Term:
+    """The six moves and turns of poses (m, 3) as one body, each times a course (m,)."""
     weight = course[:, None]
     about = tip - tip[course != 0.0].mean(axis=0) if (course != 0.0).any() else tip
-    return [weight * np.broadcast_to(u, tip.shape) for u in np.eye(3)] + [
-        weight * np.cross(u, about) for u in np.eye(3)
-    ]
+    units = [weight * np.broadcast_to(u, tip.shape) for u in np.eye(3)]
+    turned = [weight * np.cross(u, about) for u in np.eye(3)]
+    turns = [*(np.zeros_like(tip) for _ in units), *units]
+    return of_tip(variable, words, *units, *turned, manner=manner, turns=turns)
 
 
 def _of_setups(points: Points, tip: Array) -> Iterator[Term]:
@@ -99,21 +102,21 @@ def _of_setups(points: Points, tip: Array) -> Iterator[Term]:
     has_time = bool(np.isfinite(points.t_s).all()) and float(np.ptp(points.t_s)) > 0.0
     names = list(dict.fromkeys(points.setup))
     for name in names if len(names) > 1 else ():
-        moves = _rigid(tip, (setups == name) * 1.0)
-        yield of_tip("setup", f"setup {name} stands elsewhere", *moves, manner=ELSEWHERE)
+        words = f"setup {name} stands elsewhere"
+        yield _stands_elsewhere("setup", words, tip, (setups == name) * 1.0)
     if not has_time:
         return
     time = (points.t_s - points.t_s.min()) / np.ptp(points.t_s)
-    yield of_tip("time", "everywhere: drifts with time as one body", *_rigid(tip, time))
+    yield _stands_elsewhere("time", "everywhere: drifts with time as one body", tip, time, "")
     for edge in edges(points.t_s, RIGID_STEPS):
         words = f"everywhere: from {edge:.0f} s on all stands elsewhere"
-        yield of_tip("time", words, *_rigid(tip, (points.t_s > edge) * 1.0), manner=ELSEWHERE)
+        yield _stands_elsewhere("time", words, tip, (points.t_s > edge) * 1.0)
     for name in names:
         for edge in edges(points.t_s[setups == name], RECORDING_STEPS):
             course = ((setups == name) & (points.t_s > edge)) * 1.0
             if RIGID_POSES_LEAST <= course.sum() <= (setups == name).sum() - RIGID_POSES_LEAST:
                 words = f"setup {name} stands elsewhere from {edge:.0f} s on"
-                yield of_tip("time", words, *_rigid(tip, course), manner=ELSEWHERE)
+                yield _stands_elsewhere("time", words, tip, course)
 
 
 def _of_the_axes(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Term]:
@@ -127,12 +130,23 @@ def _of_the_axes(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Term]
         across = (first, np.cross(axis, first))
         for order in (1, 2):
             courses = harmonic(points.q_rad[:, j], order)
-            tilts = [course[:, None] * np.cross(a, beyond) for a in across for course in courses]
+            turns = [course[:, None] * a for a in across for course in courses]
+            tilts = [np.cross(turn, beyond) for turn in turns]
             words = f"joint {j + 1}: its axis wobbles {order} times per turn"
-            yield of_tip(f"q{j + 1}", words, *tilts, manner=PER_TURN)
-            shifts = [course[:, None] * a for a in across for course in courses]
+            yield of_tip(f"q{j + 1}", words, *tilts, manner=PER_TURN, turns=turns)
             words = f"joint {j + 1}: its axis runs out of round {order} times per turn"
-            yield of_tip(f"q{j + 1}", words, *shifts, manner=PER_TURN)
+            yield of_tip(f"q{j + 1}", words, *turns, manner=PER_TURN)
+
+
+def _of_the_target(arm: Arm, frames: LinkFrames) -> Iterator[Term]:
+    """Measured orientations that are off with the place, or with how gravity pulls at the target."""
+    unit, axes, down = _unit_places(frames.tip_m), frames.axes[:, -1], np.asarray(arm.gravity_m_s2)
+    ways = [*unit.T, *(unit[:, a] * unit[:, b] for a in range(3) for b in range(a, 3))]
+    field = np.array([way[:, None] * axis for way in ways for axis in np.eye(3)])
+    yield of_turns("place turned", "everywhere: the measured orientations are off by a smooth field", field)
+    pull = axes.transpose(0, 2, 1) @ (down / max(float(np.linalg.norm(down)), 1e-12))
+    hang = np.array([pull[:, k : k + 1] * axes[:, :, c] for k in range(3) for c in range(3)])
+    yield of_turns("target", "the target: gives way to gravity", hang)
 
 
 def _of_the_tool(arm: Arm, frames: LinkFrames) -> Iterator[Term]:

@@ -6,6 +6,8 @@ thing that moves, one variable and one manner are variants of one block: a joint
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calib.arrays import Array
@@ -29,17 +31,39 @@ def smooth_of_joint(n: int, j: int, variable: str, words: str, courses: Array) -
     return Term(Block(j + 1, variable), f"joint {j + 1}: {words}", len(courses), 0, 1.0, slope_rad=slope)
 
 
-def of_tip(variable: str, words: str, *moves: Array, manner: str = "", beside: Array | None = None) -> Term:
-    """`moves` (m, 3) of the tip, whatever the joints do, scaled to SIZE_m; `beside` (c, m, 3): columns that come along."""
-    slope = np.stack([SIZE_m * move / max(1e-12, float(np.abs(move).max())) for move in moves])
+def of_tip(
+    variable: str,
+    words: str,
+    *moves: Array,
+    manner: str = "",
+    beside: Array | None = None,
+    turns: Sequence[Array] = (),
+) -> Term:
+    """`moves` (m, 3) of the tip, whatever the joints do, scaled to SIZE_m; `beside` (c, m, 3): columns that come along.
+
+    `turns` (m, 3) [rad per the move's own unit]: how the last link turns with each move; none: not at all.
+    """
+    sizes = [SIZE_m / max(1e-12, float(np.abs(move).max())) for move in moves]
+    slope = np.stack([size * move for size, move in zip(sizes, moves, strict=True)])
     slope = slope if beside is None else np.concatenate((slope, beside))
-    return Term(Block(0, f"{variable} {manner}".strip()), words, len(slope), 0, 1.0, slope_m=slope)
+    turned = np.zeros_like(slope)
+    for k, turn in enumerate(turns):
+        turned[k] = sizes[k] * turn
+    key = Block(0, f"{variable} {manner}".strip())
+    return Term(key, words, len(slope), 0, 1.0, slope_m=slope, turn_rad=turned if turns else None)
+
+
+def of_turns(variable: str, words: str, turns: Array) -> Term:
+    """`turns` (c, m, 3) of the measured orientation alone, of one unknown scale."""
+    return Term(Block(0, variable), words, len(turns), 0, 1.0, turn_rad=SIZE_rad * turns)
 
 
 def is_still(one: Term) -> bool:
     """Whether a shape is constant at these poses."""
     moved = [
-        float(np.ptp(slope, axis=1).max()) for slope in (one.slope_rad, one.slope_m) if slope is not None
+        float(np.ptp(slope, axis=1).max())
+        for slope in (one.slope_rad, one.slope_m, one.turn_rad)
+        if slope is not None
     ]
     return not any(moved)
 

@@ -1,0 +1,74 @@
+"""What is left without a name: blocks, ambiguous sets, laws that do not hold; and the name that comes nearest."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+from calib.gap.finding import EffectName, Remainder, Unknown
+from calib.gap.poses.measured import rms
+from calib.gap.poses.state import Around
+from calib.gap.posterior.decide import Decision, left_with, share_of
+from calib.gap.posterior.term import Block
+
+
+def remainders(
+    around: Around, decision: Decision, reasons: Mapping[EffectName, str]
+) -> tuple[Remainder, ...]:
+    """What is left without one name, the largest first: blocks, sets that are ambiguous, laws that do not hold."""
+    best = decision.best
+    numbers = {around.terms[k].key: k for k, _ in best.members}
+    found = []
+    for group in (*decision.ambiguous, *decision.remainders):
+        own = [numbers[key] for key in group if key in numbers]
+        if not own:
+            continue
+        move = around.moved_m(best, own)
+        size = {"tip_m": rms(move[around.rows])} if move.any() else {}
+        blocks = [around.terms[k].words for k in own if not around.terms[k].is_name]
+        names = " or ".join(str(key) for key in group if isinstance(key, EffectName))
+        unnamed = blocks[0] if blocks else "; ".join(why for key, why in reasons.items() if key in group)
+        where = names if group in decision.ambiguous else unnamed
+        found.append(Remainder(where, share_of(around.evidence, best, own), size))
+    return tuple(sorted(found, key=lambda one: -one.share))
+
+
+def unknown_part(around: Around, decision: Decision, reasons: Mapping[EffectName, str]) -> Unknown | None:
+    """The remainder without a name that explains most, if there is one."""
+    if not decision.remainders:
+        return None
+    best, terms = decision.best, around.terms
+    numbers = {terms[k].key: k for k, _ in best.members}
+    blocks = [key for group in decision.remainders for key in group if isinstance(key, Block)]
+    ranked = sorted(
+        (share_of(around.evidence, best, [numbers[key]]), terms[numbers[key]].words)
+        for key in blocks
+        if key in numbers
+    )
+    names = [key for group in decision.remainders for key in group if isinstance(key, EffectName)]
+    if ranked:
+        where = ranked[-1][1]
+    elif blocks:
+        where = terms[around.evidence.of_key[blocks[0]][0]].words
+    else:
+        where = reasons[names[0]]
+    return Unknown(where, *_nearest(around, decision))
+
+
+def _nearest(around: Around, decision: Decision) -> tuple[EffectName | None, float]:
+    """The effect that is not named and explains most beside the names, and its share of what these leave."""
+    evidence, best = around.evidence, decision.best
+    named = tuple(one for one in best.members if around.terms[one[0]].key in decision.names)
+    added = evidence.added(named, best.kappa)
+    others = [k for k, one in enumerate(around.terms) if one.is_name and one.key not in decision.names]
+    if not others:
+        return None, 0.0
+    top = max(others, key=lambda k: float(added.log[k]))
+    key = around.terms[top].key
+    alone, with_it = (
+        left_with(evidence, dataclasses.replace(best, members=some))
+        for some in (named, (*named, (top, int(added.best[top]))))
+    )
+    excess = alone - left_with(evidence, best)
+    share = min(1.0, max(0.0, (alone - with_it) / excess)) if excess > 0.0 else 0.0
+    return (key if isinstance(key, EffectName) else None), round(share, 3)

@@ -1,0 +1,95 @@
+"""The gripper's motor on a bought board: one more motor to the board's own driver, with a `Feedback` of its own.
+
+The driver knows it as the joint behind the arm's last one, whose angle is that of the motor (`Arm.motors`).
+"""
+
+import contextlib
+import math
+
+from control.hardware.gripper_board import CountedTravel, GripperFeedback, in_words
+from control.hardware.interface import Feedback, OutputMode
+from control.hardware.roles import Drives, Encoders
+from control.hardware.words import OPERATION_ENABLED, STATE_MASK, ZERO_SET
+from control.model.end_effector import Gripper
+from firmware_iface.errors import BoardFaulted, BoardReset
+from firmware_iface.motor.wire import Fault
+
+
+class GripperOnBoard:
+    """Meets `control.hardware.gripper_board.GripperHardware` with a driver of one motor."""
+
+    def __init__(self, gripper: Gripper, joint: int, drive: Drives, encoder: Encoders | None) -> None:
+        """`joint`: its number to the drivers (0-based); `encoder`: None, or one that nothing turns with, where it has none."""
+        self.feedback = GripperFeedback()
+        self._joint, self._drive = joint, drive
+        self._encoder = encoder if gripper.encoder_counts_per_rev else None
+        self._travel = CountedTravel(gripper)
+        self._seen = Feedback(joint + 1)
+        self._is_wanted_enabled = False
+        self._was_known = False  # the count goes on from where it was
+
+    def read(self, now_s: float) -> GripperFeedback:
+        """The values by now; the line has been drained before."""
+        feedback, seen, joint = self.feedback, self._seen, self._joint
+        self._drive.take(seen)
+        feedback.problem = None
+        feedback.current_A, feedback.reply_at_s = seen.current_A[joint], seen.reply_at_s[joint]
+        feedback.is_enabled = seen.statusword[joint] & STATE_MASK == OPERATION_ENABLED
+        feedback.faults = in_words(Fault(seen.drive_faults[joint]))
+        if self._encoder is not None:
+            self._take_count(self._encoder)
+        return feedback
+
+    def _take_count(self, encoder: Encoders) -> None:
+        feedback, seen, joint = self.feedback, self._seen, self._joint
+        encoder.take(seen)
+        is_known = bool(seen.channel_flags[joint] & ZERO_SET)
+        if self._was_known and not is_known:
+            self._was_known = False
+            self._travel.forget()
+            feedback.problem = BoardReset("gripper: its board restarted and counts anew")
+        elif seen.reported_at_s[joint] != feedback.moved_at_s and math.isfinite(seen.reported_at_s[joint]):
+            feedback.moved_m = self._travel.at(seen.count[joint])
+            feedback.moved_at_s = seen.reported_at_s[joint]
+
+    def write(self, volts: float | None, now_s: float) -> None:
+        """Command a voltage, opening positive, or an open circuit (None): shorted windings on a board that cannot open it."""
+        mode = OutputMode.OFF if volts is None else OutputMode.VOLTAGE
+        modes, output = [OutputMode.OFF] * self._joint, [0.0] * self._joint
+        modes.append(mode)
+        output.append(volts or 0.0)
+        self._drive.write(self._is_wanted_enabled, modes, output, output, self._seen)
+
+    def enable(self) -> None:
+        """Upload what a restart has lost, and drive it from the next `write` on. Waits for answers."""
+        self._drive.configure(self._fresh_count)
+        if self._encoder is not None and not self._was_known:
+            self._encoder.shift(self._joint, 0)  # the drivers tell by the zero whether a count goes on
+            self._travel.forget()
+            self._was_known = True
+        self._is_wanted_enabled = True
+
+    def disable(self) -> None:
+        """Let it go with the next `write`."""
+        self._is_wanted_enabled = False
+
+    def reset_fault(self) -> None:
+        """Acknowledge the board's fault; it stays where its cause persists."""
+        with contextlib.suppress(BoardFaulted):
+            self._drive.acknowledge_faults()
+
+    def emergency_stop(self) -> None:
+        """Stop now; acknowledged with the joints' drives."""
+        self._drive.emergency_stop()
+
+    def _fresh_count(self, joint: int) -> int:
+        return 0 if self._encoder is None else self._encoder.fresh_count(joint)
+
+
+def take_out(
+    joint: int, encoders: list[Encoders], drives: list[Drives]
+) -> tuple[Drives | None, Encoders | None]:
+    """Take the drive and the encoder of one joint (0-based) out of those that were opened."""
+    at = next((k for k, one in enumerate(drives) if joint in one.joints), None)
+    its = next((k for k, one in enumerate(encoders) if joint in one.joints), None)
+    return (None if at is None else drives.pop(at)), (None if its is None else encoders.pop(its))

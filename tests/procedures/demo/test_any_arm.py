@@ -1,0 +1,40 @@
+"""The demos on an arm of seven joints, which sinks when its drives are off and reaches each place in many postures."""
+
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.arms import SEVEN
+from control.kinematics.kinematics import Kinematics
+from procedures.demo.gap import programme_of
+from procedures.demo.handover import shut_down, start_again
+from procedures.mock.bench import SteppedBench
+from procedures.mock.scenario_file import seeded_scenario
+from procedures.verify.models import Model
+from procedures.verify.survey import Survey
+
+
+def test_an_arm_that_sinks_is_held_from_one_runtime_to_the_next(tmp_path: Path) -> None:
+    scenario = tmp_path / "scenario.toml"
+    scenario.write_bytes(seeded_scenario("ideal", None, was_homed=True))
+    bench = SteppedBench(SEVEN, scenario, tmp_path)
+    assert SEVEN.rest is not None
+    resting_m = Kinematics(SEVEN).tip(*SEVEN.rest.q_rad)
+    try:
+        client = bench.start(SEVEN)
+        client.enable()
+        shut_down(SEVEN, bench, client)
+        client = start_again(SEVEN, bench)
+        assert client.status()["mode"] == "HOLDING"
+        assert bench.rig.hand.state == "away"
+        assert np.linalg.norm(np.subtract(bench.rig.tip_m(), resting_m)) < 0.005
+        shut_down(SEVEN, bench, client)
+    finally:
+        bench.close()
+
+
+def test_places_are_reached_near_the_posture_in_which_they_were_found_clear(tmp_path: Path) -> None:
+    programme = programme_of(SEVEN)
+    survey = Survey(Model(SEVEN), programme, (0.0,) * 7, tmp_path / "driven.csv")
+    found = np.array([place.near_rad for place in programme.places])
+    np.testing.assert_allclose(survey.q_rad, found, atol=1e-3)
