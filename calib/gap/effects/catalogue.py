@@ -20,6 +20,7 @@ from calib.gap.posterior.term import Block, Key, Term
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.scene import Scene
 from calib.gap.residuals.term import SeriesTerm
+from calib.gap.signals.angles import place
 from calib.gap.signals.terms import Term as Law
 from control.model.arm import Arm
 from control.model.effects import EFFECTS
@@ -113,15 +114,21 @@ def series_terms(
 ) -> Iterator[SeriesTerm]:
     """All variants of all effects that the channels could show; `names`: only these effects, by name; `keys`: only these.
 
-    `before`: the terms of the first linearisation, which stay for what was not found and shares no joint with a gear that was.
+    `before`: the terms of the first linearisation, which stay for what was not found, unless what was found on its joint changes
+    it: a gear that is soft or loose another such gear, an encoder's error where the motor's cogging comes round.
     """
-    geared = {law.name.joint for law in around.found.values() if law.form.is_gear}
+    found = around.found.values()
+    geared = {law.name.joint for law in found if law.form.is_gear}
+    misread = {place(law)[0] + 1 for law in found if law.form.acts == "angle"}
     for record, key in _listed(around.scene):
         if keys is not None and key not in keys:
             continue
         is_listed = names is None or key.effect in names or key.effect not in EFFECTS
         own = key if is_listed else Block(key.joint or 0, key.effect)
-        if before and key not in around.found and not (is_gear(key.effect) and key.joint in geared):
+        is_other = (is_gear(key.effect) and key.joint in geared) or (
+            comes_round(key.effect) and key.joint in misread
+        )
+        if before and key not in around.found and not is_other:
             yield from (one for one in before if one.key == own)
         elif record.series is not None:
             terms = record.series.terms(around, record, key)

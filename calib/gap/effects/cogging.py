@@ -16,6 +16,8 @@ from calib.gap.posterior.coefficients import parameters_of
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.scene import Response
 from calib.gap.residuals.term import SeriesTerm, scaled
+from calib.gap.signals.angles import motor_ahead
+from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.terms import Form
 from calib.gap.signals.terms import Term as Law
 from control.model.effects import EFFECTS
@@ -59,8 +61,10 @@ def _standing_out(around: OperatingPoint, key: EffectName) -> list[float]:
     passed = np.abs(np.fft.rfft(filters.row, 2048)) / abs(float(filters.row.sum()))
     frequencies = np.fft.rfftfreq(2048, 1.0 / filters.rate_Hz)
 
+    q = at.q + motor_ahead(sorted_terms(around.model).angles, at.q, at.t_s)
+
     def taken(order: float) -> float:
-        angle = order * ratio * at.q[:, j]
+        angle = order * ratio * q[:, j]
         through = np.interp(np.abs(order * ratio * at.speed[:, j]) / (2.0 * np.pi), frequencies, passed)
         waves = np.array([np.sin(angle), np.cos(angle)]) * through
         pull = waves @ left
@@ -72,7 +76,8 @@ def _standing_out(around: OperatingPoint, key: EffectName) -> list[float]:
 
 def _wave(around: OperatingPoint, law: Law) -> Response:
     """Sine and cosine of cogging."""
-    slopes = [around.scene.columns.friction_slope(law.at(values)) for values in ((1.0, 0.0), (0.0, 1.0))]
+    columns, model = around.scene.columns, around.model
+    slopes = [columns.friction_slope(law.at(values), model) for values in ((1.0, 0.0), (0.0, 1.0))]
     return around.scene.split(np.stack(slopes, axis=1))
 
 

@@ -14,8 +14,10 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.gap.residuals.floor import Block, floors
+from calib.gap.signals.angles import motor_ahead
 from calib.gap.signals.body import Load
 from calib.gap.signals.friction import sampled_friction_Nm
+from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.physics import Physics, Prediction
 from calib.gap.signals.recording import Flags, Motion, Recording, UnusableLogError
 from calib.gap.signals.terms import Term
@@ -92,13 +94,19 @@ class Rows:
                     result[cell.rows] = kept
         return result
 
-    def friction_slope(self, term: Term) -> Array:
-        """What a friction or cogging term of these values adds to the rows (k,), other terms apart."""
+    def friction_slope(self, term: Term, model: Sequence[Term] = ()) -> Array:
+        """What a friction or cogging term of these values adds to the rows (k,); of a model only what motors turn beyond
+        their encoders counts.
+        """
+        angles = sorted_terms(model).angles
         physics, j, result = self.physics, term.index, np.zeros(len(self.table.run))
         gear, K = physics.arm.drives[j].gear_ratio, physics.torque_per_A[j]
         parts = []
         for k, run in enumerate(self.recording.runs):
-            torque = sampled_friction_Nm(term, run, j, physics.body.link_torques(Load())[k][:, j], gear)
+            ahead = motor_ahead(angles, run.q, run.t_s)[:, j] if angles else 0.0
+            torque = sampled_friction_Nm(
+                term, run, j, physics.body.link_torques(Load())[k][:, j], gear, ahead
+            )
             parts.append(self.recording.filters.rows(torque)[self._masks[k][:, j]])
         for cell in self.table.cells:
             if cell.channel == "current_A" and cell.joint == j:

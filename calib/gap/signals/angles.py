@@ -1,6 +1,7 @@
 """Joints that are elsewhere than their encoders say: what link and motor then really do.
 
-An encoder that errs against its motor misstates the motor's speed too, which the back-EMF shows; where the error sits between
+An encoder that errs against its motor misstates the motor's speed too, which the back-EMF shows, and its angle, by which
+cogging comes round: a milliradian at a joint is a tenth of a radian at a motor with a gear of 100. Where the error sits between
 motor and link (`behind`), the motor is where its encoder says. What the camera alone sees (`seen`) moves no mass: a tip that
 drifts behind the last link.
 """
@@ -21,13 +22,14 @@ from control.model.effects import followed_joint, moved_joint
 
 @dataclass(frozen=True, slots=True)
 class MotorAhead:
-    """What the motor's speed and acceleration have beyond what its encoder says, (m, n) or 0."""
+    """What the motor's angle, speed and acceleration have beyond what its encoder says, (m, n) or 0."""
 
+    angle_rad: Array | float
     speed_rad_s: Array | float
     acceleration_rad_s2: Array | float
 
 
-STILL: Final = MotorAhead(0.0, 0.0)
+STILL: Final = MotorAhead(0.0, 0.0, 0.0)
 
 
 def joint_ahead(terms: Sequence[Term], q: Array, t_s: Array) -> Array:
@@ -39,10 +41,19 @@ def joint_ahead(terms: Sequence[Term], q: Array, t_s: Array) -> Array:
     return ahead
 
 
+def motor_ahead(terms: Sequence[Term], q: Array, t_s: Array) -> Array:
+    """How much further than their encoders say the motors have turned, in joint angles, (m, n)."""
+    return joint_ahead([term for term in terms if _is_of_motor(term)], q, t_s)
+
+
+def _is_of_motor(term: Term) -> bool:
+    return term.form.where == "encoder" and not term.form.is_by_time
+
+
 def angle_error(terms: Sequence[Term], run: Moving) -> tuple[MotorAhead, tuple[Array, Array, Array]]:
     """What the motors do beyond their encoders, and the links' angles, speeds and accelerations."""
     q, speed, acceleration = np.array(run.q), np.array(run.speed), np.array(run.acceleration)
-    motor = np.zeros((2, *q.shape))
+    motor = np.zeros((3, *q.shape))
     for term in terms:
         if term.form.where == "seen":
             continue
@@ -55,10 +66,9 @@ def angle_error(terms: Sequence[Term], run: Moving) -> tuple[MotorAhead, tuple[A
         q[:, j] += turned
         speed[:, j] += faster
         acceleration[:, j] += pushed
-        if term.form.where == "encoder" and not is_by_time:
-            motor[0, :, j] += faster
-            motor[1, :, j] += pushed
-    return MotorAhead(motor[0], motor[1]), (q, speed, acceleration)
+        if _is_of_motor(term):
+            motor[:, :, j] += turned, faster, pushed
+    return MotorAhead(*motor), (q, speed, acceleration)
 
 
 def place(term: Term) -> tuple[int, int]:

@@ -142,7 +142,8 @@ class Physics:
         wanted = link + self.body.rotor_kg_m2 * (run.acceleration + ahead.acceleration_rad_s2)
         for term in parts.friction:
             j = term.index
-            own = sampled_friction_Nm(term, run, j, link[:, j], float(self._gear[j]))
+            beyond = 0.0 if isinstance(ahead.angle_rad, float) else ahead.angle_rad[:, j]
+            own = sampled_friction_Nm(term, run, j, link[:, j], float(self._gear[j]), beyond)
             wanted[:, j] += own * (1.0 - parts.behind(term))
         scale = self.scales(parts)
         measured = self._mean_current(parts, run, k, scale, ahead)

@@ -10,13 +10,17 @@ import pytest
 from calib.arrays import Array
 from calib.gap.effects.catalogue import RECORDS, known_laws, parameters
 from calib.gap.effects.electrical import SAMPLING
+from calib.gap.residuals.rows import Rows
 from calib.gap.signals.angles import angle_error
 from calib.gap.signals.friction import friction_Nm
+from calib.gap.signals.physics import Physics
+from calib.gap.signals.recording import prepare
 from calib.gap.signals.terms import Form, Term
 from control.dynamics.feedforward import torque_model
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 from control.model.effects import EFFECTS
+from tests.calib.gap.series.prescribed import log_of
 
 RIGHT = load_arm("right")
 IN_THE_FILE = (
@@ -119,3 +123,18 @@ def test_a_gear_is_soft_or_loose_but_no_model_has_both() -> None:
     assert gears.keys() == {"joint_compliance", "backlash"}
     assert {one.alternative for one in gears.values()} == {"gear"}
     assert all(one.is_on_every_joint for one in gears.values())
+
+
+def test_cogging_comes_round_with_the_motor_and_not_with_an_encoder_that_misreads_it() -> None:
+    """5 mrad at a joint are half a radian at its motor: what cogging adds to the rows follows the found scale."""
+    recording = prepare(RIGHT, log_of(RIGHT))
+    cogging = law_of(Effect("cogging", 2, {"amplitude_Nm": 0.4, "order": 4.0, "phase_rad": 0.5}))
+    scale = law_of(Effect("encoder_scale", 2, {"scale": 0.01}))
+    rows = Rows(Physics(RIGHT, recording), ())
+    (current,) = (cell.rows for cell in rows.table.cells if str(cell) == "current_A of joint 2")
+    added = (rows.residual((scale, cogging)) - rows.residual((scale,)))[current]
+    np.testing.assert_allclose(
+        rows.friction_slope(cogging, (scale,))[current], added, atol=1e-6 * np.abs(added).max()
+    )
+    misread = rows.friction_slope(cogging)[current]
+    assert np.linalg.norm(misread - added) > 0.2 * np.linalg.norm(added)
