@@ -1,4 +1,4 @@
-"""The gripper's motor on a bought board: a spare channel of a joint's RoboClaw, a VESC of its own."""
+"""The gripper's motor on a bought board: a spare channel of a joint's RoboClaw, a VESC or a smart servo of its own."""
 
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -19,7 +19,24 @@ ON_VESC = replace(GRIPPER, motor_node=-1, board="hand", encoder_counts_per_rev=1
 CLAWS = on_boards(RIGHT, "roboclaw")
 VESCS = on_boards(RIGHT, "vesc")
 VESCS = replace(VESCS, boards=(*VESCS.boards, Board("hand", "vesc", 9)))
-ARMS = {"roboclaw": replace(CLAWS, gripper=ON_CLAW), "vesc": replace(VESCS, gripper=ON_VESC)}
+ON_SERVO = replace(
+    GRIPPER, motor_node=-1, board="hand", encoder_counts_per_rev=4096, travel_per_turn_m=0.2, torque_constant_Nm_A=1.0,
+    resistance_ohm=4.0, supply_V=12.0, current_limit_A=1.5, rotor_inertia_kg_m2=1e-3,
+)  # fmt: skip
+
+
+def on_servos(kind: str) -> Arm:
+    arm = on_boards(RIGHT, kind)
+    hand = replace(arm.boards[0], name="hand", address=9)
+    return replace(arm, boards=(*arm.boards, hand), gripper=ON_SERVO)
+
+
+ARMS = {
+    "roboclaw": replace(CLAWS, gripper=ON_CLAW),
+    "vesc": replace(VESCS, gripper=ON_VESC),
+    "dynamixel": on_servos("dynamixel"),
+    "feetech": on_servos("feetech"),
+}
 
 
 def holding(arm: Arm) -> AbstractContextManager[Cell]:
@@ -93,8 +110,8 @@ def test_what_a_board_cannot_do_for_it_is_said_when_the_file_is_read(
         check_arm(replace(CLAWS, gripper=replace(ON_CLAW, **change)))
 
 
-def test_boards_that_take_no_voltage_are_refused_by_kind() -> None:
-    servos = on_boards(RIGHT, "dynamixel")
-    more = replace(servos, boards=(*servos.boards, Board("hand", "dynamixel", 9, "dynamixel", 1_000_000)))
-    with pytest.raises(Rejected, match="roboclaw, vesc"):
+def test_boards_that_cannot_keep_a_force_are_refused_by_kind() -> None:
+    drives = on_boards(RIGHT, "cia402")
+    more = replace(drives, boards=(*drives.boards, Board("hand", "cia402", 9)))
+    with pytest.raises(Rejected, match=r"roboclaw, dynamixel, feetech, vesc.*a cia402"):
         check_arm(replace(more, gripper=replace(ON_CLAW, board="hand", board_channel=1)))
