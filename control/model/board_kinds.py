@@ -74,6 +74,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=True,
             usual_rate_Hz=250.0,
             stops_early=False,
+            limits_force=True,
             needs_own_bus=True,
             uses_other_encoder=False,
         ),
