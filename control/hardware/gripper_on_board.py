@@ -115,10 +115,11 @@ class PlacedOnBoard(GripperOnBoard):
     def place(self, moved_m: float | None, force_A: float, now_s: float) -> None:
         """Go to where the fingers have moved by so much, with at most this current; None: let go."""
         self._force.limit_force(force_A)
-        if moved_m is None:
+        count = None if moved_m is None else self._travel.count_at(moved_m)
+        if count is None:
             self._send(OutputMode.OFF, 0.0)
         else:
-            self._send(OutputMode.POSITION, self._map.radians(self._travel.count_at(moved_m)))
+            self._send(OutputMode.POSITION, self._map.radians(count))
 
 
 def gripper_of(arm: Arm, opened: Opened) -> GripperOnBoard | None:
