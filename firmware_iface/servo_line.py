@@ -62,6 +62,32 @@ class ServoQuestion:
         self.taken(data, sent_at_s)
 
 
+class ForceLimit:
+    """A limit that a servo keeps: written when it changes, and again until the servo has said that it has it."""
+
+    def __init__(
+        self, line: "ServoLine", written: Callable[[int, Callable[[], None]], ServoQuestion]
+    ) -> None:
+        """`written`: the instruction that writes a value, and what to call when it is answered."""
+        self._line, self._written = line, written
+        self._wanted: tuple[int, ServoQuestion] | None = None
+        self._has: int | None = None
+
+    def keep(self, value: int) -> None:
+        """Let the servo have this value; does not wait."""
+        if self._wanted is None or self._wanted[0] != value:
+            self._wanted = value, self._written(value, lambda: self._confirm(value))
+        if self._has != value:
+            self._line.post(self._wanted[1])
+
+    def forget(self) -> None:
+        """The servo may have lost it."""
+        self._has = None
+
+    def _confirm(self, value: int) -> None:
+        self._has = value
+
+
 class LineServo(Protocol):
     """A servo as its line sees it."""
 

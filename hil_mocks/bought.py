@@ -5,7 +5,6 @@ RoboClaws and servos on serial lines; what is on the CAN bus is in `hil_mocks.bo
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -28,11 +27,14 @@ class PacketLine(Protocol):
     def receive(self, received: bytes, now_s: float) -> None: ...
 
 
-def _dynamixel(number: int, volts_per_rad_s: float, read_turns: Callable[[], float]) -> DynamixelMock:
-    return DynamixelMock(ServoSetup(number, volts_per_rad_s), read_turns)
+def _dynamixel(
+    number: int, volts_per_rad_s: float, read_turns: Callable[[], float], grips: bool
+) -> DynamixelMock:
+    mode = dynamixel.CURRENT_BASED if grips else dynamixel.POSITION
+    return DynamixelMock(ServoSetup(number, volts_per_rad_s, mode=mode), read_turns)
 
 
-def _sts(number: int, volts_per_rad_s: float, read_turns: Callable[[], float]) -> FeetechMock:
+def _sts(number: int, volts_per_rad_s: float, read_turns: Callable[[], float], grips: bool) -> FeetechMock:
     return FeetechMock(StsSetup(number, volts_per_rad_s), read_turns)
 
 
@@ -40,7 +42,7 @@ class ServoKind(NamedTuple):
     """How faults call a kind of smart servos, and its mocks. Both kinds have the same bits for heat and overload."""
 
     prefix: str
-    mock: Callable[[int, float, Callable[[], float]], Any]
+    mock: Callable[[int, float, Callable[[], float], bool], Any]  # the last: whether it drives a gripper
     line: Callable[[list[Any], int], PacketLine]
 
 
@@ -67,6 +69,7 @@ class Servos:
                 board.address,
                 arm.drives[j].gear_ratio * arm.drives[j].torque_constant_Nm_A,
                 self._reader(wiring[j], j, encoder_rad),
+                j >= arm.joint_count,
             )
             for j, board in zip(self.joints, boards, strict=True)
         ]
@@ -84,7 +87,7 @@ class Servos:
         outputs: list[Driven] = []
         for j, mock in zip(self.joints, self.mocks, strict=True):
             mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
-            outputs.append((j, mock.output, math.inf))
+            outputs.append((j, mock.output, mock.limit_A))
         return outputs
 
     def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:

@@ -8,10 +8,9 @@ Nothing here moves without a request: enabled, after a stop, a time-out or a fau
 """
 
 import math
-from dataclasses import dataclass
-from enum import Enum
 from typing import Final
 
+from control.end_effector.grip_state import Goal, State
 from control.errors import ArmError
 from control.hardware.gripper_board import GripperFeedback, GripperHardware
 from control.model.end_effector import Gripper
@@ -40,29 +39,6 @@ END_SHARE: Final = (
 END_LEAST_m: Final = 3e-4
 THERE_SHARE: Final = 0.0025  # of the travel: this near its goal it is there
 THERE_LEAST_m: Final = 1e-4
-
-
-class State(Enum):
-    """What the gripper does; the value is for people."""
-
-    OFF = "drives off"
-    HOLDING = "holds its opening"
-    MOVING = "on its way"
-    OPEN = "open"
-    CLOSED = "closed, nothing held"
-    GRIPPED = "holds something"
-    STOPPED = "stopped before its goal"
-    RELEASED = "without current"
-    FAILED = "its board does not work"
-
-
-@dataclass(frozen=True, slots=True)
-class Goal:
-    """An opening [m] (None: as far as it goes, in the direction of `sign`), and the force [N] with which to get there."""
-
-    opening_m: float | None
-    force_N: float
-    sign: int  # 1 opens, -1 closes
 
 
 class GripperControl:
@@ -152,8 +128,11 @@ class GripperControl:
         fault = None if is_off else self._trouble(now_s, is_ready, feedback)
         self._follow(is_ready, is_fault, is_off)
         self._measure_speed(elapsed_s)
-        self._board.write(self._volts(elapsed_s), now_s)
+        self._command(elapsed_s, now_s)
         return fault
+
+    def _command(self, elapsed_s: float, now_s: float) -> None:
+        self._board.write(self._volts(elapsed_s), now_s)
 
     def recover(self) -> None:
         """A person acknowledges its fault. ArmError while its board is silent: a question to it would keep the arm waiting."""
@@ -265,8 +244,10 @@ class GripperControl:
 
     def _on_its_way(self, elapsed_s: float) -> float:
         goal = self.goal
-        if goal is None:
-            return 0.0
+        return 0.0 if goal is None else self._servo(self._looked(goal, elapsed_s), self._force_A(), elapsed_s)
+
+    def _looked(self, goal: Goal, elapsed_s: float) -> float:
+        """How far it still is [m], after having looked whether its motion has ended."""
         self._left_s -= elapsed_s
         left_m = math.copysign(math.inf, goal.sign)
         if goal.opening_m is not None and self.opening_m is not None:
@@ -277,7 +258,7 @@ class GripperControl:
             self._meet(goal)
         elif self._left_s <= 0.0:
             self._settle(State.STOPPED, "it did not get there in time")
-        return self._servo(left_m, self._force_A(), elapsed_s)
+        return left_m
 
     def _servo(self, left_m: float, most_A: float, elapsed_s: float) -> float:
         """Voltage of the speed controller, towards a place that is `left_m` away."""
@@ -331,17 +312,24 @@ class GripperControl:
 
     def _held(self, goal: Goal, elapsed_s: float) -> float:
         """The voltage that holds with the force; what it held may go, and then it goes on to its end."""
-        moved_m = self.feedback.moved_m
-        if self._hold_m is not None and goal.sign * (moved_m - self._hold_m) > self._near_m:
-            number = self.number
-            self._start(goal)
-            self.number, self.has_lost = number, True  # nobody's request
+        if self._has_slipped(goal):
+            self._go_on(goal)
             return self._on_its_way(elapsed_s)
         wanted_A = goal.sign * self._force_A()
         most_A = TRIM_MOST * abs(wanted_A)
         self._trim_A += TRIM_per_s * elapsed_s * (wanted_A - self.feedback.current_A)
         self._trim_A = min(max(self._trim_A, -most_A), most_A)
         return self.described.resistance_ohm * (wanted_A + self._trim_A)
+
+    def _has_slipped(self, goal: Goal) -> bool:
+        hold_m = self._hold_m
+        return hold_m is not None and goal.sign * (self.feedback.moved_m - hold_m) > self._near_m
+
+    def _go_on(self, goal: Goal) -> None:
+        """To its end, as what it held is gone; nobody's request."""
+        number = self.number
+        self._start(goal)
+        self.number, self.has_lost = number, True
 
     @property
     def _near_m(self) -> float:

@@ -12,7 +12,7 @@ from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
 from control.hardware.boards import NO_END, BoardHardware
 from control.hardware.gripper_board import GripperBoard, GripperHardware
-from control.hardware.gripper_on_board import GripperOnBoard, take_out
+from control.hardware.gripper_on_board import gripper_of
 from control.hardware.interface import EndBoards, OutputMode
 from control.hardware.kinds import open_boards
 from control.hardware.opened import Opened, collect
@@ -281,10 +281,7 @@ def _end_boards(
     arm: Arm, motors: Sequence[tuple[MotorBus, MotorBoard]], period_s: float, opened: Opened
 ) -> EndBoards:
     """The gripper's board and the pins of all boards, checked against arm.toml."""
-    drive, encoder = take_out(arm.joint_count, opened.encoders, opened.drives)
-    gripper: GripperHardware | None = None
-    if arm.gripper is not None and drive is not None:
-        gripper = GripperOnBoard(arm.gripper, arm.joint_count, drive, encoder)
+    gripper: GripperHardware | None = gripper_of(arm, opened)
     if not motors:
         return EndBoards(gripper)
     bus, boards, failures = motors[0][0], {board.node: board for _, board in motors}, opened.failures

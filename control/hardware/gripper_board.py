@@ -83,6 +83,10 @@ class CountedTravel:
         self._last = count
         return self._moved * self.m_per_count
 
+    def count_at(self, moved_m: float) -> int | None:
+        """The count at which the fingers have moved by so much; None before there is a count."""
+        return None if self._last is None else self._last + round(moved_m / self.m_per_count) - self._moved
+
     def forget(self) -> None:
         """The next count begins anew: the board has restarted."""
         self._last = None

@@ -5,12 +5,16 @@ The driver knows it as the joint behind the arm's last one, whose angle is that 
 
 import contextlib
 import math
+from typing import Protocol, cast
 
 from control.hardware.gripper_board import CountedTravel, GripperFeedback, in_words
 from control.hardware.interface import Feedback, OutputMode
+from control.hardware.opened import Opened, collect
 from control.hardware.roles import Drives, Encoders
 from control.hardware.words import OPERATION_ENABLED, STATE_MASK, ZERO_SET
+from control.model.arm import Arm, Drive
 from control.model.end_effector import Gripper
+from control.model.joint_map import JointMap
 from firmware_iface.errors import BoardFaulted, BoardReset
 from firmware_iface.motor.wire import Fault
 
@@ -54,10 +58,12 @@ class GripperOnBoard:
 
     def write(self, volts: float | None, now_s: float) -> None:
         """Command a voltage, opening positive, or an open circuit (None): shorted windings on a board that cannot open it."""
-        mode = OutputMode.OFF if volts is None else OutputMode.VOLTAGE
+        self._send(OutputMode.OFF if volts is None else OutputMode.VOLTAGE, volts or 0.0)
+
+    def _send(self, mode: OutputMode, value: float) -> None:
         modes, output = [OutputMode.OFF] * self._joint, [0.0] * self._joint
         modes.append(mode)
-        output.append(volts or 0.0)
+        output.append(value)
         self._drive.write(self._is_wanted_enabled, modes, output, output, self._seen)
 
     def enable(self) -> None:
@@ -86,10 +92,50 @@ class GripperOnBoard:
         return 0 if self._encoder is None else self._encoder.fresh_count(joint)
 
 
-def take_out(
-    joint: int, encoders: list[Encoders], drives: list[Drives]
-) -> tuple[Drives | None, Encoders | None]:
-    """Take the drive and the encoder of one joint (0-based) out of those that were opened."""
-    at = next((k for k, one in enumerate(drives) if joint in one.joints), None)
-    its = next((k for k, one in enumerate(encoders) if joint in one.joints), None)
-    return (None if at is None else drives.pop(at)), (None if its is None else encoders.pop(its))
+class ForceLimited(Drives, Protocol):
+    """A driver of motors whose boards close the position loop and keep a force limit."""
+
+    def require_force_limit(self) -> None:
+        """Raise WrongIdentity if the board is set up to keep none."""
+        ...
+
+    def limit_force(self, current_A: float) -> None:
+        """At most so much current from now on; does not wait."""
+        ...
+
+
+class PlacedOnBoard(GripperOnBoard):
+    """Meets `control.end_effector.placed.PlacedHardware`."""
+
+    def __init__(self, gripper: Gripper, motor: Drive, drive: ForceLimited, encoder: Encoders) -> None:
+        """`motor`: as of `Arm.motors`."""
+        super().__init__(gripper, motor.joint - 1, drive, encoder)
+        self._force, self._map = drive, JointMap(motor)
+
+    def place(self, moved_m: float | None, force_A: float, now_s: float) -> None:
+        """Go to where the fingers have moved by so much, with at most this current; None: let go."""
+        self._force.limit_force(force_A)
+        count = None if moved_m is None else self._travel.count_at(moved_m)
+        if count is None:
+            self._send(OutputMode.OFF, 0.0)
+        else:
+            self._send(OutputMode.POSITION, self._map.radians(count))
+
+
+def gripper_of(arm: Arm, opened: Opened) -> GripperOnBoard | None:
+    """The arm's gripper, if a bought board drives it: its drive and encoder are taken out of those that were opened."""
+    gripper, joint = arm.gripper, arm.joint_count
+    drive = next((one for one in opened.drives if joint in one.joints), None)
+    encoder = next((one for one in opened.encoders if joint in one.joints), None)
+    if gripper is None or drive is None:
+        return None
+    opened.drives.remove(drive)
+    if encoder is not None:
+        opened.encoders.remove(encoder)
+    motor = arm.motors[-1]
+    if not arm.kind_of(motor).limits_force or encoder is None:
+        return GripperOnBoard(gripper, joint, drive, encoder)
+    limited = cast(ForceLimited, drive)
+    with collect(opened.failures):
+        limited.require_force_limit()
+    return PlacedOnBoard(gripper, motor, limited, encoder)

@@ -2,7 +2,7 @@
 
 import math
 
-from control.end_effector.gripper import State
+from control.end_effector.grip_state import State
 from control.loop import set_points
 from control.loop.arm_state import ArmState
 from control.recording.record import COUNT_MOST

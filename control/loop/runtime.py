@@ -17,7 +17,7 @@ modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_r
 import contextlib
 from collections.abc import Sequence
 
-from control.end_effector.gripper import State as GripperState
+from control.end_effector.grip_state import State as GripperState
 from control.errors import ArmError
 from control.hardware.interface import Hardware, OutputMode
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown

@@ -224,22 +224,18 @@ def _check_gripper_board(arm: Arm, gripper: Gripper) -> None:
         names = ", ".join(board.name for board in arm.boards) or "none"
         raise Rejected(("gripper", "board"), f"the name of a [[board]] of this file ({names})", gripper.board)
     kind = KINDS[board.kind]
-    if "voltage" not in kind.modes:
-        able = ", ".join(name for name, one in KINDS.items() if "voltage" in one.modes)
-        remedy = "the gripper's force is kept by the loop, which commands its voltage"
-        raise Rejected(
-            ("gripper", "board"), f"a board that takes voltages ({able})", f"a {board.kind}", remedy
-        )
+    if "voltage" not in kind.modes and not kind.limits_force:
+        able = ", ".join(name for name, one in KINDS.items() if "voltage" in one.modes or one.limits_force)
+        expected = f"a board that takes voltages, or limits its force ({able})"
+        raise Rejected(("gripper", "board"), expected, f"a {board.kind}")
     if gripper.board_channel > kind.motors:
         raise Rejected(("gripper", "board_channel"), f"1 to {kind.motors}", str(gripper.board_channel))
     for drive in arm.drives:
         if (drive.board, drive.board_channel) == (gripper.board, gripper.board_channel):
             got = f"motor {drive.board_channel} of {drive.board}, that of joint {drive.joint}"
             raise Rejected(("gripper", "board_channel"), "a motor output of its own", got)
-    if board.kind == "vesc" and not gripper.encoder_counts_per_rev:
-        expected = (
-            "the counts a turn that a vesc sends (docs/vesc.md), which needs an encoder to turn a motor"
-        )
+    if (board.kind == "vesc" or kind.limits_force) and not gripper.encoder_counts_per_rev:
+        expected = f"the counts a turn that a {board.kind} sends (docs/{board.kind}.md)"
         raise Rejected(("gripper", "encoder_counts_per_rev"), expected, "0")
     if gripper.on_fault == "release" and not kind.can_free:
         raise Rejected(

@@ -24,6 +24,7 @@ class BoardKind:
     can_hold: bool  # brings its joint to rest and holds it without the host
     usual_rate_Hz: float  # of the loop
     stops_early: bool  # begins its own stop some cycles after the last command, not only at its watchdog
+    limits_force: bool = False  # in position mode, to what the host says: it can drive a gripper
     needs_own_bus: bool = False  # takes reference boards' frames for its own, and they take its
     uses_other_encoder: bool = (
         True  # in modes other than position; else it closes its loop on its own in every mode
@@ -73,6 +74,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=True,
             usual_rate_Hz=250.0,
             stops_early=False,
+            limits_force=True,
             needs_own_bus=True,
             uses_other_encoder=False,
         ),
@@ -87,6 +89,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=True,
             usual_rate_Hz=100.0,
             stops_early=False,
+            limits_force=True,
         ),
         "feetech": BoardKind(
             line="serial",
@@ -99,6 +102,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=True,
             usual_rate_Hz=100.0,
             stops_early=False,
+            limits_force=True,
         ),
         "moteus": BoardKind(
             line="can",

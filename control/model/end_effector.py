@@ -64,7 +64,7 @@ class Gripper:
     current_limit_A: Annotated[Positive, "what the motor bears continuously"]
     speed_limit_m_s: Annotated[Positive, FINGER_SPEED, "of the opening"]
     motor_node: Annotated[int, NODE, "CAN node of its motor board; or `board`", "none"] = -1
-    board: Annotated[str, "name of the [[board]] that drives it, one that takes voltages"] = ""
+    board: Annotated[str, "name of the [[board]] that drives it"] = ""
     board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
     encoder_counts_per_rev: Annotated[
         int, ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"

@@ -3,7 +3,7 @@
 from typing import Any
 
 from control.dynamics.joint_side import has_joint_side
-from control.end_effector.gripper import State
+from control.end_effector.grip_state import State
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.recording.record import Layout

@@ -11,8 +11,10 @@ from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, J
 from control.dynamics.loads import Loads, without_tool_mass
 from control.end_effector.gripper import GripperControl
 from control.end_effector.outputs import Outputs
+from control.end_effector.placed import PlacedGripper
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
+from control.hardware.gripper_on_board import PlacedOnBoard
 from control.hardware.interface import Hardware, OutputMode
 from control.hardware.measurement import Measurement
 from control.kinematics.inverse import InverseKinematics
@@ -156,7 +158,11 @@ def assemble_cell(cell: Cell, of_arms: Mapping[str, Assembly]) -> CellAssembly:
 
 def _gripper(arm: Arm, hardware: Hardware) -> GripperControl | None:
     board = hardware.end.gripper
-    return GripperControl(arm.gripper, board) if arm.gripper is not None and board is not None else None
+    if arm.gripper is None or board is None:
+        return None
+    if isinstance(board, PlacedOnBoard):
+        return PlacedGripper(arm.gripper, board)
+    return GripperControl(arm.gripper, board)
 
 
 def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:

@@ -25,7 +25,7 @@ CONTROLWORD, STATUSWORD = Entry(0x6040, 0, "u16"), Entry(0x6041, 0, "u16")
 MODE = Entry(0x6060, 0, "i8")
 POSITION, TARGET_POSITION = Entry(0x6064, 0, "i32"), Entry(0x607A, 0, "i32")
 TORQUE, TARGET_TORQUE = Entry(0x6077, 0, "i16"), Entry(0x6071, 0, "i16")
-RATED_TORQUE = Entry(0x6076, 0, "u32")
+RATED_TORQUE, MAX_TORQUE = Entry(0x6076, 0, "u32"), Entry(0x6072, 0, "u16")
 SUPPLY, INPUTS = Entry(0x6079, 0, "u32"), Entry(0x60FD, 0, "u32")
 CYCLE_TIME, CYCLE_UNIT = Entry(0x60C2, 1, "u8"), Entry(0x60C2, 2, "i8")
 QUICK_STOP_WITHOUT_HOST, STAY_IN_QUICK_STOP = 3, 6  # of options 0x6007 and 0x605A
@@ -73,6 +73,8 @@ class Cia402Drive:
         self._bus = bus
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         self._answers: dict[tuple[int, int], wire.SdoAnswer] = {}
+        self._max_torque: int | None = None  # that the drive has confirmed
+        self._asked_max: tuple[int, float] | None = None  # and that it was last told, and when
         self._is_known = False
         bus.add(
             node,
@@ -108,6 +110,18 @@ class Cia402Drive:
     def command_torque(self, permille: int) -> None:
         """Cyclic synchronous torque, in 1/1000 of the rated torque."""
         self._send(CYCLIC_TORQUE, self.position, min(max(permille, -32768), 32767))
+
+    def limit_torque(self, permille: int) -> None:
+        """At most so much of the rated torque, in every mode: told until the drive confirms it; does not wait."""
+        now_s = self._bus.clock.now_s()
+        answer = self._answers.pop((MAX_TORQUE.at, MAX_TORQUE.sub), None)
+        if answer is not None and self._asked_max is not None:
+            self._max_torque = None if answer.abort else self._asked_max[0]
+            self._asked_max = None
+        is_told = self._asked_max is not None and now_s - self._asked_max[1] < ANSWER_TIMEOUT_s
+        if self._max_torque != permille and not is_told:
+            self._asked_max = permille, now_s
+            self._bus.link.send(wire.SDO_REQUEST + self.node, wire.write_request(MAX_TORQUE, permille))
 
     def quick_stop(self) -> None:
         """Quick stop: the drive slows down by its own ramp and holds."""
@@ -149,7 +163,7 @@ class Cia402Drive:
         self.write(HEARTBEAT_PRODUCER, round(watchdog_s * 1e3))
         self._bus.heartbeat()
         self._bus.nmt(NmtCommand.START, self.node)
-        self.state = None
+        self.state = self._max_torque = self._asked_max = None
 
     def _map(self, communication: int, mapping: int, base: int, entries: tuple[Entry, ...]) -> None:
         """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid."""

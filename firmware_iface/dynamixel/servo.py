@@ -10,10 +10,10 @@ from firmware_iface.dynamixel import wire
 from firmware_iface.dynamixel.wire import Instruction
 from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ServoLine, ServoQuestion
+from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion
 
 REBOOT_s = 0.5
-MODEL, OPERATING_MODE, TORQUE_ENABLE, GOAL_POSITION, PROFILE = 0, 11, 64, 116, 108
+MODEL, OPERATING_MODE, TORQUE_ENABLE, GOAL_POSITION, PROFILE, GOAL_CURRENT = 0, 11, 64, 116, 108, 102
 STATE_SPAN, VALUES_SPAN = (
     (64, 35),
     (126, 21),
@@ -21,7 +21,8 @@ STATE_SPAN, VALUES_SPAN = (
 HARDWARE_ERROR, BUS_WATCHDOG = 70, 98
 WATCHDOG_STEP_s, LONGEST_WATCHDOG = 0.02, 127
 WATCHDOG_ERROR = 0xFF
-POSITION_MODES: Final = {3: "position", 4: "extended position"}
+WITH_FORCE: Final = 5
+POSITION_MODES: Final = {3: "position", 4: "extended position", WITH_FORCE: "current-based position"}
 # Unit of the present current by model number (e-Manual); models without a current are not here.
 CURRENT_UNIT_A: Final = {
     1190: 0.001, 1200: 0.001,  # XL330-M077, -M288
@@ -72,6 +73,8 @@ class DynamixelServo:
         self._line = line
         self._current_unit_A = math.nan
         self._watchdog = 0
+        self._mode = 0
+        self._force = ForceLimit(line, self._force_written)
         self.values_question = _question(
             number, lambda: wire.read(number, *VALUES_SPAN), VALUES_SPAN[1], self._take_values
         )
@@ -107,9 +110,10 @@ class DynamixelServo:
             )
         self._current_unit_A = CURRENT_UNIT_A[self.model]
         (mode,) = self._read(OPERATING_MODE, 1)
+        self._mode = mode
         if mode not in POSITION_MODES:
             raise WrongIdentity(
-                f"{self.where}: expected operating mode 3 or 4 (position), it is {mode}: set it with Dynamixel Wizard"
+                f"{self.where}: expected operating mode 3, 4 or 5 (position), it is {mode}: set it with Dynamixel Wizard"
             )
         return f"model {self.model}, {POSITION_MODES[mode]} mode"
 
@@ -122,7 +126,24 @@ class DynamixelServo:
         self._watchdog = 0
         self._write(BUS_WATCHDOG, bytes((steps,)))
         self._watchdog = steps
+        self._force.forget()
         self.read_state()
+
+    def require_force_limit(self) -> None:
+        """Raise WrongIdentity unless its operating mode keeps a goal current."""
+        if self._mode != WITH_FORCE:
+            raise WrongIdentity(
+                f"{self.where}: expected operating mode {WITH_FORCE} ({POSITION_MODES[WITH_FORCE]}) for a gripper, it is"
+                f" {self._mode}: set it with Dynamixel Wizard"
+            )
+
+    def limit_force(self, current_A: float, share: float) -> None:
+        """At most this goal current; `share` of the duty is not used."""
+        self._force.keep(max(round(current_A / self._current_unit_A), 1))
+
+    def _force_written(self, units: int, confirm: Callable[[], None]) -> ServoQuestion:
+        made = wire.write(self.number, GOAL_CURRENT, struct.pack("<H", units))
+        return _question(self.number, lambda: made, 0, lambda data, at_s: confirm())
 
     def read_state(self) -> None:
         """Torque, errors, and all values as they are now."""

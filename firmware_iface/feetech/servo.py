@@ -9,9 +9,9 @@ from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
 from firmware_iface.feetech import wire
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ServoLine, ServoQuestion
+from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion
 
-MODEL, MODE, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED = 3, 33, 40, 41, 42, 46
+MODEL, MODE, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 3, 33, 40, 41, 42, 46, 48
 STATE_SPAN = (40, 31)  # address and length: torque to current
 CURRENT_UNIT_A: Final = 0.0065
 MODELS: Final = {777: "STS3215", 2825: "STS3250"}
@@ -53,6 +53,7 @@ class FeetechServo:
         self.problems: list[LinkError] = []
         self._line = line
         self._must_be_on = False
+        self._force = ForceLimit(line, self._force_written)
         self.values_question = self.state_question = self._question(
             lambda: wire.read(number, *STATE_SPAN), STATE_SPAN[1], self._take_state
         )
@@ -96,7 +97,19 @@ class FeetechServo:
         self._write(TORQUE, b"\0")
         self._write(ACCELERATION, b"\0")
         self._write(GOAL_SPEED, b"\0\0")
+        self._force.forget()
         self.read_state()
+
+    def require_force_limit(self) -> None:
+        """Every STS keeps a torque limit."""
+
+    def limit_force(self, current_A: float, share: float) -> None:
+        """A torque limit: a `share` of the duty, which gives the current at rest."""
+        self._force.keep(max(round(1e3 * share), 1))
+
+    def _force_written(self, permille: int, confirm: Callable[[], None]) -> ServoQuestion:
+        made = wire.write(self.number, TORQUE_LIMIT, struct.pack("<H", permille))
+        return self._question(lambda: made, 0, lambda data, at_s: confirm())
 
     def read_state(self) -> None:
         """Torque, errors, and all values as they are now."""

@@ -52,8 +52,9 @@ class Cia402Mock:
 
     @property
     def limit_A(self) -> float:
-        """The drive's current limit."""
-        return self.setup.current_limit_A
+        """The smaller of its current limit and its maximum torque."""
+        torque_Nm = self.objects[0x6072, 0][1] * 1e-6 * self.setup.rated_torque_mNm
+        return min(self.setup.current_limit_A, torque_Nm / self.setup.torque_constant_Nm_A)
 
     def power_up(self, now_s: float | None = None) -> None:
         """State after power-up or NMT reset: everything at its default, position 0, a boot-up message."""
@@ -302,8 +303,8 @@ def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
         (0x1018, 3): ("u32", 0x0001_0000), (0x1018, 4): ("u32", setup.serial_number),
         (0x6007, 0): ("i16", 1), (0x603F, 0): ("u16", 0), (0x6040, 0): ("u16", 0), (0x6041, 0): ("u16", 0),
         (0x605A, 0): ("i16", 2), (0x6060, 0): ("i8", 0), (0x6061, 0): ("i8", 0), (0x6064, 0): ("i32", 0),
-        (0x606C, 0): ("i32", 0), (0x6071, 0): ("i16", 0), (0x6076, 0): ("u32", setup.rated_torque_mNm),
-        (0x6077, 0): ("i16", 0), (0x6079, 0): ("u32", 0), (0x607A, 0): ("i32", 0),
+        (0x606C, 0): ("i32", 0), (0x6071, 0): ("i16", 0), (0x6072, 0): ("u16", 10_000),
+        (0x6076, 0): ("u32", setup.rated_torque_mNm), (0x6077, 0): ("i16", 0), (0x6079, 0): ("u32", 0), (0x607A, 0): ("i32", 0),
         (0x60C2, 0): ("u8", 2), (0x60C2, 1): ("u8", 1), (0x60C2, 2): ("i8", -3),
         (0x60FD, 0): ("u32", 0), (0x60FF, 0): ("i32", 0), (0x6502, 0): ("u32", 0x0380),
     }  # fmt: skip

@@ -5,6 +5,7 @@ A servo is a control table with a position loop behind it; without I/O: `receive
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ PING, READ, WRITE, REBOOT, SYNC_WRITE, BROADCAST = 0x01, 0x02, 0x03, 0x08, 0x83,
 INSTRUCTION_ERROR, CRC_ERROR, LENGTH_ERROR, ACCESS_ERROR, ALERT = 0x02, 0x03, 0x05, 0x07, 0x80
 OVER_HEATED, OVERLOAD, LOW_VOLTAGE = 0x04, 0x20, 0x01
 TORQUE, ERROR_STATUS, WATCHDOG, GOALS, GOAL, VALUES, TABLE_BYTES = 64, 70, 98, (100, 120), 116, 126, 147
+POSITION, CURRENT_BASED = 3, 5  # operating modes
+GOAL_CURRENT, CURRENT_LIMIT = 102, 1193
 REBOOT_S = 0.2
 LATENCY_S = 0.0001
 _EEPROM_END = 64  # below, only while the torque is off
@@ -41,6 +44,7 @@ class ServoSetup:
     model: int = 1020
     current_unit_A: float = 0.00269
     return_delay_s: float = 0.0
+    mode: int = POSITION  # CURRENT_BASED keeps the goal current
 
 
 class DynamixelMock:
@@ -56,11 +60,20 @@ class DynamixelMock:
         """State after power-up or a restart: the RAM area at its defaults, torque off."""
         self.table = bytearray(TABLE_BYTES)
         struct.pack_into("<H", self.table, 0, self.setup.model)
-        self.table[6], self.table[7], self.table[11] = 46, self.setup.number, 3
+        self.table[6], self.table[7], self.table[11] = 46, self.setup.number, self.setup.mode
+        struct.pack_into("<H", self.table, GOAL_CURRENT, CURRENT_LIMIT)
         self.output = OPEN
         self._deaf_until_s = now_s
         self._heard_s = now_s
         self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
+
+    @property
+    def limit_A(self) -> float:
+        """What its current loop keeps to."""
+        if self.setup.mode != CURRENT_BASED:
+            return math.inf
+        (units,) = struct.unpack_from("<H", self.table, GOAL_CURRENT)
+        return float(min(units, CURRENT_LIMIT) * self.setup.current_unit_A)
 
     @property
     def position(self) -> int:

@@ -6,6 +6,7 @@ watchdog: without the host it holds its last goal.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from hil_mocks.devices.servo_motor import ServoMotor
 COUNTS_PER_TURN = 4096
 PING, READ, WRITE, SYNC_WRITE, BROADCAST = 0x01, 0x02, 0x03, 0x83, 0xFE
 OVER_HEATED, OVERLOAD = 0x04, 0x20
-TORQUE, GOAL, LOCK, POSITION, ERROR, CURRENT, TABLE_BYTES = 40, 42, 55, 56, 65, 69, 71
+TORQUE, GOAL, TORQUE_LIMIT, LOCK, POSITION, ERROR, CURRENT, TABLE_BYTES = 40, 42, 48, 55, 56, 65, 69, 71
 CURRENT_UNIT_A = 0.0065
 BOOT_S = 0.2
 LATENCY_S = 0.0001
@@ -47,6 +48,7 @@ class FeetechMock:
         self.table = bytearray(TABLE_BYTES)
         struct.pack_into("<H", self.table, 3, self.setup.model)
         self.table[5], self.table[LOCK] = self.setup.number, 1
+        struct.pack_into("<H", self.table, TORQUE_LIMIT, 1000)
         self.output = OPEN
         self._deaf_until_s = now_s + BOOT_S
         self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
@@ -81,6 +83,8 @@ class FeetechMock:
         if self.table[TORQUE]:
             self._motor.goal_turns = _signed(struct.unpack_from("<H", self.table, GOAL)[0]) / COUNTS_PER_TURN
 
+    limit_A = math.inf  # it limits its duty, not its current
+
     @property
     def position(self) -> int:
         """Present position."""
@@ -101,7 +105,8 @@ class FeetechMock:
         )
         struct.pack_into("<H", self.table, CURRENT, _raw(round(current_A / CURRENT_UNIT_A)))
         is_driven = self.table[TORQUE] and not self.table[ERROR] and now_s >= self._deaf_until_s
-        self.output = motor.controlled(supply_V) if is_driven else OPEN
+        (permille,) = struct.unpack_from("<H", self.table, TORQUE_LIMIT)
+        self.output = motor.controlled(supply_V * min(permille, 1000) / 1000) if is_driven else OPEN
 
 
 class FeetechLineMock:

@@ -69,7 +69,7 @@ def test_models_without_a_current_other_modes_and_bad_ids_are_refused() -> None:
         DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
     cable = Cable()
     cable.servo.table[11] = 1
-    with pytest.raises(WrongIdentity, match="operating mode 3 or 4"):
+    with pytest.raises(WrongIdentity, match="operating mode 3, 4 or 5"):
         DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
     with pytest.raises(MisuseError, match="0 to 252"):
         DynamixelServo(DynamixelLine(cable.link, cable), 254, "elbow")

@@ -27,7 +27,7 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.canopen.bus import CanOpenBus
-from firmware_iface.canopen.drive import HOME_INPUT, Cia402Drive
+from firmware_iface.canopen.drive import HOME_INPUT, MAX_TORQUE, Cia402Drive
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardSilent, WrongIdentity
 from firmware_iface.link import open_can
@@ -222,6 +222,14 @@ class Cia402Joint:
 
     def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
         """The encoder's offset is used with every set-point."""
+
+    def require_force_limit(self) -> None:
+        """Raise RequestRefused if the drive has no torque limit (0x6072)."""
+        self._drive.read(MAX_TORQUE)
+
+    def limit_force(self, current_A: float) -> None:
+        """At most so much current from now on; does not wait."""
+        self._drive.limit_torque(max(round(current_A * self._permille_per_A), 1))
 
     def emergency_stop(self) -> None:
         """Quick stop: the drive slows down and holds until it is acknowledged."""

@@ -63,6 +63,8 @@ class Servo(Protocol):
     def set_up(self, watchdog_s: float) -> None: ...
     def read_state(self) -> None: ...
     def reboot(self) -> None: ...
+    def require_force_limit(self) -> None: ...
+    def limit_force(self, current_A: float, share: float) -> None: ...
 
 
 class PolledServos:
@@ -147,6 +149,7 @@ class ServoDrive:
         self._servo, self._encoder, self._joint = servo, encoder, joint
         self._map = JointMap(drive)
         self._sign = float(drive.encoder_direction)  # a servo's current has the sense of its count
+        self._duty_per_A = drive.resistance_ohm / drive.supply_V
         self._watchdog_s = watchdog_s
         self._fault_of = fault_of
         self._configured_resets = -1
@@ -227,6 +230,14 @@ class ServoDrive:
 
     def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
         """The encoder's offset is used with every goal."""
+
+    def require_force_limit(self) -> None:
+        """Raise WrongIdentity if the servo is set up to keep none."""
+        self._servo.require_force_limit()
+
+    def limit_force(self, current_A: float) -> None:
+        """At most so much current from now on, or the duty that gives it at rest; does not wait."""
+        self._servo.limit_force(current_A, min(current_A * self._duty_per_A, 1.0))
 
     def emergency_stop(self) -> None:
         """Hold where the joint is, until it is acknowledged: there are no windings to short."""

@@ -1,4 +1,4 @@
-"""The gripper's motor on a bought board: a spare channel of a joint's RoboClaw, a VESC of its own."""
+"""The gripper's motor on a bought board: a spare channel of a joint's RoboClaw, a VESC or a smart servo of its own."""
 
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -6,8 +6,10 @@ from typing import Any
 
 import pytest
 
+from control.model import arm_checks
 from control.model.arm import Arm, Board
 from control.model.arm_checks import check_arm
+from control.model.board_kinds import KINDS
 from control.model.reader import Rejected
 from hil_mocks.scenario import GripperTable
 from procedures.mock.on_boards import on_boards
@@ -19,11 +21,31 @@ ON_VESC = replace(GRIPPER, motor_node=-1, board="hand", encoder_counts_per_rev=1
 CLAWS = on_boards(RIGHT, "roboclaw")
 VESCS = on_boards(RIGHT, "vesc")
 VESCS = replace(VESCS, boards=(*VESCS.boards, Board("hand", "vesc", 9)))
-ARMS = {"roboclaw": replace(CLAWS, gripper=ON_CLAW), "vesc": replace(VESCS, gripper=ON_VESC)}
+DRIVES = on_boards(RIGHT, "cia402")
+DRIVES = replace(DRIVES, boards=(*DRIVES.boards, Board("hand", "cia402", 9)))
+ON_SERVO = replace(
+    GRIPPER, motor_node=-1, board="hand", encoder_counts_per_rev=4096, travel_per_turn_m=0.2, torque_constant_Nm_A=1.0,
+    resistance_ohm=4.0, supply_V=12.0, current_limit_A=1.5, rotor_inertia_kg_m2=1e-3,
+)  # fmt: skip
+
+
+def on_servos(kind: str) -> Arm:
+    arm = on_boards(RIGHT, kind)
+    hand = replace(arm.boards[0], name="hand", address=9)
+    return replace(arm, boards=(*arm.boards, hand), gripper=ON_SERVO)
+
+
+ARMS = {
+    "roboclaw": replace(CLAWS, gripper=ON_CLAW),
+    "vesc": replace(VESCS, gripper=ON_VESC),
+    "dynamixel": on_servos("dynamixel"),
+    "feetech": on_servos("feetech"),
+    "cia402": replace(DRIVES, gripper=replace(ON_VESC, encoder_counts_per_rev=4096)),
+}
 
 
 def holding(arm: Arm) -> AbstractContextManager[Cell]:
-    return holding_cell(scenario(gripper=GripperTable()), arm, period_s=1.0 / arm.usual_rate_Hz)
+    return holding_cell(scenario(gripper=GripperTable(start=0.9)), arm, period_s=1.0 / arm.usual_rate_Hz)
 
 
 def state(cell: Cell) -> str:
@@ -37,9 +59,9 @@ def test_it_goes_where_it_is_told_and_holds_with_the_force(kind: str) -> None:
         cell.run(0.1)
         assert (state(cell), cell.rig.gripper()[0]) == ("HOLDING", before_m)
         assert cell.client.grip("open")["state"] == "OPEN"
-        assert cell.client.grip("move", 0.03)["opening_m"] == pytest.approx(0.03, abs=0.3e-3)
-        assert cell.rig.gripper()[0] == pytest.approx(0.03, abs=0.3e-3 + END_m)
-        cell.rig.set_object(0.025)
+        assert cell.client.grip("move", 0.06)["opening_m"] == pytest.approx(0.06, abs=0.3e-3)
+        assert cell.rig.gripper()[0] == pytest.approx(0.06, abs=0.3e-3 + END_m)
+        cell.rig.set_object(0.055)
         assert cell.client.grip("close", force_N=20.0)["state"] == "GRIPPED"
         cell.run(0.3)
         assert cell.rig.gripper()[1] == pytest.approx(20.0, abs=2.0)
@@ -93,8 +115,8 @@ def test_what_a_board_cannot_do_for_it_is_said_when_the_file_is_read(
         check_arm(replace(CLAWS, gripper=replace(ON_CLAW, **change)))
 
 
-def test_boards_that_take_no_voltage_are_refused_by_kind() -> None:
-    servos = on_boards(RIGHT, "dynamixel")
-    more = replace(servos, boards=(*servos.boards, Board("hand", "dynamixel", 9, "dynamixel", 1_000_000)))
-    with pytest.raises(Rejected, match="roboclaw, vesc"):
-        check_arm(replace(more, gripper=replace(ON_CLAW, board="hand", board_channel=1)))
+def test_boards_that_cannot_keep_a_force_are_refused_by_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    weak = {name: replace(kind, limits_force=False) for name, kind in KINDS.items()}
+    monkeypatch.setattr(arm_checks, "KINDS", weak)
+    with pytest.raises(Rejected, match=r"\(roboclaw, vesc\).*a dynamixel"):
+        check_arm(ARMS["dynamixel"])

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.arms import SEVEN
-from control.kinematics.kinematics import Kinematics
 from procedures.demo.gap import programme_of
 from procedures.demo.handover import shut_down, start_again
 from procedures.mock.bench import SteppedBench
@@ -16,13 +15,15 @@ from procedures.verify.survey import Survey
 
 def test_an_arm_that_sinks_is_held_from_one_runtime_to_the_next(tmp_path: Path) -> None:
     scenario = tmp_path / "scenario.toml"
-    scenario.write_bytes(seeded_scenario("ideal", None, was_homed=True))
+    scenario.write_bytes(seeded_scenario("demo", None, was_homed=True))
     bench = SteppedBench(SEVEN, scenario, tmp_path)
     assert SEVEN.rest is not None
-    resting_m = Kinematics(SEVEN).tip(*SEVEN.rest.q_rad)
     try:
         client = bench.start(SEVEN)
         client.enable()
+        client.home()
+        client.move_joints(SEVEN.rest.q_rad)
+        resting_m = bench.rig.tip_m()
         shut_down(SEVEN, bench, client)
         client = start_again(SEVEN, bench)
         assert client.status()["mode"] == "HOLDING"
