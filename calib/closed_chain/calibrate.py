@@ -100,13 +100,21 @@ def calibrate_pair(
 
 
 def choose_contacts(
-    arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, count: int, noise_m: float
+    arms: tuple[Arm, Arm],
+    contacts: Contacts,
+    plan: PairPlan,
+    count: int,
+    noise_m: float,
+    base: Frame | None = None,
 ) -> list[int]:
-    """Rows of the `count` contacts that say most about both arms together (D-optimal), the most valuable first."""
+    """Rows of the `count` contacts that say most about both arms together (D-optimal), the most valuable first.
+
+    `base`: where the second arm stands; None: where the contacts fit best.
+    """
     problem = PairProblem(
         arms,
         contacts,
-        _placed(arms, contacts).base,
+        base or _placed(arms, contacts).base,
         bounds=plan.bounds,
         fixed=plan.fixed,
         free_tools=plan.free_tools,
@@ -198,11 +206,12 @@ def _held_out(
         rest = contacts.chosen(np.setdiff1d(np.arange(m), out))
         placed = _placed(arms, rest)
         problem, best = _identified(arms, rest, placed.base, plan)
-        before[out] = _errors(arms, placed.base, contacts.chosen(out))
-        after[out] = _errors(*problem.solution(best.x), contacts.chosen(out))
+        before[out] = contact_errors_m(arms, placed.base, contacts.chosen(out))
+        after[out] = contact_errors_m(*problem.solution(best.x), contacts.chosen(out))
     return frozen(before), frozen(after)
 
 
-def _errors(arms: tuple[Arm, Arm], base: Frame, contacts: Contacts) -> Array:
+def contact_errors_m(arms: tuple[Arm, Arm], base: Frame, contacts: Contacts) -> Array:
+    """How far contacts are from closing (m,) by given arms, the second base at `base` in the first's."""
     problem = PairProblem(arms, contacts, base)
     return problem.errors_m(np.zeros(len(problem.parameters)))

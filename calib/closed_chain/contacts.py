@@ -7,6 +7,7 @@ between the tips, as of two balls that touch or a ball bar; 0 or empty: both are
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,6 +75,19 @@ def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[st
         frozen(_joint_rad(second, points, slice(n, None))),
         frozen(_distances(path, points)),
     ), warnings
+
+
+def contact_points(
+    setup: Sequence[str],
+    name: Sequence[str],
+    q_rad: Array,
+    distance_m: Sequence[float],
+    direction: Array | None = None,
+) -> Points:
+    """Contacts as the points of a file: q_rad (m, n1 + n2) as the encoders say, direction likewise."""
+    extra = {DISTANCE: tuple(f"{distance:g}" for distance in distance_m)}
+    nowhere = np.full((len(name), 3), np.nan)
+    return make_points(setup, name, [1] * len(name), q_rad, nowhere, direction, extra=extra)
 
 
 def _joint_rad(arm: Arm, points: Points, columns: slice) -> Array:

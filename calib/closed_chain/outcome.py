@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from calib.arm_problem.frames import Frame
 from calib.arrays import Array
 from calib.closed_chain.calibrate import PairFound
@@ -15,8 +17,9 @@ from calib.closed_chain.pair_problem import names_of
 from calib.identify.estimates import Estimate
 from calib.identify.open_combinations import open_in_words
 from control.files import write_whole
-from control.kinematics.rotation import quaternions
+from control.kinematics.rotation import quaternion_of, quaternions
 from control.model.arm import Arm, Calibration
+from control.model.cell import Cell, Placed
 from control.model.description import save_arm
 
 FORMAT = "pair/1"
@@ -74,6 +77,16 @@ def _stand(names: tuple[str, str], base: Frame) -> str:
         f"Base of {names[1]} in the base frame of {names[0]} (as in cell.toml):\n"
         f"origin_m = [{origin}]\norientation = [{w:.9f}, {x:.9f}, {y:.9f}, {z:.9f}]"
     )
+
+
+def calibrated_cell(cell: Cell, arms: tuple[Arm, Arm], base: Frame) -> Cell:
+    """The cell with calibrated arms of the same names, the second at `base` in the first's base frame."""
+    one, two = arms
+    first = dataclasses.replace(cell.placed(one.name), arm=one)
+    rows = np.array(first.rotation) @ base.rotation
+    second = Placed(two, first.in_cell(base.origin_m.tolist()), quaternion_of(rows.tolist()))
+    made = {one.name: first, two.name: second}
+    return dataclasses.replace(cell, arms=tuple(made.get(placed.name, placed) for placed in cell.arms))
 
 
 def write_pair(

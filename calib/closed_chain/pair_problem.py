@@ -156,10 +156,12 @@ class PairProblem:
         return found
 
     def solution(self, x: Array) -> tuple[tuple[Arm, Arm], Frame]:
-        """Both arms, and where the second base stands in the first."""
+        """Both arms, and where the second base stands in the first. Gravity of the second is that of the first, as it stands."""
         parts, move = self._parts(x)
-        arms = [with_geometry(arm, dh, tool) for arm, (dh, tool) in zip(self.arms, parts, strict=True)]
-        return (arms[0], arms[1]), self.base.moved(self._centre, move)
+        one, two = (with_geometry(arm, dh, tool) for arm, (dh, tool) in zip(self.arms, parts, strict=True))
+        base = self.base.moved(self._centre, move)
+        down = tuple((base.rotation.T @ np.array(one.gravity_m_s2)).tolist())
+        return (one, dataclasses.replace(two, gravity_m_s2=down)), base
 
     def _parts(self, x: Array) -> tuple[list[tuple[Array, Array]], Array]:
         """DH table and tool of each arm, and the base's move (6,)."""
