@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from control.errors import ArmError
 from control.hardware.shared_bus import CellConnection, connect_cell
-from control.model.arm import Vector3
+from control.loop.runtime import Runtime
+from control.model.arm import Arm, Vector3
 from control.model.cell import Cell
 from control.model.description import arm_text
 from control.recording.layout import about_cell, about_columns, layout_of
@@ -16,38 +17,41 @@ from control.server.assemble import CellAssembly, assemble, assemble_cell
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from hil_mocks.cell import SteppedCell
-from hil_mocks.rig import MockHand
+from hil_mocks.rig import MockHand, MockPorts
 from hil_mocks.scenario import Scenario
 from procedures.mock.arm import wired_to
 
+Wired = Callable[[Arm, MockPorts], Arm]
 PERIOD_S = 0.0025  # 400 Hz: what six boards on one bus allow
 
 
 class CellBench:
     """A bench with several arms; `standing` is where their bases truly stand. Time passes only during waits."""
 
-    def __init__(self, standing: Cell, scenario: Scenario, log_folder: Path) -> None:
-        self.standing, self._log_folder = standing, log_folder
+    def __init__(self, standing: Cell, scenario: Scenario, log_folder: Path, wired: Wired = wired_to) -> None:
+        """`wired`: an arm with the mock's ports, and with the limits that the drives are to have."""
+        self.standing, self._log_folder, self._wired = standing, log_folder, wired
         self.rig = SteppedCell(standing, scenario)
         self.clients: Mapping[str, ArmClient] = {}
         self._connection: CellConnection | None = None
-        self._channels: list[InProcessChannel] = []
+        self.channels: list[InProcessChannel] = []
+        self.runtimes: Mapping[str, Runtime] = {}
         self._sinks: list[FileSink] = []
         self._starts = 0
 
     def start(self, cell: Cell) -> Mapping[str, ArmClient]:
         """Connect a runtime that knows `cell`; a client for each arm. Drives are off."""
         self._starts += 1
-        wired = cell.with_arms([wired_to(placed.arm, self.rig.ports[placed.name]) for placed in cell.arms])
+        wired = cell.with_arms([self._wired(placed.arm, self.rig.ports[placed.name]) for placed in cell.arms])
         ports = {name: one.camera_port for name, one in self.rig.ports.items()}
         self._connection = connect_cell(wired, self.rig.clock, PERIOD_S, ports)
-        assembly = self._assembled(wired, self._connection)
-        self._channels = []
+        self.runtimes = (assembly := self._assembled(wired, self._connection)).runtime.runtimes
+        self.channels = []
         for number, name in enumerate(cell.names, 1):
-            loop = self._channels[0].loop if self._channels else None
-            self._channels.append(InProcessChannel(assembly, self.rig.clock, loop, number, name))
+            loop = self.channels[0].loop if self.channels else None
+            self.channels.append(InProcessChannel(assembly, self.rig.clock, loop, number, name))
         self.clients = {
-            name: ArmClient(channel) for name, channel in zip(cell.names, self._channels, strict=True)
+            name: ArmClient(channel) for name, channel in zip(cell.names, self.channels, strict=True)
         }
         self.wait(0.05)
         return self.clients
@@ -73,7 +77,7 @@ class CellBench:
 
     def wait(self, duration_s: float) -> None:
         """Run cycles for `duration_s`."""
-        self._channels[0].wait(duration_s)
+        self.channels[0].wait(duration_s)
 
     def together(self, poses_rad: Mapping[str, Sequence[float]], speed: float = 1.0) -> None:
         """A joint move of several arms, which begin and end together; ArmError if it is refused."""
@@ -96,7 +100,7 @@ class CellBench:
         if self._connection is None:
             raise ArmError("the bench has no runtime to stop")
         next(iter(self.clients.values())).off(quit_runtime=True)
-        while self._channels[0].is_running:
+        while self.channels[0].is_running:
             self.wait(PERIOD_S)
         self._end()
         return self.recording

@@ -12,8 +12,9 @@ from console.commands.console import _of_cell
 from console.screen.app import Station
 from control.errors import ArmError
 from control.safety.table import Mode
+from tests.cell import scenario
 from tests.console.screen.console_rig import Served, console_of, files_in, press, shown, until
-from tests.pair import FREE, PAIR, Pair, holding_pair
+from tests.pair import APART, FREE, PAIR, Pair, holding_pair
 
 
 async def operated(pair: Pair, folder: Path) -> None:
@@ -37,7 +38,7 @@ async def operated(pair: Pair, folder: Path) -> None:
 
 
 def test_each_arm_has_its_screen_and_space_stops_all(tmp_path: Path) -> None:
-    with holding_pair() as pair:
+    with holding_pair(scenario(APART, base="demo")) as pair:
         asyncio.run(operated(pair, tmp_path))
 
 

@@ -45,12 +45,11 @@ def test_contacts_are_those_of_the_true_arms(tmp_path: Path) -> None:
 
         contacting._seat = seen  # type: ignore[method-assign]
         taken = list(contacting.take(a_bar()))
-        recording = bench.stop()
     finally:
         bench.close()
     write_taken(tmp_path / "contacts.csv", taken)
     contacts, _ = read_contacts(tmp_path / "contacts.csv", (PAIR.arms[0].arm, PAIR.arms[1].arm))
     assert contacts.distance_m.tolist() == [0.1]
     assert np.hstack((contacts.first_rad, contacts.second_rad)) == pytest.approx(np.array(truth), abs=3e-3)
-    rows = {name: Recording.open(recording / f"{name}.armlog").row_count for name in NAMES}
+    rows = {name: Recording.open(bench.recording / f"{name}.armlog").row_count for name in NAMES}
     assert rows["left"] == rows["right"] > 100
