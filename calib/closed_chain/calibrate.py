@@ -50,7 +50,8 @@ class PairFound:
     """Both arms, the second base in the first's, and errors [m]: how far contacts are from closing.
 
     before_m (m,): nominal arms, the base where they fit best; after_m (m,): of the fit. held_before_m, held_after_m (m,): each
-    contact predicted by the others; empty with too few.
+    contact predicted by the others; empty with too few. `names` of the contacts (m,); `numbers_count`: three a contact in one
+    place, one at a distance.
     """
 
     arms: tuple[Arm, Arm]
@@ -62,6 +63,8 @@ class PairFound:
     held_before_m: Array
     held_after_m: Array
     has_distance: bool
+    names: tuple[str, ...]
+    numbers_count: int
 
 
 def calibrate_pair(
@@ -96,6 +99,8 @@ def calibrate_pair(
         frozen(problem.errors_m(x)),
         *held,
         bool((contacts.distance_m > 0.0).any()),
+        contacts.name,
+        int(np.where(contacts.distance_m > 0.0, 1, 3).sum()),
     )
 
 

@@ -14,6 +14,7 @@ from calib.arm_problem.frames import Frame
 from calib.arrays import Array
 from calib.closed_chain.calibrate import PairFound
 from calib.closed_chain.pair_problem import names_of
+from calib.closed_chain.remarks import remarks
 from calib.identify.estimates import Estimate
 from calib.identify.open_combinations import open_in_words
 from control.files import write_whole
@@ -45,7 +46,7 @@ def pair_text(nominal: tuple[Arm, Arm], found: PairFound) -> str:
         " the contacts of the fit.",
         f"They determine {found.known.rank} of {len(found.estimates)} parameters (condition number"
         f" {found.known.condition_number:.0f}).",
-        *(f"{sentence}." for sentence in open_in_words(found.known.undetermined)),
+        *(f"{sentence}." for sentence in (*remarks(found), *open_in_words(found.known.undetermined))),
         *([] if found.has_distance else [SCALE]),
         "",
         f"{'parameter':<22}{'unit':<6}{'nominal':>12}{'identified':>12}{'sd':>10}",
@@ -153,6 +154,7 @@ def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
             {"names": list(group.names), "freedoms": group.freedoms_count}
             for group in found.known.undetermined
         ],
+        "remarks": list(remarks(found)),
         "in_words": list(open_in_words(found.known.undetermined)),
     }
 
