@@ -51,7 +51,7 @@ class PairFound:
 
     before_m (m,): nominal arms, the base where they fit best; after_m (m,): of the fit. held_before_m, held_after_m (m,): each
     contact predicted by the others; empty with too few. `names` of the contacts (m,); `numbers_count`: three a contact in one
-    place, one at a distance.
+    place, one at a distance. angles_rad (r, 3): how far the orientation between joined tools is from that of their join.
     """
 
     arms: tuple[Arm, Arm]
@@ -65,6 +65,7 @@ class PairFound:
     has_distance: bool
     names: tuple[str, ...]
     numbers_count: int
+    angles_rad: Array
 
 
 def calibrate_pair(
@@ -100,7 +101,8 @@ def calibrate_pair(
         *held,
         bool((contacts.distance_m > 0.0).any()),
         contacts.name,
-        int(np.where(contacts.distance_m > 0.0, 1, 3).sum()),
+        int(np.where(contacts.distance_m > 0.0, 1, 3).sum()) + 3 * len(problem.joins),
+        frozen(problem.angles_rad(x)),
     )
 
 

@@ -44,6 +44,7 @@ def pair_text(nominal: tuple[Arm, Arm], found: PairFound) -> str:
     lines += [
         f"{len(found.after_m)} contacts: mean error {_mm(found.before_m)} mm with nominal arms, {_mm(found.after_m)} mm after, at"
         " the contacts of the fit.",
+        *_joined(found.angles_rad),
         f"They determine {found.known.rank} of {len(found.estimates)} parameters (condition number"
         f" {found.known.condition_number:.0f}).",
         *(f"{sentence}." for sentence in (*remarks(found), *open_in_words(found.known.undetermined))),
@@ -59,6 +60,19 @@ def pair_text(nominal: tuple[Arm, Arm], found: PairFound) -> str:
 
 def _mm(errors_m: Array) -> str:
     return f"{1e3 * float(errors_m.mean()):.3f}"
+
+
+def _joined(angles_rad: Array) -> list[str]:
+    """How well the orientation between joined tools fits."""
+    if not len(angles_rad):
+        return []
+    return [
+        f"Joined tools: {len(angles_rad)} contacts, orientation within {1e3 * _rms(angles_rad):.3f} mrad (rms) after."
+    ]
+
+
+def _rms(angles_rad: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(angles_rad**2, axis=1))))
 
 
 def _line(one: Estimate) -> str:
@@ -154,6 +168,7 @@ def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
             {"names": list(group.names), "freedoms": group.freedoms_count}
             for group in found.known.undetermined
         ],
+        "joined_angle_rms_rad": _rms(found.angles_rad) if len(found.angles_rad) else None,
         "remarks": list(remarks(found)),
         "in_words": list(open_in_words(found.known.undetermined)),
     }
