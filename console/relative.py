@@ -35,6 +35,5 @@ def beside(given: argparse.Namespace, arm: Arm, waypoints: Waypoints) -> Waypoin
             f"run: --relative-to {other.name}: expected the arm homed and at rest, since the path begins from where its tip is;"
             f" it is {status['mode']} and {homed}"
         )
-    x, y, z = other.in_cell(status["tip_set_m"])
-    points = tuple(own.in_base((x + u, y + v, z + w)) for u, v, w in waypoints.points)
+    points = cell.beside_tip(own.name, other.name, status["tip_set_m"], waypoints.points)
     return replace(waypoints, points=points)

@@ -140,7 +140,7 @@ class PosedProblem:
         by_model = self._with_target(found, turn, len(x))
         by_measured = self._widened(found.by_measured)
         if not at_zero:
-            inverse = _inverse_jacobians(error)
+            inverse = inverse_jacobians(error)
             by_measured = inverse @ by_measured
             by_model = np.swapaxes(inverse, 1, 2) @ by_model  # J_r(e) = J_l(e)'
         return self.lever_m * error, self.lever_m * (by_measured - by_model)
@@ -163,7 +163,7 @@ class PosedProblem:
         return mean_rotation(np.swapaxes(found.model, 1, 2) @ found.measured)
 
 
-def _inverse_jacobians(vectors: Array) -> Array:
+def inverse_jacobians(vectors: Array) -> Array:
     """J_l(e)^-1 = I - [e] / 2 + (1 / a^2 - (1 + cos a) / (2 a sin a)) [e]^2, (r, 3, 3)."""
     angle = np.linalg.norm(vectors, axis=1)
     safe = np.where(angle > SMALL_rad, angle, 1.0)

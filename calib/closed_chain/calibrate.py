@@ -50,7 +50,8 @@ class PairFound:
     """Both arms, the second base in the first's, and errors [m]: how far contacts are from closing.
 
     before_m (m,): nominal arms, the base where they fit best; after_m (m,): of the fit. held_before_m, held_after_m (m,): each
-    contact predicted by the others; empty with too few.
+    contact predicted by the others; empty with too few. `names` of the contacts (m,); `numbers_count`: three a contact in one
+    place, one at a distance. angles_rad (r, 3): how far the orientation between joined tools is from that of their join.
     """
 
     arms: tuple[Arm, Arm]
@@ -62,6 +63,9 @@ class PairFound:
     held_before_m: Array
     held_after_m: Array
     has_distance: bool
+    names: tuple[str, ...]
+    numbers_count: int
+    angles_rad: Array
 
 
 def calibrate_pair(
@@ -96,17 +100,28 @@ def calibrate_pair(
         frozen(problem.errors_m(x)),
         *held,
         bool((contacts.distance_m > 0.0).any()),
+        contacts.name,
+        int(np.where(contacts.distance_m > 0.0, 1, 3).sum()) + 3 * len(problem.joins),
+        frozen(problem.angles_rad(x)),
     )
 
 
 def choose_contacts(
-    arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan, count: int, noise_m: float
+    arms: tuple[Arm, Arm],
+    contacts: Contacts,
+    plan: PairPlan,
+    count: int,
+    noise_m: float,
+    base: Frame | None = None,
 ) -> list[int]:
-    """Rows of the `count` contacts that say most about both arms together (D-optimal), the most valuable first."""
+    """Rows of the `count` contacts that say most about both arms together (D-optimal), the most valuable first.
+
+    `base`: where the second arm stands; None: where the contacts fit best.
+    """
     problem = PairProblem(
         arms,
         contacts,
-        _placed(arms, contacts).base,
+        base or _placed(arms, contacts).base,
         bounds=plan.bounds,
         fixed=plan.fixed,
         free_tools=plan.free_tools,
@@ -198,11 +213,12 @@ def _held_out(
         rest = contacts.chosen(np.setdiff1d(np.arange(m), out))
         placed = _placed(arms, rest)
         problem, best = _identified(arms, rest, placed.base, plan)
-        before[out] = _errors(arms, placed.base, contacts.chosen(out))
-        after[out] = _errors(*problem.solution(best.x), contacts.chosen(out))
+        before[out] = contact_errors_m(arms, placed.base, contacts.chosen(out))
+        after[out] = contact_errors_m(*problem.solution(best.x), contacts.chosen(out))
     return frozen(before), frozen(after)
 
 
-def _errors(arms: tuple[Arm, Arm], base: Frame, contacts: Contacts) -> Array:
+def contact_errors_m(arms: tuple[Arm, Arm], base: Frame, contacts: Contacts) -> Array:
+    """How far contacts are from closing (m,) by given arms, the second base at `base` in the first's."""
     problem = PairProblem(arms, contacts, base)
     return problem.errors_m(np.zeros(len(problem.parameters)))

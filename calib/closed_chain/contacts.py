@@ -1,12 +1,15 @@
 """contacts.csv: joint angles of two arms whose tips are in one place, or a known distance apart.
 
-A points.csv whose q1_rad ... are the joints of the first arm, then those of the second, without measured tips. Column distance_m:
-between the tips, as of two balls that touch or a ball bar; 0 or empty: both are in one place.
+A points.csv whose q1_rad ... are the joints of the first arm, then those of the second, without measured tips.
+distance_m: between the tips, as of two balls that touch or a ball bar; 0 or empty: both are in one place.
+joined: the name of a rigid join of both tools: both are in one place, and their orientation to each other is the same wherever
+the name is; empty: they only touch.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,20 +22,29 @@ from calib.errors import PointsFileError, UnusablePointsError
 from calib.points.points import Points, make_points, read_points
 from control.model.arm import Arm
 
-DISTANCE = "distance_m"
+DISTANCE, JOINED = "distance_m", "joined"
 DISTANCE_MOST_m = 5.0
 TURNS_LIMIT_rad = 6 * math.pi
 
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """m contacts: joint angles (m, n1) and (m, n2) with each arm's known static effects, distances between the tips (m,)."""
+    """m contacts: joint angles (m, n1) and (m, n2) with each arm's known static effects, distances between the tips (m,).
+
+    `joined`: the name of a join of both tools, which also keeps the orientation between them; "" where they only touch.
+    """
 
     name: tuple[str, ...]
     setup: tuple[str, ...]
     first_rad: Array
     second_rad: Array
     distance_m: Array
+    joined: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Without names, no tools are joined."""
+        if not self.joined:
+            object.__setattr__(self, "joined", ("",) * len(self.name))
 
     def __len__(self) -> int:
         """How many."""
@@ -47,6 +59,7 @@ class Contacts:
             frozen(self.first_rad[keep]),
             frozen(self.second_rad[keep]),
             frozen(self.distance_m[keep]),
+            tuple(self.joined[k] for k in keep),
         )
 
 
@@ -66,14 +79,36 @@ def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[st
         )
     if np.abs(points.q_rad).max() > TURNS_LIMIT_rad:
         raise UnusablePointsError(f"{path}: the joint angles look like degrees: expected radians")
+    distance_m = _distances(path, points)
+    joined = tuple(text.strip() for text in points.extra.get(JOINED, ("",) * len(points)))
+    for row, name in enumerate(joined):
+        if name and distance_m[row] > 0.0:
+            raise PointsFileError(
+                f"{path}, line {row + 2}, column {JOINED}: joined tools {name!r} are in one place: expected {DISTANCE} 0 or"
+                f" empty, got {distance_m[row]:g}"
+            )
     names = zip(points.setup, points.point, points.repeat, strict=True)
     return Contacts(
         tuple(f"{setup}:{point}:{repeat}" for setup, point, repeat in names),
         points.setup,
         frozen(_joint_rad(first, points, slice(0, n))),
         frozen(_joint_rad(second, points, slice(n, None))),
-        frozen(_distances(path, points)),
+        frozen(distance_m),
+        joined,
     ), warnings
+
+
+def contact_points(
+    setup: Sequence[str],
+    name: Sequence[str],
+    q_rad: Array,
+    distance_m: Sequence[float],
+    direction: Array | None = None,
+) -> Points:
+    """Contacts as the points of a file: q_rad (m, n1 + n2) as the encoders say, direction likewise."""
+    extra = {DISTANCE: tuple(f"{distance:g}" for distance in distance_m)}
+    nowhere = np.full((len(name), 3), np.nan)
+    return make_points(setup, name, [1] * len(name), q_rad, nowhere, direction, extra=extra)
 
 
 def _joint_rad(arm: Arm, points: Points, columns: slice) -> Array:

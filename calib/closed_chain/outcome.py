@@ -8,15 +8,19 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from calib.arm_problem.frames import Frame
 from calib.arrays import Array
 from calib.closed_chain.calibrate import PairFound
 from calib.closed_chain.pair_problem import names_of
+from calib.closed_chain.remarks import remarks
 from calib.identify.estimates import Estimate
 from calib.identify.open_combinations import open_in_words
 from control.files import write_whole
-from control.kinematics.rotation import quaternions
+from control.kinematics.rotation import quaternion_of, quaternions
 from control.model.arm import Arm, Calibration
+from control.model.cell import Cell, Placed
 from control.model.description import save_arm
 
 FORMAT = "pair/1"
@@ -40,9 +44,10 @@ def pair_text(nominal: tuple[Arm, Arm], found: PairFound) -> str:
     lines += [
         f"{len(found.after_m)} contacts: mean error {_mm(found.before_m)} mm with nominal arms, {_mm(found.after_m)} mm after, at"
         " the contacts of the fit.",
+        *_joined(found.angles_rad),
         f"They determine {found.known.rank} of {len(found.estimates)} parameters (condition number"
         f" {found.known.condition_number:.0f}).",
-        *(f"{sentence}." for sentence in open_in_words(found.known.undetermined)),
+        *(f"{sentence}." for sentence in (*remarks(found), *open_in_words(found.known.undetermined))),
         *([] if found.has_distance else [SCALE]),
         "",
         f"{'parameter':<22}{'unit':<6}{'nominal':>12}{'identified':>12}{'sd':>10}",
@@ -55,6 +60,19 @@ def pair_text(nominal: tuple[Arm, Arm], found: PairFound) -> str:
 
 def _mm(errors_m: Array) -> str:
     return f"{1e3 * float(errors_m.mean()):.3f}"
+
+
+def _joined(angles_rad: Array) -> list[str]:
+    """How well the orientation between joined tools fits."""
+    if not len(angles_rad):
+        return []
+    return [
+        f"Joined tools: {len(angles_rad)} contacts, orientation within {1e3 * _rms(angles_rad):.3f} mrad (rms) after."
+    ]
+
+
+def _rms(angles_rad: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(angles_rad**2, axis=1))))
 
 
 def _line(one: Estimate) -> str:
@@ -74,6 +92,16 @@ def _stand(names: tuple[str, str], base: Frame) -> str:
         f"Base of {names[1]} in the base frame of {names[0]} (as in cell.toml):\n"
         f"origin_m = [{origin}]\norientation = [{w:.9f}, {x:.9f}, {y:.9f}, {z:.9f}]"
     )
+
+
+def calibrated_cell(cell: Cell, arms: tuple[Arm, Arm], base: Frame) -> Cell:
+    """The cell with calibrated arms of the same names, the second at `base` in the first's base frame."""
+    one, two = arms
+    first = dataclasses.replace(cell.placed(one.name), arm=one)
+    rows = np.array(first.rotation) @ base.rotation
+    second = Placed(two, first.in_cell(base.origin_m.tolist()), quaternion_of(rows.tolist()))
+    made = {one.name: first, two.name: second}
+    return dataclasses.replace(cell, arms=tuple(made.get(placed.name, placed) for placed in cell.arms))
 
 
 def write_pair(
@@ -140,6 +168,8 @@ def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
             {"names": list(group.names), "freedoms": group.freedoms_count}
             for group in found.known.undetermined
         ],
+        "joined_angle_rms_rad": _rms(found.angles_rad) if len(found.angles_rad) else None,
+        "remarks": list(remarks(found)),
         "in_words": list(open_in_words(found.known.undetermined)),
     }
 

@@ -5,6 +5,7 @@
 
 p1, p2: tips by each arm's own DH table and tool. R, a, c: the start of where the second base stands, and the centre of its tips;
 s and w are unknown. Contacts at a distance are one number each: three of them make one row, so that all rows have three numbers.
+Tools that are joined rigidly add a row of orientation a contact (calib.closed_chain.joined).
 Second derivatives are left out (Gauss-Newton): residuals are millimetres.
 """
 
@@ -24,6 +25,7 @@ from calib.arm_problem.parameters import Bounds, Parameter, dh_parameters, requi
 from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_rad
 from calib.arrays import Array, frozen, norms
 from calib.closed_chain.contacts import Contacts
+from calib.closed_chain.joined import Joins, LEVER_m, turning
 from control.model.arm import Arm
 
 ALL = slice(None)
@@ -84,6 +86,12 @@ class PairProblem:
             for kind, unit in (("", "m"), ("r", "rad"))
             for axis in AXES
         ]
+        self.joins = self._nominal_joins()
+        everything += [
+            Parameter(f"join_{name}_r{axis}", "rad", 0.0, math.inf)
+            for name in self.joins.names
+            for axis in AXES
+        ]
         known = [p.name for p in everything]
         require_known_names(fixed, known)
         self._places = np.array([k for k, name in enumerate(known) if name not in fixed], dtype=np.intp)
@@ -98,26 +106,29 @@ class PairProblem:
 
     def __len__(self) -> int:
         """How many rows of three residuals."""
-        return len(self._near) + math.ceil(len(self._far) / 3)
+        return len(self._near) + math.ceil(len(self._far) / 3) + len(self.joins)
 
     def residuals(self, x: Array, rows: slice = ALL) -> Array:
         """(rows, 3) [m]."""
-        (one, two), move = self._parts(x)
+        (one, two), move, _ = self._parts(x)
         ours = self.models[0].tips(one[0], self.contacts.first_rad, one[1])
         theirs = self.models[1].tips(two[0], self.contacts.second_rad, two[1])
         gap = self.base.moved(self._centre, move).to_base(theirs) - ours
         far = norms(gap[self._far]) - self.contacts.distance_m[self._far]
-        return np.concatenate((gap[self._near], _in_threes(far)))[rows]
+        return np.concatenate((gap[self._near], _in_threes(far), LEVER_m * self.angles_rad(x)))[rows]
 
-    def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
-        """(rows, 3) and (rows, 3, k)."""
+    def residuals_and_jacobian(
+        self, x: Array, rows: slice = ALL, at_zero: bool = False
+    ) -> tuple[Array, Array]:
+        """(rows, 3) and (rows, 3, k); `at_zero`: that of orientations as if they fitted."""
         gap, by_whole = self._gaps(x)
         by_x = by_whole[:, :, self._places] * self._scale
         length, along = _lengths(gap[self._far])
         far = length - self.contacts.distance_m[self._far]
         by_far = np.einsum("mi,mik->mk", along, by_x[self._far])
-        error = np.concatenate((gap[self._near], _in_threes(far)))
-        slopes = np.concatenate((by_x[self._near], _in_threes(by_far)))
+        angles, by_angle = self._turned(x, at_zero)
+        error = np.concatenate((gap[self._near], _in_threes(far), LEVER_m * angles))
+        slopes = np.concatenate((by_x[self._near], _in_threes(by_far), by_angle))
         return error[rows], slopes[rows]
 
     def expanded(self, x: Array, rows: slice = ALL) -> PairExpansion:
@@ -139,7 +150,7 @@ class PairProblem:
             seated.contacts = dataclasses.replace(
                 seated.contacts, second_rad=seated.contacts.second_rad + move
             )
-        return seated.residuals_and_jacobian(x)[1]
+        return seated.residuals_and_jacobian(x, at_zero=True)[1]
 
     def errors_m(self, x: Array) -> Array:
         """How far each contact is from closing, (m,)."""
@@ -156,13 +167,47 @@ class PairProblem:
         return found
 
     def solution(self, x: Array) -> tuple[tuple[Arm, Arm], Frame]:
-        """Both arms, and where the second base stands in the first."""
-        parts, move = self._parts(x)
-        arms = [with_geometry(arm, dh, tool) for arm, (dh, tool) in zip(self.arms, parts, strict=True)]
-        return (arms[0], arms[1]), self.base.moved(self._centre, move)
+        """Both arms, and where the second base stands in the first. Gravity of the second is that of the first, as it stands."""
+        parts, move, _ = self._parts(x)
+        one, two = (with_geometry(arm, dh, tool) for arm, (dh, tool) in zip(self.arms, parts, strict=True))
+        base = self.base.moved(self._centre, move)
+        down = tuple((base.rotation.T @ np.array(one.gravity_m_s2)).tolist())
+        return (one, dataclasses.replace(two, gravity_m_s2=down)), base
 
-    def _parts(self, x: Array) -> tuple[list[tuple[Array, Array]], Array]:
-        """DH table and tool of each arm, and the base's move (6,)."""
+    def angles_rad(self, x: Array) -> Array:
+        """How far the orientation between joined tools is from that of their join, (r, 3)."""
+        return self._turned(x, at_zero=True)[0] if len(self.joins) else np.zeros((0, 3))
+
+    def _nominal_joins(self) -> Joins:
+        contacts = self.contacts
+        ours, theirs = (
+            np.array(model.slopes(arm.dh, q_rad).by_tool)
+            for model, arm, q_rad in zip(
+                self.models, self.arms, (contacts.first_rad, contacts.second_rad), strict=True
+            )
+        )
+        return Joins.of(contacts.joined, ours, self.base.rotation @ theirs)
+
+    def _turned(self, x: Array, at_zero: bool) -> tuple[Array, Array]:
+        """Angles (r, 3) between joined tools, and their Jacobian (r, 3, k) as lengths."""
+        (one, two), move, turns = self._parts(x)
+        joins, (first, second) = self.joins, self._sizes
+        if not len(joins):
+            return np.zeros((0, 3)), np.zeros((0, 3, len(self.parameters)))
+        ours = self.models[0].slopes(one[0], self.contacts.first_rad[joins.rows], one[1])
+        theirs = self.models[1].slopes(two[0], self.contacts.second_rad[joins.rows], two[1])
+        turn = rotation_of(move[3:]) @ self.base.rotation
+        errors = joins.errors(turns, ours.by_tool, turn @ theirs.by_tool)
+        by_first, by_second = np.zeros((2, len(joins), 3, self._whole))
+        by_first[:, :, : ours.by_dh.shape[2]] = turning(ours)
+        joins.by_turn(turns, ours.by_tool, by_first[:, :, first + second + 6 :])
+        by_second[:, :, first : first + theirs.by_dh.shape[2]] = turn @ turning(theirs)
+        by_second[:, :, first + second + 3 : first + second + 6] = left_jacobian(move[3:])
+        slopes = joins.slopes(errors, by_first, by_second, at_zero)
+        return errors, slopes[:, :, self._places] * self._scale
+
+    def _parts(self, x: Array) -> tuple[list[tuple[Array, Array]], Array, Array]:
+        """DH table and tool of each arm, the base's move (6,), and each join's turn (j, 3)."""
         whole = np.zeros(self._whole)
         whole[self._places] = x * self._scale
         found, start = [], 0
@@ -171,11 +216,11 @@ class PairProblem:
             tool = model.nominal_tool_m + (own[arm.dh.size :] if size > arm.dh.size else 0.0)
             found.append((arm.dh + own[: arm.dh.size].reshape(-1, 4), tool))
             start += size
-        return found, whole[start:]
+        return found, whole[start : start + 6], whole[start + 6 :].reshape(-1, 3)
 
     def _gaps(self, x: Array) -> tuple[Array, Array]:
         """From the first to the second tip (m, 3), and its derivatives (m, 3, K) by every parameter in its own unit."""
-        (one, two), move = self._parts(x)
+        (one, two), move, _ = self._parts(x)
         ours = self.models[0].slopes(one[0], self.contacts.first_rad, one[1])
         theirs = self.models[1].slopes(two[0], self.contacts.second_rad, two[1])
         turn = rotation_of(move[3:]) @ self.base.rotation

@@ -5,26 +5,60 @@ import os
 import secrets
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from console.commands.connection import socket_path
 from control.errors import ArmError
+from control.model.cell import load_cell
 from control.model.description import load_arm
 from control.server.client import CONTROL_KEY
+from control.server.sockets import default_path
+
+if TYPE_CHECKING:
+    from console.screen.app import Station
 
 
 def run(given: argparse.Namespace) -> int:
     """Run the screen until ctrl+q; the arm is held then."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ArmError("console: needs a terminal; `armwright script` runs files of commands")
-    from console.screen.app import ConsoleApp, Files
+    from console.screen.app import ConsoleApp
 
     os.environ.setdefault(
         CONTROL_KEY, secrets.token_hex(16)
     )  # the commands that it starts are this operator's, too
+    ConsoleApp(_of_cell(given) if given.cell is not None else [_of_arm(given)]).run()
+    return 0
+
+
+def _of_arm(given: argparse.Namespace) -> "Station":
+    from console.screen.app import Files, Station
+
     arm = load_arm(given.arm)
     socket = socket_path(given, arm)
     files = Files(
         Path(given.places), Path(given.teach), Path(given.keep) if given.keep else None, Path(given.sessions)
     )
-    ConsoleApp(arm, socket, files, {"--arm": given.arm, "--socket": str(socket)}).run()
-    return 0
+    return Station(arm, socket, files, {"--arm": given.arm, "--socket": str(socket)})
+
+
+def _of_cell(given: argparse.Namespace) -> "list[Station]":
+    """A station an arm. Each has files of its own: a place of one arm is another place for the next."""
+    from console.screen.app import Files, Station
+
+    if given.socket is not None:
+        raise ArmError("--socket: not together with --cell: every arm of a cell has its own")
+    stations = []
+    for placed in load_cell(given.cell).arms:
+        name, socket = placed.name, default_path(placed.name)
+        places, taught, sessions = (_own(path, name) for path in (given.places, given.teach, given.sessions))
+        files = Files(places, taught, _own(given.keep, name) if given.keep else None, sessions)
+        shared = {"--arm": str(placed.arm.path or name), "--socket": str(socket)}
+        stations.append(Station(placed.arm, socket, files, shared))
+    return stations
+
+
+def _own(path: str, arm: str) -> Path:
+    """places.toml of arm `left`: places-left.toml."""
+    whole = Path(path)
+    return whole.with_name(f"{whole.stem}-{arm}{whole.suffix}")

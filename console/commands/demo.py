@@ -1,4 +1,4 @@
-"""`armwright demo`: the full workflow on a mock arm, the paper's experiment, or the gap workflow."""
+"""`armwright demo`: the full workflow on a mock arm, the paper's experiment, the gap workflow, a webcam, or two arms."""
 
 import argparse
 import sys
@@ -9,6 +9,7 @@ from calib.errors import CalibrationError
 from console.commands.progress import Bar
 from control.files import write_whole
 from control.model.arm import Arm
+from control.model.cell import load_cell
 from control.model.description import load_arm, save_arm
 from control.progress import Advance
 from procedures.demo import job
@@ -24,6 +25,10 @@ Conduct = Callable[[Arm, Bench, Path, Advance], str]
 
 def run(given: argparse.Namespace) -> int:
     """Run the demo and print its results."""
+    if given.what == "two-arms":
+        return _two_arms(given)
+    if given.cell is not None:
+        raise CalibrationError("--cell is only for `armwright demo two-arms`")
     if given.what == "gap":
         return _gap(given)
     if given.what == "camera":
@@ -146,6 +151,31 @@ def _camera(given: argparse.Namespace) -> int:
     with Bar("demo") as bar:
         outcome = webcam.run(arm, out / "scenario.toml", out, bar.advance)
     sys.stdout.write(webcam.summary(outcome, out))
+    return 0
+
+
+def _two_arms(given: argparse.Namespace) -> int:
+    """Calibrate a mock pair where its tips touch."""
+    from procedures.demo import two_arms
+    from procedures.demo.two_arms_page import findings, write_page
+
+    for name in ("realtime", "effect", "joint", "boards"):
+        if getattr(given, name):
+            raise CalibrationError(
+                f"--{name} is not for `armwright demo two-arms`, which runs a cell on the stepped clock"
+            )
+    cell = load_cell(given.cell or "pair")
+    drawn = seeded_scenario(given.scenario or "demo", given.seed, was_homed=False)
+    out = free_folder(Path(given.out or "out/demo-two-arms"))
+    require_writable(out)
+    out.mkdir(parents=True)
+    write_whole(out / "scenario.toml", drawn)
+    with Bar("demo") as bar:
+        outcome = two_arms.run(cell, out / "scenario.toml", out, bar.advance)
+    report = write_page(outcome, out)
+    sys.stdout.write("\n" + "".join(f"{sentence}\n" for sentence in findings(outcome)))
+    sys.stdout.write(f"\n  {'report':<16}{report}\n")
+    sys.stdout.write("".join(f"  {name:<16}{path}\n" for name, path in outcome.files.items()))
     return 0
 
 

@@ -1,9 +1,9 @@
-"""The console as a Textual application: the link, the operator, and the space bar as the stop."""
+"""The console as a Textual application: a screen an arm, and the space bar as the stop of all."""
 
 import asyncio
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,20 +13,17 @@ from textual.binding import Binding, BindingType
 from textual.filter import LineFilter
 from textual.widgets import Input
 
-from console.lines.grammar import Grammar
-from console.screen.dashboard import Dashboard
+from console.screen.desk import Desk, Station
 from console.screen.drawing.plain import AsciiFilter, is_plain
 from console.screen.drawing.theme import THEME
 from console.screen.files import Files
 from console.screen.jogging import Jogger
-from console.screen.link import Message, RuntimeLink
+from console.screen.link import RuntimeLink
 from console.screen.operating import OperatingScreen
-from console.screen.operator import MOVING, Operator
+from console.screen.operator import Operator
 from console.screen.session import SessionScreen
-from console.specs.table import COMMANDS
-from control.model.arm import Arm
 
-__all__ = ["ConsoleApp", "Files"]
+__all__ = ["ConsoleApp", "Files", "Station"]
 COMMAND_KEYS = ("colon", "slash")
 
 
@@ -40,30 +37,51 @@ class ConsoleApp(App[None]):
     TITLE = "armwright"
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+q,ctrl+c", "quit", show=False, priority=True)]
 
-    def __init__(self, arm: Arm, socket: Path, files: Files, shared: Mapping[str, str]) -> None:
-        """`shared`: options for every subcommand, such as --arm and --socket."""
+    def __init__(self, stations: Sequence[Station]) -> None:
+        """One screen an arm; the first is shown."""
         super().__init__(ansi_color=False)
         self.register_theme(THEME)
         self.theme = THEME.name
-        self._arm_name = shared.get("--arm", arm.name)
-        self._shared = dict(shared)
         self._filter = AsciiFilter(is_plain(os.environ))
-        self.link = RuntimeLink(socket, self._on_status)
-        grammar = Grammar(COMMANDS, {flag.lstrip("-"): value for flag, value in shared.items()})
-        words = [word for pair in shared.items() for word in pair]
-        self.operator = Operator(self.link, grammar, words, self.say, files.lines)
-        self.jogger = Jogger(arm, self.operator, self.say)
-        dashboard = Dashboard(arm, self.operator, self.jogger)
-        self.operating = OperatingScreen(dashboard, self.operator, self.jogger, files, self.open_session)
+        self.desks = [Desk(station, self.open_session, len(stations) - 1) for station in stations]
+        self.desk = self.desks[0]
+
+    @property
+    def link(self) -> RuntimeLink:
+        """To the runtime, of the arm that is shown."""
+        return self.desk.link
+
+    @property
+    def operator(self) -> Operator:
+        """Of the arm that is shown."""
+        return self.desk.operator
+
+    @property
+    def jogger(self) -> Jogger:
+        """Of the arm that is shown."""
+        return self.desk.jogger
+
+    @property
+    def operating(self) -> OperatingScreen:
+        """Of the arm that is shown."""
+        return self.desk.operating
 
     def get_line_filters(self) -> Sequence[LineFilter]:
         """Textual's filters, and ASCII if the terminal shows nothing else."""
         return [*super().get_line_filters(), *([self._filter] if self._filter.enabled else [])]
 
     def on_mount(self) -> None:
-        """Open the main screen, and the link."""
-        self.push_screen(self.operating)
-        self.run_worker(self.link.run(), group="link")
+        """Open the screens, and the links."""
+        for desk in reversed(self.desks):
+            self.install_screen(desk.operating, desk.link.path.name)
+            self.push_screen(desk.operating)
+            self.run_worker(desk.link.run(), group="link")
+
+    async def action_next_arm(self) -> None:
+        """Show the next arm; a jog of this one ends."""
+        await self.operating.let_go()
+        self.desk = self.desks[(self.desks.index(self.desk) + 1) % len(self.desks)]
+        self.switch_screen(self.operating)
 
     async def on_event(self, event: events.Event) -> None:
         """Space stops before any screen, dialog or box receives it; a box receives it if nothing moves.
@@ -87,20 +105,20 @@ class ConsoleApp(App[None]):
         await self.operating.let_go()
 
     async def action_stop(self) -> None:
-        """Controlled stop, and end the running line."""
-        await self.operator.stop()
+        """Controlled stop of all arms, and end of all running lines."""
+        await asyncio.gather(*(desk.operator.stop() for desk in self.desks))
 
     async def action_quit(self) -> None:
-        """Exit; the arm holds."""
-        self.operator.end_line()
+        """Exit; the arms hold."""
+        for desk in self.desks:
+            desk.operator.end_line()
         if isinstance(self.screen, SessionScreen):
             self.screen.end()
         self.exit()
 
     def say(self, text: str, is_error: bool = False) -> None:
-        """Write a line to the log."""
-        if self.operating.is_mounted:
-            self.operating.say(text, is_error)
+        """Write a line to the log of the arm that is shown."""
+        self.desk.say(text, is_error)
 
     def open_session(self, line: str) -> None:
         """Open the calibration session with these options of `armwright session`."""
@@ -108,20 +126,11 @@ class ConsoleApp(App[None]):
         if "--out" not in words[:-1]:
             self.say("session: expected --out FOLDER among its options", True)
             return
-        known = [word for flag, value in self._shared.items() if flag not in words for word in (flag, value)]
+        known = [
+            word for flag, value in self.desk.shared.items() if flag not in words for word in (flag, value)
+        ]
         folder = Path(words[words.index("--out") + 1])
-        self.push_screen(SessionScreen(shlex.join([*words, *known]), folder, self._arm_name, self.say))
+        self.push_screen(SessionScreen(shlex.join([*words, *known]), folder, self.desk.arm_name, self.say))
 
     def _is_resting(self) -> bool:
-        return self.link.status is not None and self.link.status["mode"] not in MOVING
-
-    async def _on_status(self, status: Message | None) -> None:
-        if status is None:
-            await self.operating.let_go()
-        elif self.jogger.has_jogged and status["mode"] not in ("JOGGING", "STOPPING"):
-            self.jogger.has_jogged = False
-            if status["is_homed"] and status["mode"] == "HOLDING":
-                angles = " ".join(f"{q:.5f}" for q in status["joint_rad"])
-                self.operator.record(f"move --joints {angles} --speed 0.2")
-        if self.operating.is_mounted:
-            self.operating.show(status)
+        return all(desk.is_resting for desk in self.desks)

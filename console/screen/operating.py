@@ -32,6 +32,8 @@ GUIDING = {
 }
 HINTS = "space STOP  1-9 xyz select  ←→ jog  t step  -+ speed  n on  h home  ? all keys"
 
+HINTS_OF_SEVERAL = "space STOP all  tab other arm  1-9 xyz select  ←→ jog  n on  h home  ? keys"
+
 
 class OperatingScreen(Screen[None]):
     """Panels, jog pad, command box."""
@@ -65,6 +67,7 @@ class OperatingScreen(Screen[None]):
         Binding("v", "toggle_plots", show=False),
         Binding("pageup", "scroll_events(-1)", show=False),
         Binding("pagedown", "scroll_events(1)", show=False),
+        Binding("tab", "next_arm", show=False),
         Binding("question_mark", "help", show=False),
     ]
 
@@ -75,12 +78,13 @@ class OperatingScreen(Screen[None]):
         jogger: Jogger,
         files: Files,
         open_session: Callable[[str], None],
+        has_others: bool,
     ) -> None:
-        """`open_session` gets the options of a calibration session."""
+        """`open_session` gets the options of a calibration session; `has_others`: arms on screens of their own."""
         super().__init__()
         self._dashboard, self._operator, self._jogger = dashboard, operator, jogger
         self._link: RuntimeLink = operator.link
-        self._files, self._open_session = files, open_session
+        self._files, self._open_session, self._has_others = files, open_session, has_others
         self._panels: dict[str, Panel] = {}  # by name: queries would cost more than drawing
 
     def compose(self) -> ComposeResult:
@@ -96,7 +100,7 @@ class OperatingScreen(Screen[None]):
             yield JogPad(self._jogger.targets)
         yield CommandBox()
         hints = Panel("hints")
-        hints.show([row((HINTS, "muted"))])
+        hints.show([row((HINTS_OF_SEVERAL if self._has_others else HINTS, "muted"))])
         yield hints
 
     def on_mount(self) -> None:
@@ -279,6 +283,11 @@ class OperatingScreen(Screen[None]):
     def action_command(self) -> None:
         """Focus the command box at once: what is typed next must not act as keys."""
         self.set_focus(self.query_one(CommandBox))
+
+    async def action_next_arm(self) -> None:
+        """Show the next arm; while a line is typed, the key does nothing."""
+        if self._has_others and not isinstance(self.focused, Input):
+            await self.run_action("app.next_arm")
 
     def action_help(self) -> None:
         """Show the keys."""

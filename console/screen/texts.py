@@ -52,7 +52,7 @@ def headline(status: Message | None, arm: Arm, why_lost: str, width: int, clock:
         f"  loop {1e3 * period_s:g} ms",
         (f"  late {late_us:.0f} us", "warning" if late_us > 0.2e6 * period_s else "plain"),
         f"  missed {status['missed_cycles']}",
-        f"  bus {100 * bus_load(arm, period_s):.0f} %",
+        *_bus(status, arm),
     )
     room = width - width_of(spans) - 1
     return (*spans, (clock.rjust(room), "muted")) if room > len(clock) else spans
@@ -67,6 +67,11 @@ def _others(status: Message) -> Row:
         for name, mode in others
         if name != status["arm"]
     )
+
+
+def _bus(status: Message, arm: Arm) -> tuple[str, ...]:
+    """The load of its CAN bus; in a cell, other arms may use it too."""
+    return () if status.get("cell") else (f"  bus {100 * bus_load(arm, status['period_s']):.0f} %",)
 
 
 def bus_load(arm: Arm, period_s: float) -> float:

@@ -143,6 +143,29 @@ CALIBRATING = (
         module="calibration.calibrate_pair",
     ),
     CommandSpec(
+        "plan-contacts",
+        "choose where the tips of two arms should meet, for `armwright calibrate-pair`",
+        (
+            option(
+                "--cell",
+                metavar="C",
+                default="pair",
+                help="a cell.toml, or the name of a supplied cell (default: pair)",
+            ),
+            option("--arms", nargs=2, metavar=("A", "B"), help="two arms of a cell that has more"),
+            option("--count", type=int, default=40, metavar="N", help="how many contacts (default: 40)"),
+            option(
+                "--distance",
+                nargs="+",
+                metavar="LENGTH",
+                help="between the tips, in turns: 0mm is one place, 100mm a bar (default: 0mm)",
+            ),
+            option("--out", metavar="FILE", help="write them as contacts.csv, the most valuable first"),
+        ),
+        "Nothing moves. Contacts are within reach of both arms, and clear of each other by clearance_m and 30 mm.",
+        module="calibration.plan_contacts",
+    ),
+    CommandSpec(
         "camera",
         "measure the arm with a webcam: print a target, calibrate the lens, measure the target's pose in pictures",
         (

@@ -18,16 +18,12 @@ MODEL = (
 FILES = (
     CommandSpec(
         "export",
-        "convert a recording to log.csv.gz and MCAP",
+        "convert a recording to log.csv.gz and MCAP, or that of a cell to one table",
         (
-            option("recording", metavar="FILE", help="a .armlog file"),
-            OUT,
             option(
-                "--beside",
-                metavar="FILE",
-                action="append",
-                help="recording of another arm of the cell: both in one table, cell.csv.gz, instead",
+                "recording", metavar="LOG", help="a .armlog file, or the folder of a cell's run: cell.csv.gz"
             ),
+            OUT,
             option("--every", type=int, default=1, metavar="K", help="keep every k-th cycle (default: 1)"),
             option(
                 "--arm",

@@ -34,6 +34,7 @@ OPERATING = (
         "full-screen console with keys to jog, move, teach and calibrate",
         (
             ARM,
+            CELL,
             SOCKET,
             PLACES,
             option(

@@ -18,10 +18,10 @@ TRYING = (
             option(
                 "what",
                 nargs="?",
-                choices=("job", "paper", "gap", "camera"),
+                choices=("job", "paper", "gap", "camera", "two-arms"),
                 default="job",
                 help="job: the full workflow (default); paper: the published experiment with its figures; gap: a"
-                " hidden effect, found and corrected; camera: the arm measured by a webcam",
+                " hidden effect, found and corrected; camera: the arm measured by a webcam; two-arms: two arms that touch",
             ),
             option(
                 "--out",
@@ -53,6 +53,7 @@ TRYING = (
                 help="drive the arm's joints with bought boards of this kind (docs/boards.md)",
             ),
             ARM,
+            option("--cell", metavar="C", help="demo two-arms: a cell.toml with two arms (default: pair)"),
         ),
         "No hardware is connected and nothing real moves.",
     ),

@@ -2,7 +2,7 @@
 
 from console.options import CELL, JSON, SOCKET, CommandSpec, finite, option
 
-LOG_HELP = "a .armlog recording, a log.csv or log.csv.gz, or an MCAP of `armwright export`"
+LOG_HELP = "a .armlog recording, the folder of a cell's run, a log.csv(.gz), or an MCAP of `armwright export`"
 
 VISUALISATION = (
     CommandSpec(

@@ -29,7 +29,7 @@ from console.visualisation.axes import (
     say_if_empty,
     style_of,
 )
-from console.visualisation.metrics import drive_of, tip_error_m
+from console.visualisation.metrics import tip_error_m
 from console.visualisation.series import Array, Series
 from console.visualisation.thinning import envelope, orders, spectrum
 from console.visualisation.traces import tips_of
@@ -50,7 +50,7 @@ def draw_supply(figure: FigureBase, series: Series, joints: Sequence[int]) -> No
         mark_runs(one, series)
         for joint in joints:
             shown = np.where(values[:, joint - 1] > 0.0, values[:, joint - 1], np.nan)
-            curve(one, series, shown, **style_of(joint), label=f"joint {joint}")
+            curve(one, series, shown, **style_of(joint), label=series.joint_name(joint))
         one.set_ylabel(label)
     legend(axes[0])
     axes[1].set_xlabel("time [s]")
@@ -62,10 +62,10 @@ def draw_spectra(figure: FigureBase, series: Series, joints: Sequence[int]) -> N
     figure.subplots_adjust(left=0.075, right=0.985, top=0.86, bottom=0.15, wspace=0.3)
     errors = series.following_error_rad
     for joint in joints:
-        style = {**style_of(joint), "label": f"joint {joint}", "linewidth": 1.0}
+        style = {**style_of(joint), "label": series.joint_name(joint), "linewidth": 1.0}
         _loglog(axes[0], *spectrum(series.t_s, 1e3 * errors[:, joint - 1], series.period_s), style)
         _loglog(axes[1], *spectrum(series.t_s, series.current_A[:, joint - 1], series.period_s), style)
-        if drive := drive_of(series.arm, joint):
+        if drive := series.drive(joint):
             turns = series.q_rad[:, joint - 1] * drive.gear_ratio / (2.0 * math.pi)
             order, amplitude = orders(turns, series.current_A[:, joint - 1])
             is_cyclic = (order >= LEAST_ORDER) & (order <= MOST_ORDER)

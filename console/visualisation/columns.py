@@ -42,10 +42,11 @@ def of_columns(
         return np.stack([column(form.format(joint)) for joint in range(1, joint_count + 1)], axis=1)
 
     numbers, run_names = _numbered_runs(column("run"), run_names)
-    joints = {key: group(form) for key, form in JOINT_FORMS.items()}
+    joints: dict[str, Any] = {key: group(form) for key, form in JOINT_FORMS.items()}
     for key, form, same in JOINT_SIDE_FORMS:
         joints[key] = group(form) if form.format(1) in columns else joints[same]
     mode = np.nan_to_num(column("mode"), nan=-1.0).astype(np.int64) if modes else np.full(count, -1)
+    loop: dict[str, Any] = {key: column(key) for key in LOOP_COLUMNS}
     return Series(
         name=name,
         t_s=joined_runs(column("t_s"), numbers),
@@ -57,7 +58,7 @@ def of_columns(
         arm=arm,
         notes=notes,
         **joints,
-        **{key: column(key) for key in LOOP_COLUMNS},
+        **loop,
     )
 
 

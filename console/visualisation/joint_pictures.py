@@ -18,7 +18,6 @@ from console.visualisation.axes import (
     mark_runs,
     rms,
 )
-from console.visualisation.metrics import drive_of
 from console.visualisation.series import Array, Series
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ def draw_tracking(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
             linewidth=0.9,
         )
         axes.set_ylabel("angle [deg]")
-        head(axes, f"joint {joint}")
+        head(axes, series.joint_name(joint))
         if k == 0:
             legend(axes)
 
@@ -64,34 +63,39 @@ def draw_errors(figure: FigureBase, series: Series, joints: Sequence[int]) -> No
         axes.set_ylabel("error [mrad]")
         found = error[np.isfinite(error)]
         figures = f": rms {rms(found):.3g}, largest {np.abs(found).max():.3g} mrad" if len(found) else ""
-        head(axes, f"joint {joint}{figures}")
+        head(axes, f"{series.joint_name(joint)}{figures}")
 
 
 def draw_currents(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     """Motor current and its limit."""
     for axes, joint in zip(joint_axes(figure, joints), joints, strict=True):
-        current, drive = series.current_A[:, joint - 1], drive_of(series.arm, joint)
+        current, drive = series.current_A[:, joint - 1], series.drive(joint)
         mark_runs(axes, series)
         curve(axes, series, current, color=MEASURED)
         axes.set_ylabel("current [A]")
         found = current[np.isfinite(current)]
         figures = f": rms {rms(found):.3g}, peak {np.abs(found).max():.3g} A" if len(found) else ""
         _limit(axes, found, drive.current_limit_A if drive else None, "A")
-        head(axes, f"joint {joint}{figures}")
+        head(axes, f"{series.joint_name(joint)}{figures}")
 
 
 def draw_voltages(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     """Commanded motor voltage and the supply that bounds it; gaps where the circuit was open."""
     for axes, joint in zip(joint_axes(figure, joints), joints, strict=True):
         voltage, supply = series.voltage_V[:, joint - 1], series.supply_V[:, joint - 1]
-        drive = drive_of(series.arm, joint)
+        drive = series.drive(joint)
         mark_runs(axes, series)
         curve(axes, series, voltage, color=MEASURED)
         axes.set_ylabel("voltage [V]")
         most = np.nanmax(supply) if (np.nan_to_num(supply) > 0.0).any() else drive.supply_V if drive else None
         found = voltage[np.isfinite(voltage)]
         _limit(axes, found, most, "V")
-        head(axes, f"joint {joint}: peak {np.abs(found).max():.3g} V" if len(found) else f"joint {joint}")
+        head(
+            axes,
+            f"{series.joint_name(joint)}: peak {np.abs(found).max():.3g} V"
+            if len(found)
+            else series.joint_name(joint),
+        )
 
 
 def _limit(axes: Axes, values: Array, limit: float | None, unit: str) -> None:

@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from console.visualisation.series import Array, Series
-from control.model.arm import Arm, Drive
 
 NEAR_LIMIT: Final = 0.98  # of current limit or supply: saturated
 FORMAT: Final = "plot/1"
@@ -76,7 +75,7 @@ def _total(values: Array) -> int | None:
 
 
 def _joint(series: Series, error_rad: Array, k: int) -> JointMetrics:
-    drive = drive_of(series.arm, k + 1)
+    drive = series.drive(k + 1)
     current, voltage, supply = series.current_A[:, k], series.voltage_V[:, k], series.supply_V[:, k]
     limit_A = drive.current_limit_A if drive else None
     supply_V: Array | float | None = None
@@ -97,11 +96,6 @@ def _joint(series: Series, error_rad: Array, k: int) -> JointMetrics:
         supply_min_V=_least(supply),
         temperature_max_C=_most(series.temperature_C[:, k]),
     )
-
-
-def drive_of(arm: Arm | None, joint: int) -> Drive | None:
-    """The drive of a joint (1-based), if the arm is known and has one."""
-    return next((d for d in arm.drives if d.joint == joint), None) if arm else None
 
 
 def tip_error_m(series: Series) -> Array:
@@ -170,6 +164,7 @@ def metrics_json(series: Series, merit: Metrics) -> dict[str, Any]:
         "format": FORMAT,
         "log": series.name,
         "arm": series.arm.name if series.arm else None,
+        "cell": series.cell.name if series.cell else None,
         "samples": len(series),
         "duration_s": float(series.t_s[-1] - series.t_s[0]) if len(series) else 0.0,
         "period_s": None if math.isnan(series.period_s) else series.period_s,
@@ -185,7 +180,7 @@ def metrics_text(series: Series, merit: Metrics) -> str:
     span = f"{len(series)} samples, {series.t_s[-1] - series.t_s[0]:.2f} s, {len(runs)} runs"
     joints = merit.joints
     rows = [
-        ("joint", [f"{joint.joint}" for joint in joints]),
+        ("joint", [series.joint_name(joint.joint).removeprefix("joint ") for joint in joints]),
         ("following error, rms [mrad]", [_shown(j.following_rms_rad, 1e3, 3) for j in joints]),
         ("following error, largest [mrad]", [_shown(j.following_max_rad, 1e3, 3) for j in joints]),
         ("current, rms [A]", [_shown(j.current_rms_A, 1.0, 3) for j in joints]),

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from console.visualisation.columns import JOINT_FORMS, Report, of_columns
 from console.visualisation.series import Array, Series
@@ -31,7 +32,8 @@ def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done
     with path.open("rb") as file:
         start = file.read(8)
     if start in (MAGIC, MAGIC_OF_FRAMES):
-        series = _of_recording(Recording.open(path), arm)
+        recording = Recording.open(path)
+        series = of_recording(recording, rows_of(recording), arm)
     elif start == MCAP_MAGIC:
         from console.visualisation.reading_mcap import of_mcap
 
@@ -52,12 +54,18 @@ def _is_text(start: bytes) -> bool:
     return bool(start) and all(byte in b"\t\r\n" or byte >= 32 for byte in start)
 
 
-def _of_recording(recording: Recording, arm: Arm | None) -> Series:
-    path, layout = recording.path, recording.layout
+def rows_of(recording: Recording) -> NDArray[Any]:
+    """The rows with a field a column; ArmError if this version cannot read them."""
+    layout = recording.layout
     try:
-        rows = np.frombuffer(recording.packed(), dtype=row_type(layout.names, layout.packing))
+        return np.frombuffer(recording.packed(), dtype=row_type(layout.names, layout.packing))
     except ValueError as error:
-        raise ArmError(f"{path}: {error}, which this version cannot read") from None
+        raise ArmError(f"{recording.path}: {error}, which this version cannot read") from None
+
+
+def of_recording(recording: Recording, rows: NDArray[Any], arm: Arm | None = None) -> Series:
+    """The series of a recording's rows. ArmError if its header is cut off."""
+    path, layout = recording.path, recording.layout
     count, end = recording.extent()
     size = path.stat().st_size
     if size < recording.offset:

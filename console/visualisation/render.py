@@ -61,9 +61,9 @@ class MujocoPainter:
     def __init__(self, shown: Arm | Cell) -> None:
         import mujoco
 
-        from console.visualisation.scene import ArmScene, CellScene
+        from console.visualisation.scene import scene_of
 
-        self._scene = CellScene(shown) if isinstance(shown, Cell) else ArmScene(shown)
+        self._scene = scene_of(shown)
         width, height = SIZE_pixels
         self._renderer = mujoco.Renderer(self._scene.model, height, width)
         self._camera = self._scene.camera()

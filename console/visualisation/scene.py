@@ -127,6 +127,11 @@ class CellScene(Scene):
         super().__init__(spec, joints, TipsOfCell(cell), view)
 
 
+def scene_of(shown: Arm | Cell) -> Scene:
+    """Of an arm, or of the arms of a cell."""
+    return CellScene(shown) if isinstance(shown, Cell) else ArmScene(shown)
+
+
 def _reach_m(arm: Arm) -> float:
     """Approximate largest distance of the tip from the base."""
     links = sum(math.hypot(link.d_m, link.L_m) for link in arm.links)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.errors import ArmError
-from control.model.arm import Arm
+from control.model.arm import Arm, Drive
+from control.model.cell import Cell
 
 Array = NDArray[np.float64]
 FOLLOWING_MODES: Final = (
@@ -30,7 +31,7 @@ class Series:
     `runs`; mode (m,) indices into `modes`, -1 unknown; q_rad, q_set_rad of the encoders, joint_rad, joint_set_rad of the
     joints (the same if not recorded separately), current_A, voltage_V, supply_V, temperature_C (m, n);
     tip_m (m, 3) by the camera in the base frame; late_s, busy_s, missed, page_faults, switches, age_s (m,).
-    `notes` are problems of the file.
+    `notes` are problems of the file. `arm`, or `cell`: then joints are in the order of its arms, and modes those of the first.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Series:
     age_s: Array
     arm: Arm | None = None
     notes: tuple[str, ...] = ()
+    cell: Cell | None = None
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -65,6 +67,18 @@ class Series:
     def joint_count(self) -> int:
         """N."""
         return int(self.q_rad.shape[1])
+
+    def joint_name(self, joint: int) -> str:
+        """Of a joint (1-based); with its arm's name if there are several."""
+        if self.cell is None:
+            return f"joint {joint}"
+        arm, own = _owner(self.cell, joint)
+        return f"{arm.name} {own}"
+
+    def drive(self, joint: int) -> Drive | None:
+        """Of a joint (1-based), if its arm is known and has one."""
+        arm, own = (self.arm, joint) if self.cell is None else _owner(self.cell, joint)
+        return next((one for one in arm.drives if one.joint == own), None) if arm is not None else None
 
     @property
     def period_s(self) -> float:
@@ -98,6 +112,15 @@ class Series:
         """The samples at `rows`."""
         changed = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name in _ROWS}
         return replace(self, **changed)
+
+
+def _owner(cell: Cell, joint: int) -> tuple[Arm, int]:
+    """The arm of a joint of all arms (1-based), and its number there."""
+    for placed in cell.arms:
+        if joint <= placed.arm.joint_count:
+            return placed.arm, joint
+        joint -= placed.arm.joint_count
+    raise IndexError(joint)
 
 
 _ROWS: Final = (

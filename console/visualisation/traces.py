@@ -11,10 +11,12 @@ import numpy as np
 from console.visualisation.series import Array, Series
 from console.visualisation.snapshots import Snapshot
 from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
 from control.model.cell import Cell
 
 POINTS_MOST: Final = 4000
 LONGEST_PATH: Final = 400
+Angles = Sequence[Sequence[float]] | Array
 
 
 @dataclass(slots=True)
@@ -26,14 +28,14 @@ class Traces:
     camera_m: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
-def traces_of(series: Series, kinematics: Kinematics) -> Traces:
-    """Traces of a whole recording, thinned; gaps where an angle is missing or invalid."""
+def traces_of(series: Series, tips: Tips) -> Traces:
+    """Traces of a whole recording, thinned; gaps where an angle is missing or invalid, and between arms."""
     step = 1 + len(series) // POINTS_MOST
     placed = np.where(series.is_placed[:, None], 1.0, np.nan)
     camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1) & series.is_placed]
     return Traces(
-        commanded_m=tips_of(kinematics, (placed * series.joint_set_rad)[::step]),
-        measured_m=tips_of(kinematics, (placed * series.joint_rad)[::step]),
+        commanded_m=_in_turn(tips((placed * series.joint_set_rad)[::step])),
+        measured_m=_in_turn(tips((placed * series.joint_rad)[::step])),
         camera_m=camera[:: 1 + len(camera) // POINTS_MOST],
     )
 
@@ -50,7 +52,7 @@ def tips_of(kinematics: Kinematics, angles_rad: Array) -> Array:
 class Tips(Protocol):
     """Tips (k, m, 3) [m] of k arms for joint angles (m, n) of all of them; NaN rows are gaps."""
 
-    def __call__(self, angles_rad: Sequence[Sequence[float]]) -> Array: ...
+    def __call__(self, angles_rad: Angles) -> Array: ...
 
 
 class TipOfArm:
@@ -59,9 +61,9 @@ class TipOfArm:
     def __init__(self, kinematics: Kinematics) -> None:
         self._kinematics = kinematics
 
-    def __call__(self, angles_rad: Sequence[Sequence[float]]) -> Array:
+    def __call__(self, angles_rad: Angles) -> Array:
         """Tips (1, m, 3)."""
-        return self._kinematics.tips(angles_rad)[None]
+        return tips_of(self._kinematics, np.asarray(angles_rad, dtype=np.float64))[None]
 
 
 class TipsOfCell:
@@ -70,7 +72,7 @@ class TipsOfCell:
     def __init__(self, cell: Cell) -> None:
         self._arms = [(placed, Kinematics(placed.arm)) for placed in cell.arms]
 
-    def __call__(self, angles_rad: Sequence[Sequence[float]]) -> Array:
+    def __call__(self, angles_rad: Angles) -> Array:
         """Tips (arms, m, 3)."""
         table, at, found = np.asarray(angles_rad, dtype=np.float64), 0, []
         for placed, kinematics in self._arms:
@@ -78,6 +80,11 @@ class TipsOfCell:
             found.append(tips @ np.array(placed.rotation).T + np.array(placed.origin_m))
             at += placed.arm.joint_count
         return np.array(found)
+
+
+def tips_in(shown: Arm | Cell) -> Tips:
+    """Of an arm, or of the arms of a cell."""
+    return TipsOfCell(shown) if isinstance(shown, Cell) else TipOfArm(Kinematics(shown))
 
 
 class TipPath:
@@ -103,7 +110,10 @@ class TipPath:
 
 def _one_after_the_other(tips: Sequence[Array]) -> Array:
     """Points of several arms over time as one line, with a gap after each arm's."""
-    if len(tips[0]) == 1:
-        return np.concatenate(tips)
+    return _in_turn(np.swapaxes(np.array(tips), 0, 1))
+
+
+def _in_turn(tips: Array) -> Array:
+    """Tips (k, m, 3) of k arms as one line, with a gap after each arm's; an only arm's as they are."""
     gap = np.full((1, 3), np.nan)
-    return np.concatenate([part for arm in np.swapaxes(np.array(tips), 0, 1) for part in (arm, gap)])
+    return np.concatenate([part for arm in tips for part in (arm, gap)]) if len(tips) > 1 else tips[0]

@@ -136,6 +136,16 @@ class Cell:
         placed = (dataclasses.replace(p, arm=arm) for p, arm in zip(self.arms, arms, strict=True))
         return dataclasses.replace(self, arms=tuple(placed))
 
+    def beside_tip(
+        self, name: str, other: str, tip_m: Sequence[float], offsets_m: Sequence[Sequence[float]]
+    ) -> tuple[Vector3, ...]:
+        """Offsets from another arm's tip, along the axes of the cell, as points of the base frame of arm `name`.
+
+        `tip_m`: that tip in the other arm's own base frame.
+        """
+        own, (x, y, z) = self.placed(name), self.placed(other).in_cell(tip_m)
+        return tuple(own.in_base((x + u, y + v, z + w)) for u, v, w in offsets_m)
+
 
 def cell_of_one(arm: Arm) -> Cell:
     """A single arm at the origin of its own cell."""

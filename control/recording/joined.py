@@ -7,6 +7,7 @@ import csv
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from control.recording.cell_folder import arm_of
 from control.recording.export import csv_cell, open_text
 from control.recording.reading import RecordError, Recording
 
@@ -16,14 +17,16 @@ SAME_S = 1e-6  # rounding of stored times
 
 
 def join(
-    paths: Sequence[Path], out: Path, every: int = 1, report: Callable[[int], None] = lambda row: None
+    recordings: Sequence[Recording],
+    out: Path,
+    every: int = 1,
+    report: Callable[[int], None] = lambda row: None,
 ) -> int:
-    """Write every k-th cycle that all recordings have; returns the number of rows. RecordError unless they are of one runtime.
+    """Write every k-th cycle that all recordings have; returns the number of rows. RecordError unless they are of one run.
 
     Modes are numbers, as in the recordings' header; `report` is called every thousand rows.
     """
-    recordings = [Recording.open(path) for path in paths]
-    names = _arms(recordings)
+    names = [arm_of(one) for one in recordings]
     columns = [[k for k, name in enumerate(one.layout.names) if name not in SHARED] for one in recordings]
     titles = [
         f"{arm}.{one.layout.names[k]}"
@@ -42,26 +45,6 @@ def join(
                 writer.writerow([cycle, *map(csv_cell, (t_s, *cells))])
                 written += 1
     return written
-
-
-def _arms(recordings: Sequence[Recording]) -> list[str]:
-    """The arms' names. RecordError unless they are different arms that one runtime has recorded."""
-    names: list[str] = []
-    cells = {str(one.header.get("cell", {}).get("name", "")) for one in recordings}
-    for one in recordings:
-        name = str(one.header.get("arm", ""))
-        if "cell" not in one.header:
-            raise RecordError(
-                f"{one.path}: expected the recording of an arm of a cell, got that of arm {name!r} alone"
-            )
-        if name in names:
-            raise RecordError(f"{one.path}: expected another arm, got {name!r} again")
-        names.append(name)
-    if len(cells) > 1:
-        raise RecordError(
-            f"{recordings[-1].path}: expected arms of one cell, got those of {', '.join(sorted(cells))}"
-        )
-    return names
 
 
 def _cycles(recordings: Sequence[Recording]) -> Iterator[tuple[int, float, list[tuple[float, ...]]]]:

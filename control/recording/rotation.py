@@ -25,6 +25,7 @@ SYNC_bytes = 1 << 18  # interval of fsync, for power cuts
 FRAMED_SHARE = 0.2  # of a packed row that a row in frames takes, before it is measured
 MEASURED_ROWS = 5000
 ROOM_AGAIN_s = 60.0  # of rows that must fit before a stopped recording resumes
+RUN_OF_CELL = re.compile(r"(?P<cell>.+)-\d{8}-\d{6}(-\d+)?")  # a folder: control.recording.cell_folder
 NAME = re.compile(r"(?P<arm>.+)-\d{8}-\d{6}(-\d+)?(\.part\d+)?\.armlog")
 PWrite = Callable[[int, bytes, int], int]
 Say = Callable[[str], None]
@@ -264,12 +265,18 @@ def begin_next(path: Path, header: Mapping[str, object], pwrite: PWrite = os.pwr
 
 
 def remove_oldest(current: Path, policy: Policy, say: Say) -> None:
-    """Remove finished recordings of this arm in this folder, oldest first, until all fit into `keep_bytes`."""
+    """Remove finished recordings of this arm, oldest first, until all fit into `keep_bytes`.
+
+    Those in its folder; of an arm of a cell, in the folders of all runs of that cell.
+    """
     if not policy.keep_bytes or (named := NAME.fullmatch(current.name)) is None:
         return
     with contextlib.suppress(OSError):
         others = [
-            path for path in current.parent.iterdir() if path != current and _arm_of(path) == named["arm"]
+            path
+            for folder in _folders(current)
+            for path in folder.iterdir()
+            if path != current and _arm_of(path) == named["arm"]
         ]
         by_age = sorted((path.stat().st_mtime, path.stat().st_size, path) for path in others)
         total = policy.rotate_bytes + sum(size for _, size, _ in by_age)
@@ -277,9 +284,23 @@ def remove_oldest(current: Path, policy: Policy, say: Say) -> None:
             if total > policy.keep_bytes and _is_finished(path):
                 path.unlink()
                 total -= size
+                if path.parent != current.parent:
+                    with contextlib.suppress(OSError):  # other arms' files are in it
+                        path.parent.rmdir()
                 say(
                     f"{path}: removed as the oldest recording; [recording] keeps {1e-6 * policy.keep_bytes:g} MB"
                 )
+
+
+def _folders(current: Path) -> list[Path]:
+    """Where the arm's recordings are."""
+    here = current.parent
+    if (named := RUN_OF_CELL.fullmatch(here.name)) is None:
+        return [here]
+    same = (folder for folder in here.parent.iterdir() if folder.is_dir())
+    return [
+        one for one in same if (other := RUN_OF_CELL.fullmatch(one.name)) and other["cell"] == named["cell"]
+    ]
 
 
 def _arm_of(path: Path) -> str | None:

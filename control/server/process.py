@@ -23,6 +23,7 @@ from control.model.arm import Arm
 from control.model.cell import Cell
 from control.model.description import arm_text
 from control.model.joint_map import JointMap
+from control.recording.cell_folder import new_folder
 from control.recording.layout import about_cell, about_columns, layout_of
 from control.recording.record import PipeSink
 from control.recording.recorder_state import RecorderState, hours_left
@@ -61,8 +62,9 @@ def serve(cell: Cell, options: ServeOptions) -> None:
         require_free(path)  # before a second host sends anything to the boards
     clock = MonotonicClock()
     connection = connect_cell(cell, clock, options.period_s, options.camera_ports)
+    folder = _folder(cell, options.log_folder)
     arms = {
-        placed.name: _begun(cell, placed.arm, connection.of_arms[placed.name], options)
+        placed.name: _begun(cell, placed.arm, connection.of_arms[placed.name], folder, options.period_s)
         for placed in cell.arms
     }
     printer = Printer()
@@ -108,8 +110,8 @@ class _Begun:
         self.writer.wait()
 
 
-def _begun(cell: Cell, arm: Arm, connection: Connection, options: ServeOptions) -> _Begun:
-    recording = _begun_recording(cell, arm, options)
+def _begun(cell: Cell, arm: Arm, connection: Connection, folder: Path, period_s: float) -> _Begun:
+    recording = _begun_recording(cell, arm, folder, period_s)
     return _Begun(arm, connection, recording, *_start_writer(arm, recording))
 
 
@@ -163,12 +165,20 @@ def run(
         raise failure
 
 
-def _begun_recording(cell: Cell, arm: Arm, options: ServeOptions) -> Path:
+def _folder(cell: Cell, log_folder: Path) -> Path:
+    """Where to record: an arm alone into the log folder, arms of a cell into a new folder in it."""
+    log_folder.mkdir(parents=True, exist_ok=True)
+    return new_folder(log_folder, cell.name, _named_for(time.time())) if len(cell.arms) > 1 else log_folder
+
+
+def _named_for(time_s: float) -> str:
+    return time.strftime("%Y%m%d-%H%M%S", time.localtime(time_s))
+
+
+def _begun_recording(cell: Cell, arm: Arm, folder: Path, period_s: float) -> Path:
     """Create a recording with its header. OSError if there is no room, before anything moves."""
-    options.log_folder.mkdir(parents=True, exist_ok=True)
     started_s = time.time()
-    name = time.strftime("%Y%m%d-%H%M%S", time.localtime(started_s))
-    path = _free(options.log_folder, f"{arm.name}-{name}")
+    path = _free(folder, f"{arm.name}-{_named_for(started_s)}")
     layout = layout_of(arm)
     begin(
         path,
@@ -178,7 +188,7 @@ def _begun_recording(cell: Cell, arm: Arm, options: ServeOptions) -> Path:
             arm_toml=arm_text(arm),
             program=f"armwright {version('armwright')}",
             started_unix_s=started_s,
-            period_s=options.period_s,
+            period_s=period_s,
             **about_cell(cell, arm.name),
             **about_columns(arm),
             **layout.framed([JointMap(drive).radians_per_count for drive in arm.drives]),

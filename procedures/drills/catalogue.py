@@ -11,6 +11,7 @@ from procedures.drills import injectors as do
 from procedures.drills.drill import Drill
 from procedures.drills.files import FileDrill
 from procedures.drills.injectors import MOTORS, Inject, fault
+from procedures.drills.pair import PairDrill
 from procedures.drills.promise import GOES_ON, Promise
 from procedures.drills.realtime import GONE, DiskDrill, RealTimeDrill
 from procedures.drills.session import SessionDrill
@@ -241,7 +242,7 @@ def drills() -> dict[str, Promise]:
     """Every drill, in the order of the table."""
     groups: tuple[Iterator[Promise], ...] = (
         _frames(), _buses(), _boards(), _gripper(), _encoders(), _motors(), _host(), _requests(), _in_real_time(),
-        iter(FileDrill.all()),
+        PairDrill.all(), iter(FileDrill.all()),
     )  # fmt: skip
     return {drill.name: drill for group in groups for drill in group}
 

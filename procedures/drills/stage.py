@@ -23,7 +23,7 @@ from control.server.client import ArmClient, Message
 from control.server.in_process import InProcessChannel
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
-from hil_mocks.rig import SteppedRig
+from hil_mocks.rig import MockPorts, SteppedRig
 from hil_mocks.scenario import FaultTable, GripperTable, Scenario, Start, load_scenario
 
 PERIOD_S = 0.002
@@ -203,12 +203,12 @@ def stage(arm: Arm | None = None, scenario: Scenario | None = None) -> Iterator[
 
 
 def _started(arm: Arm, rig: SteppedRig) -> tuple[Connection, Assembly]:
-    model = _wired(arm, rig)
+    model = wired_as_real(arm, rig)
     connection = connect(model, rig.clock, PERIOD_S)
     return connection, assemble(model, connection.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
 
 
-def _wired(arm: Arm, rig: SteppedRig) -> Arm:
+def wired_as_real(arm: Arm, rig: MockPorts) -> Arm:
     """The arm on the rig's wires. Its limits stay: on the stepped clock no program keeps the boards waiting."""
     boards = tuple(
         replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)

@@ -1,15 +1,15 @@
-"""`armwright export`: a recording as log.csv.gz and MCAP."""
+"""`armwright export`: a recording as log.csv.gz and MCAP, or that of a cell as one table."""
 
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from console.commands.progress import Bar
 from control.errors import ArmError
 from control.files import make_whole
 from control.model.description import load_arm
+from control.recording.cell_folder import recordings_in
 from control.recording.export import export
 from control.recording.joined import FILE_NAME, join
 from control.recording.reading import Recording
@@ -19,10 +19,7 @@ from control.recording.recorded_arm import recorded_arm
 def run(given: argparse.Namespace) -> int:
     """Export and print the written files."""
     recording, out = _existing(given.recording), Path(given.out)
-    if given.beside:
-        written = _joined([recording, *map(_existing, given.beside)], out, given.every)
-    else:
-        written = _exported(given, recording, out)
+    written = _joined(recording, out, given) if recording.is_dir() else _exported(given, recording, out)
     if given.json:
         files = {name: {"file": str(out / name), "cycles": rows} for name, rows in written.items()}
         sys.stdout.write(json.dumps(files, indent=2) + "\n")
@@ -33,24 +30,26 @@ def run(given: argparse.Namespace) -> int:
 
 def _existing(text: str) -> Path:
     recording = Path(text)
-    if not recording.is_file():
-        what = "it is a folder" if recording.is_dir() else "no such recording"
-        raise ArmError(f"{recording}: {what}; `armwright serve` writes them to its --log folder")
+    if not recording.exists():
+        raise ArmError(f"{recording}: no such recording; `armwright serve` writes them to its --log folder")
     return recording
 
 
-def _joined(recordings: Sequence[Path], out: Path, every: int) -> dict[str, int]:
-    """One table of several arms."""
-    file = out / FILE_NAME
-    if every < 1:
-        raise ArmError(f"--every: expected a cycle count of 1 or more, got {every}")
+def _joined(folder: Path, out: Path, given: argparse.Namespace) -> dict[str, int]:
+    """One table of all arms of a cell."""
+    recordings, file = recordings_in(folder), out / FILE_NAME
+    if given.arm:
+        raise ArmError("--arm: not for a cell's folder, which has every arm's description")
+    if given.every < 1:
+        raise ArmError(f"--every: expected a cycle count of 1 or more, got {given.every}")
     if file.exists():
         raise ArmError(f"{file} already exists: choose another folder or remove it first")
     out.mkdir(parents=True, exist_ok=True)
-    total = max(1, min(Recording.open(one).row_count for one in recordings))
+    total = max(1, min(one.row_count for one in recordings))
     with Bar("export") as bar:
         rows = make_whole(
-            file, lambda part: join(recordings, part, every, lambda row: bar.advance("export", row / total))
+            file,
+            lambda part: join(recordings, part, given.every, lambda row: bar.advance("export", row / total)),
         )
     return {FILE_NAME: rows}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from console.commands.progress import Bar
 from console.visualisation.metrics import Metrics, metrics_json, metrics_of, metrics_text
 from console.visualisation.pictures import PICTURES, Picture
-from console.visualisation.reading import read_series
+from console.visualisation.reading_cell import read_log
 from console.visualisation.series import Series, chosen
 from console.visualisation.sheets import FORMS, show, write_each, write_sheet
 from control.errors import ArmError
@@ -46,7 +46,7 @@ def _series(given: argparse.Namespace) -> tuple[Series, Sequence[int]]:
     """The requested part of the file, and its joints (1-based)."""
     arm = load_arm(given.arm) if given.arm else None
     with Bar("read") as bar:
-        series = read_series(Path(given.log), arm, lambda done: bar.advance("read", done))
+        series = read_log(Path(given.log), arm, lambda done: bar.advance("read", done))
     sys.stderr.writelines(f"armwright: warning: {note}\n" for note in series.notes)
     if not len(series):
         raise ArmError(f"{given.log}: empty recording: a header without cycles")
@@ -75,7 +75,11 @@ def _pictures(text: str | None, series: Series) -> Sequence[Picture]:
         raise ArmError(f'--what: expected one or more of {", ".join(by_name)}, got "{text}"')
     for name in names:
         if not by_name[name].has(series):
-            needs = " (the arm is unknown: give it with --arm)" if series.arm is None else ""
+            needs = (
+                " (the arm is unknown: give it with --arm)"
+                if series.arm is None and series.cell is None
+                else ""
+            )
             raise ArmError(f"--what {name}: {series.name} has no data for it{needs}")
     return [by_name[name] for name in dict.fromkeys(names)]
 

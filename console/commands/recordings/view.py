@@ -9,13 +9,12 @@ from pathlib import Path
 from console.commands.cell.clients import connected_arms
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.visualisation.reading import read_series
+from console.visualisation.reading_cell import read_log
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
 from console.visualisation.snapshots import CellSource, Snapshot, live, recorded, snapshot_at, snapshot_of
-from console.visualisation.traces import TipOfArm, TipPath, TipsOfCell, Traces, traces_of
+from console.visualisation.traces import TipPath, Traces, tips_in, traces_of
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.cell import Cell, load_cell
 from control.model.description import load_arm
@@ -50,7 +49,7 @@ def _cell(given: argparse.Namespace) -> int:
         source = CellSource(list(clients.values()))
         if given.render:
             snapshot = snapshot_of(source.status())
-            return _picture(given, cell, snapshot, TipPath(TipsOfCell(cell)).add(snapshot))
+            return _picture(given, cell, snapshot, TipPath(tips_in(cell)).add(snapshot))
         from console.visualisation.scene import CellScene
         from console.visualisation.window import follow, open_window
 
@@ -70,37 +69,39 @@ def _until_the_runtime_ends() -> Iterator[None]:
 def _recorded(given: argparse.Namespace) -> int:
     wanted = load_arm(given.arm) if given.arm else None
     with Bar("read") as bar:
-        whole = read_series(Path(given.log), wanted, lambda done: bar.advance("read", done))
+        whole = read_log(Path(given.log), wanted, lambda done: bar.advance("read", done))
     sys.stderr.writelines(f"armwright: warning: {note}\n" for note in whole.notes)
     if not len(whole):
         raise ArmError(f"{given.log}: empty recording: a header without cycles")
-    if whole.arm is None:
+    shown = whole.arm or whole.cell
+    if shown is None:
         raise ArmError(f"{given.log}: its arm is unknown: give it with --arm")
     series = chosen(whole, given.run, given.from_s, given.to_s)
-    arm = whole.arm
     if given.render:
-        return _render(given, arm, series)
+        return _render(given, shown, series)
     if given.rerun is not None:
+        if isinstance(shown, Cell):
+            raise ArmError("--rerun: shows one arm: give the recording of one, in the cell's folder")
         from console.visualisation.rerun_stream import stream
 
         rows, _ = recorded(series, RERUN_PERIOD_s)
-        count = stream(arm, (snapshot_at(series, int(row)) for row in rows), _file(given.rerun))
+        count = stream(shown, (snapshot_at(series, int(row)) for row in rows), _file(given.rerun))
         sys.stdout.write(f"{count} samples sent to Rerun\n")
         return 0
-    _play(given, arm, series)
+    _play(given, shown, series)
     return 0
 
 
-def _play(given: argparse.Namespace, arm: Arm, series: Series) -> None:
-    from console.visualisation.scene import ArmScene
+def _play(given: argparse.Namespace, shown: Arm | Cell, series: Series) -> None:
+    from console.visualisation.scene import scene_of
     from console.visualisation.window import open_window, play
 
     rows = _rows(series, 1.0 / 60.0)
-    scene = ArmScene(arm)
+    scene = scene_of(shown)
     sys.stdout.write(
         "solid: commanded; ghost: measured. Space: pause. Left, right: one second. Up, down: speed. Home: restart\n"
     )
-    play(scene, series, rows, traces_of(series, scene.kinematics), given.speed, MonotonicClock(), open_window)
+    play(scene, series, rows, traces_of(series, scene.tips), given.speed, MonotonicClock(), open_window)
 
 
 def _rows(series: Series, period_s: float) -> Sequence[int]:
@@ -110,7 +111,7 @@ def _rows(series: Series, period_s: float) -> Sequence[int]:
     return [int(row) for row in rows]
 
 
-def _render(given: argparse.Namespace, arm: Arm, series: Series) -> int:
+def _render(given: argparse.Namespace, shown: Arm | Cell, series: Series) -> int:
     """Render the last sample, or a picture every `--speed`/`--fps` seconds of the recording."""
     out = _picture_path(given.render)
     rows = _rows(series, given.speed / given.fps)
@@ -121,8 +122,8 @@ def _render(given: argparse.Namespace, arm: Arm, series: Series) -> int:
             f"--render: expected at most {FRAMES_MOST} pictures, got {len(rows)}: choose a part with --run, --from"
             " and --to, or raise --speed"
         )
-    paint = painter_of(arm, _warn)
-    images = frames(series, rows, traces_of(series, Kinematics(arm)), paint)
+    paint = painter_of(shown, _warn)
+    images = frames(series, rows, traces_of(series, tips_in(shown)), paint)
     with Bar("render") as bar:
         files = write_images(out, _with_progress(images, len(rows), bar), 1.0 / given.fps)
     sys.stdout.write(f"written: {out} ({len(files)} file{'s' * (len(files) != 1)}, {len(rows)} samples)\n")
@@ -171,7 +172,7 @@ def _live(given: argparse.Namespace) -> int:
 
 def _snapshot(given: argparse.Namespace, arm: Arm, snapshot: Snapshot) -> int:
     """Render the present pose as one picture."""
-    return _picture(given, arm, snapshot, TipPath(TipOfArm(Kinematics(arm))).add(snapshot))
+    return _picture(given, arm, snapshot, TipPath(tips_in(arm)).add(snapshot))
 
 
 def _picture(given: argparse.Namespace, shown: Arm | Cell, snapshot: Snapshot, traces: Traces) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from calib.arrays import frozen
 from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts
 from calib.closed_chain.contacts import Contacts
 from calib.closed_chain.pair_problem import PairProblem
+from calib.closed_chain.remarks import remarks
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import determinability
 from calib.identify.objective import LeastSquares
@@ -138,6 +140,21 @@ def test_contacts_of_other_arms_and_too_few_are_refused() -> None:
         calibrate_pair(ARMS, swapped, PLAN)
     with pytest.raises(UnusablePointsError, match="5 contacts: 6 are needed"):
         calibrate_pair(ARMS, contacts.chosen(range(5)), PLAN)
+
+
+def test_contacts_that_were_none_are_named_and_so_is_a_file_that_makes_no_sense() -> None:
+    _, contacts = session(11, 12, (0.0, 0.08))
+    few = calibrate_pair(ARMS, contacts, PLAN)
+    assert any("24 numbers determine" in one for one in remarks(few))
+    before, after = np.full(12, 4e-3), np.full(12, 1e-4)
+    found = replace(few, held_before_m=before, held_after_m=after, estimates=(), numbers_count=100)
+    assert list(remarks(found)) == []
+    after[7] = 9e-3
+    assert (
+        next(remarks(found))
+        == "Contradicted by the others: a:7:1 (9.00 mm). Look at them; remove what was not a contact"
+    )
+    assert "Check distance_m (in m)" in next(remarks(replace(found, held_after_m=before)))
 
 
 def test_the_command_writes_both_arms_and_says_what_stays_open(

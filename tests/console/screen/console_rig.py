@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,13 @@ from textual import events
 from textual.pilot import Pilot
 from textual.widget import Widget
 
-from console.screen.app import ConsoleApp, Files
+from console.screen.app import ConsoleApp, Files, Station
 from console.screen.drawing.event_log import EventLog
 from console.screen.drawing.panel import Panel
 from control.model.arm import Arm
 from control.server.server import Server
 from tests.cell import PERIOD_S, RIGHT, Cell
+from tests.pair import Pair
 
 STEP_S = 0.01
 REPEAT_S = 0.03  # of a held key
@@ -40,15 +41,17 @@ NAMES = {char: name for name, char in CHARACTERS.items()}
 class Served:
     """A cell whose runtime answers on a socket while the event loop runs."""
 
-    def __init__(self, cell: Cell, folder: Path) -> None:
+    def __init__(self, cell: Cell | Pair, folder: Path, arms: Sequence[str] = ()) -> None:
+        """`arms`: names, each of which gets a socket of its own."""
         self.cell = cell
         self.path = folder / "runtime.sock"
+        self.paths = {arm: folder / f"{arm}.sock" for arm in arms}
         self.server: Server | None = self._listen()
         self.is_frozen = False
 
     def _listen(self) -> Server:
         requests = self.cell.assembly.requests
-        return Server(self.path, requests.handle, requests.on_gone)
+        return Server(self.paths or self.path, requests.handle, requests.on_gone)
 
     async def run(self) -> None:
         """Until cancelled: cycles as the host's time passes, a request after each."""
@@ -83,17 +86,34 @@ async def console_on(
 ) -> AsyncIterator[tuple[ConsoleApp, Pilot[Any], Served]]:
     """The console, connected."""
     served = Served(cell, folder)
-    files = Files(folder / "places.toml", folder / "taught.csv", folder / "kept.txt", folder / "sessions")
-    app = ConsoleApp(arm, served.path, files, {"--arm": "right", "--socket": str(served.path)})
-    app.link.answer_s = (
-        LIMIT_S  # the arm and the console share this event loop: neither loses the other by waiting
-    )
+    shared = {"--arm": "right", "--socket": str(served.path)}
+    async with console_of([Station(arm, served.path, files_in(folder), shared)], served, size) as (
+        app,
+        pilot,
+    ):
+        yield app, pilot, served
+
+
+def files_in(folder: Path) -> Files:
+    """The console's files."""
+    return Files(folder / "places.toml", folder / "taught.csv", folder / "kept.txt", folder / "sessions")
+
+
+@contextlib.asynccontextmanager
+async def console_of(
+    stations: Sequence[Station], served: Served, size: tuple[int, int]
+) -> AsyncIterator[tuple[ConsoleApp, Pilot[Any]]]:
+    """The console of some arms, connected."""
+    app = ConsoleApp(stations)
+    for desk in app.desks:  # arms and console share this event loop: neither loses the other by waiting
+        desk.link.answer_s = LIMIT_S
     pump = asyncio.create_task(served.run())
     try:
         async with app.run_test(size=size) as pilot:
             await until(pilot, lambda: "homed" in shown(app, "head"))
-            yield app, pilot, served
-            app.link.path = Path("/nowhere")
+            yield app, pilot
+            for desk in app.desks:
+                desk.link.path = Path("/nowhere")
     finally:
         pump.cancel()
         with contextlib.suppress(asyncio.CancelledError):

@@ -19,7 +19,7 @@ from console.visualisation.pictures import PICTURES
 from console.visualisation.reading import of_columns, read_series
 from console.visualisation.series import Series, chosen, joined_runs
 from console.visualisation.thinning import TURNS, envelope, orders, spectrum, with_gaps
-from console.visualisation.traces import traces_of
+from console.visualisation.traces import TipOfArm, traces_of
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.description import arm_text, load_arm
@@ -99,7 +99,7 @@ def test_tips_are_those_of_the_joints_in_every_form_and_of_the_encoders_where_no
         np.testing.assert_allclose(
             found.q_rad - found.joint_rad, np.broadcast_to(ahead, found.q_rad.shape), atol=1e-8
         )
-        traces = traces_of(found, kinematics)
+        traces = traces_of(found, TipOfArm(kinematics))
         np.testing.assert_allclose(traces.commanded_m, kinematics.tips(found.q_set_rad - ahead), atol=1e-8)
         np.testing.assert_allclose(traces.measured_m, kinematics.tips(found.q_rad - ahead), atol=1e-8)
         seen = np.flatnonzero(np.isfinite(found.tip_m[:, 0]))

@@ -145,7 +145,7 @@ def test_a_recording_plays_at_its_speed_and_the_window_ends_it(log: Path) -> Non
         windows.append(Window(scene, 31))
         return windows[0]
 
-    traces = traces_of(series, scene.kinematics)
+    traces = traces_of(series, scene.tips)
     play(scene, series, [int(row) for row in rows], traces, 2.0, clock, opened)
     window = windows[0]
     assert window.is_closed
@@ -227,7 +227,7 @@ def test_moments_without_all_angles_are_passed_over(tmp_path: Path) -> None:
 def test_what_means_nothing_before_homing_is_no_line(tmp_path: Path) -> None:
     homing = {k: {"mode": MODES.index("HOMING")} for k in range(30, 40)}
     series = read_series(write_recording(tmp_path / "a.armlog", 80, changes=homing))
-    traces = traces_of(series, Kinematics(ARM))
+    traces = traces_of(series, TipOfArm(Kinematics(ARM)))
     assert np.isnan(traces.measured_m[:40]).all()
     assert np.isfinite(traces.measured_m[40:]).all()
 

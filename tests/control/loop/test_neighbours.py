@@ -74,7 +74,7 @@ def test_a_motion_may_follow_the_other_arm_into_the_place_that_it_leaves() -> No
 def test_two_arms_may_pass_through_each_others_places_one_after_the_other() -> None:
     start = {"left": (-0.4, 0.7, -0.9), "right": (1.3, -0.2, -0.2)}
     goal = {"left": (-1.8, -0.2, -0.4), "right": (2.3, 0.5, -1.0)}
-    with holding_pair() as pair:
+    with holding_pair(scenario(APART, base="demo")) as pair:
         for poses in (start, goal):
             moves = {arm: {"q_rad": q_rad, "speed": 1.0} for arm, q_rad in poses.items()}
             duration_s = pair.clients["left"].ask("move_together", moves=moves)["duration_s"]

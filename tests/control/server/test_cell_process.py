@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from control.model.cell import save_cell
+from control.recording.cell_folder import recordings_in
 from control.recording.joined import join
 from control.recording.reading import Recording
 from control.server.client import ArmClient, SocketChannel
@@ -84,4 +85,5 @@ def test_both_arms_move_ctrl_c_stops_both_and_their_recordings_belong_together(
         assert 0 < out.index(f"{name}: stopping") < out.index(f"{name}: drives off")
     assert not any(path.exists() for path in served.sockets.values())
     assert [Recording.open(path).header["cell"]["arm"] for path in recordings] == ["left", "right"]
-    assert join(recordings, tmp_path / "cell.csv") > 50
+    assert recordings[0].parent == recordings[1].parent
+    assert join(recordings_in(recordings[0].parent), tmp_path / "cell.csv") > 50

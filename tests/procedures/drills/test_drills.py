@@ -19,7 +19,7 @@ from procedures.drills.table import HEADER, header, row, verdict
 from tests.firmware import needs_compiler
 
 PAGE = Path(__file__).parents[3] / "docs" / "drills.md"
-SITUATIONS = {"rest", "motion", "homing", "session", "measuring", "realtime"}
+SITUATIONS = {"rest", "motion", "homing", "session", "measuring", "realtime", "pair"}
 
 
 @pytest.mark.parametrize(
@@ -37,6 +37,7 @@ SITUATIONS = {"rest", "motion", "homing", "session", "measuring", "realtime"}
         "power-session",
         "power-arm",
         "cut-recording",
+        "over-temperature-pair",
     ],
 )
 def test_a_drill_goes_as_promised(name: str) -> None:

@@ -1,0 +1,139 @@
+"""Places where the tips of two arms of a cell can meet: both reach them, clear of each other, of themselves and of the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.frames import Frame
+from calib.arrays import Array, frozen
+from calib.closed_chain.contacts import Contacts
+from calib.closed_chain.room import Room
+from calib.design.candidates import FREE_HEIGHT_M
+from calib.design.reach import Mask, body_points, is_above_floor, joint_box, postures, spread_poses
+from control.errors import ArmError
+from control.kinematics.inverse import InverseKinematics
+from control.model.arm import Arm
+from control.model.cell import Cell, Placed
+from control.safety.body import ArmBody
+
+DRAWN = 6000  # poses of the first arm; one in ten gives a contact
+STARTS = 12  # from which postures of the second arm are searched
+AWAY_m = 0.04  # back along the last link, to where an arm moves before a hand brings its tip to the contact
+LEVER_m_rad = 0.1  # least way of the tip for a turn of the joints: 2 cm are then made up for within 0.2 rad
+CAVITY, APART = "cavity", "apart"  # setups of contacts in one place, and at a distance
+SEED = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """m contacts, and where each arm stands shortly before: (m, n1) and (m, n2) [rad]."""
+
+    contacts: Contacts
+    first_away_rad: Array
+    second_away_rad: Array
+
+    def chosen(self, rows: Sequence[int]) -> Candidates:
+        """Some of them, by index."""
+        keep = np.array(rows, dtype=np.intp)
+        return Candidates(
+            self.contacts.chosen(keep), frozen(self.first_away_rad[keep]), frozen(self.second_away_rad[keep])
+        )
+
+
+def base_of(cell: Cell, names: tuple[str, str]) -> Frame:
+    """Where the second arm's base stands in the base frame of the first, by the cell's file."""
+    one, two = (cell.placed(name) for name in names)
+    turn = np.array(one.rotation).T @ np.array(two.rotation)
+    return Frame(f"{two.name}_base", frozen(turn), frozen(np.array(one.in_base(two.origin_m))))
+
+
+def contact_candidates(
+    cell: Cell, names: tuple[str, str], distances_m: Sequence[float], drawn: int = DRAWN
+) -> Candidates:
+    """Contacts by the arms' own models: drawn poses of the first, and every posture of the second that reaches its tip.
+
+    The distances [m] between the tips take turns; 0 is one place. For the distances, directions are drawn (seeded).
+    """
+    one, two = (cell.placed(name) for name in names)
+    base, rng = base_of(cell, names), np.random.default_rng(SEED)
+    first = spread_poses(joint_box(one.arm), drawn)
+    first = first[_is_fit(one.arm, first)]
+    tips = ArmModel(one.arm).tips(one.arm.dh, first)
+    apart = np.resize(np.array(distances_m), len(first))
+    way = rng.normal(size=tips.shape)
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    goal = (tips + apart[:, None] * way - base.origin_m) @ base.rotation
+    near = np.linalg.norm(goal, axis=1) < _reach_m(two.arm)
+    first, apart, goal = first[near], apart[near], goal[near]
+    box = joint_box(two.arm)
+    second, which = postures(ArmModel(two.arm), goal, spread_poses(box, STARTS), box)
+    rows = _is_fit(two.arm, second)
+    return _clear(cell, (one, two), first[which[rows]], second[rows], apart[which[rows]])
+
+
+def _clear(cell: Cell, pair: tuple[Placed, Placed], first: Array, second: Array, apart: Array) -> Candidates:
+    """The contacts that are clear, that both arms can back off from, and to which there is a way from their rest poses."""
+    one, two = pair
+    room, backs = Room(cell, pair), (_Back(one.arm), _Back(two.arm))
+    kept: list[int] = []
+    away: tuple[list[Sequence[float]], list[Sequence[float]]] = ([], [])
+    for row, (q1, q2) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        if not room.is_clear(q1, q2):
+            continue
+        off = backs[0].off(q1), backs[1].off(q2)
+        if off[0] is None or off[1] is None or not room.is_clear(off[0], off[1]):
+            continue
+        if room.way(room.rest_rad, (off[0], off[1])) is not None:
+            kept.append(row)
+            away[0].append(off[0])
+            away[1].append(off[1])
+    contacts = Contacts(
+        tuple(f"c{k + 1}" for k in range(len(kept))),
+        tuple(CAVITY if apart[row] == 0.0 else APART for row in kept),
+        frozen(first[kept]),
+        frozen(second[kept]),
+        frozen(apart[kept]),
+    )
+    return Candidates(
+        contacts,
+        frozen(np.reshape(away[0], (len(kept), -1))),
+        frozen(np.reshape(away[1], (len(kept), -1))),
+    )
+
+
+class _Back:
+    """Poses with the tip a little back along the last link."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._inverse, self._corners = InverseKinematics(arm), ArmBody(Placed(arm), 0.0)
+
+    def off(self, q_rad: Sequence[float]) -> Sequence[float] | None:
+        """Such a pose near `q_rad`; None if the arm cannot."""
+        last = self._corners.at(q_rad)[-2]
+        along = np.array([last.dx, last.dy, last.dz])
+        tip = np.array([last.x, last.y, last.z]) + along
+        back = tip - AWAY_m * along / np.linalg.norm(along)
+        try:
+            return self._inverse.nearest(back.tolist(), q_rad)
+        except ArmError:
+            return None
+
+
+def _is_fit(arm: Arm, q_rad: Array) -> Mask:
+    """Poses of which no part is near the floor and the tip well above it, away from where the tip cannot be moved one way."""
+    model = ArmModel(arm)
+    by_q = model.slopes(model.nominal_dh, q_rad).by_dh[:, :, list(model.theta_places)]
+    can_move = np.linalg.svd(by_q, compute_uv=False)[:, -1] >= LEVER_m_rad
+    points = body_points(arm, q_rad)
+    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + FREE_HEIGHT_M
+    return np.asarray(can_move & is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m))
+
+
+def _reach_m(arm: Arm) -> float:
+    """More than the arm reaches from its base."""
+    lengths = np.abs(arm.dh[:, [0, 2]]).sum()
+    return float(lengths + np.linalg.norm(arm.tool.position_m))

@@ -1,0 +1,69 @@
+"""Whether two arms of a cell are clear of each other and of themselves, at poses and on their ways between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise, product
+
+import numpy as np
+
+from control.model.arm import Arm
+from control.model.cell import Cell, Placed
+from control.safety.body import ArmBody, pairs_between
+from control.safety.collision import least_gap
+
+MARGIN_m = 0.03  # beyond the cell's clearance: tips of uncalibrated arms are some 2 cm off
+LOOKS = 30  # at a joint move of both
+Poses = Sequence[Sequence[float]]
+"""Joint angles of the first and of the second arm [rad]."""
+
+
+class Room:
+    """Whether two arms are clear of each other and of themselves, with a margin."""
+
+    def __init__(self, cell: Cell, pair: tuple[Placed, Placed]) -> None:
+        self.rest_rad: Poses = [_rest_rad(placed.arm) for placed in pair]
+        self._bodies = tuple(ArmBody(placed, cell.tool_length_m) for placed in pair)
+        self._pairs = pairs_between(*self._bodies)
+        self._least_m = cell.clearance_m + MARGIN_m
+
+    def is_clear(self, first_rad: Sequence[float], second_rad: Sequence[float]) -> bool:
+        """Of a pose of both."""
+        one, two = self._bodies[0].at(first_rad), self._bodies[1].at(second_rad)
+        if least_gap(one, two, self._pairs, self._least_m).gap_m < self._least_m:
+            return False
+        return all(
+            least_gap(at, at, body.own_pairs, MARGIN_m).gap_m >= MARGIN_m
+            for body, at in zip(self._bodies, (one, two), strict=True)
+        )
+
+    def is_way_clear(self, start_rad: Poses, end_rad: Poses) -> bool:
+        """Of a joint move of both, which begin and end together; the ends themselves are not looked at."""
+        start, end = ([np.array(q_rad) for q_rad in poses] for poses in (start_rad, end_rad))
+        for share in np.linspace(0.0, 1.0, LOOKS + 2)[1:-1]:
+            first, second = (a + share * (b - a) for a, b in zip(start, end, strict=True))
+            if not self.is_clear(first.tolist(), second.tolist()):
+                return False
+        return True
+
+    def way(self, start_rad: Poses, goal_rad: Poses) -> Sequence[Poses] | None:
+        """Poses to move to in turn, both arms together, until `goal_rad`; None if no such way is clear.
+
+        Straight there, else by way of the rest poses, where one arm may wait until the other has left.
+        """
+        for way in self._ways(start_rad, goal_rad):
+            if all(self.is_way_clear(a, b) for a, b in pairwise((start_rad, *way))):
+                return way
+        return None
+
+    def _ways(self, start_rad: Poses, goal_rad: Poses) -> Iterator[Sequence[Poses]]:
+        yield (goal_rad,)
+        rest = self.rest_rad
+        leave = ((), ((rest[0], start_rad[1]),), ((start_rad[0], rest[1]),))
+        arrive = ((), ((rest[0], goal_rad[1]),), ((goal_rad[0], rest[1]),))
+        for first, last in product(leave, arrive):
+            yield (*first, rest, *last, goal_rad)
+
+
+def _rest_rad(arm: Arm) -> Sequence[float]:
+    return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count

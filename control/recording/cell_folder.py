@@ -1,0 +1,99 @@
+"""The recording of a cell: a folder with one recording an arm, all on one clock and with one count of cycles.
+
+NAME-DATE-TIME/ARM-DATE-TIME.armlog, and the files in which they continue. Each is complete by itself: its header has the arm, and
+where every base of the cell stands.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from control.model.cell import Cell, Placed
+from control.recording.parts import SUFFIX
+from control.recording.reading import RecordError, Recording
+from control.recording.recorded_arm import recorded_arm
+
+PART = re.compile(rf"(?P<stem>.+?)(\.part(?P<number>\d+))?{re.escape(SUFFIX)}")
+
+
+def new_folder(log_folder: Path, cell: str, at: str) -> Path:
+    """Create the folder of a run of a cell that begins `at` (DATE-TIME)."""
+    path, number = log_folder / f"{cell}-{at}", 1
+    while path.exists():
+        number += 1
+        path = log_folder / f"{cell}-{at}-{number}"
+    path.mkdir()
+    return path
+
+
+def recordings_in(folder: Path) -> list[Recording]:
+    """The recording of each arm, in the order of the cell; the earliest file that is there of each.
+
+    RecordError if the folder has none, or if they are not of different arms of one cell.
+    """
+    found = [Recording.open(path) for path in _earliest(folder)]
+    if not found:
+        raise RecordError(
+            f"{folder}: a folder without recordings ({SUFFIX}); `armwright serve --cell` makes one a run, with one file an arm"
+        )
+    require_one_cell(found)
+    order = list(_about_cell(found[0]).get("bases") or ())
+    return sorted(found, key=lambda one: order.index(arm_of(one)) if arm_of(one) in order else len(order))
+
+
+def _earliest(folder: Path) -> list[Path]:
+    """The earliest file of each recording: its first ones may have been removed to make room."""
+    found: dict[str, tuple[int, Path]] = {}
+    for path in folder.glob(f"*{SUFFIX}"):
+        if named := PART.fullmatch(path.name):
+            part = int(named["number"] or 1), path
+            found[named["stem"]] = min(part, found.get(named["stem"], part))
+    return [path for _, path in sorted(found.values(), key=lambda part: part[1])]
+
+
+def require_one_cell(recordings: Sequence[Recording]) -> None:
+    """RecordError unless they are of different arms that one cell's runtime has recorded."""
+    names: list[str] = []
+    cells = {str(_about_cell(one).get("name", "")) for one in recordings}
+    for one in recordings:
+        name = arm_of(one)
+        if not _about_cell(one):
+            raise RecordError(
+                f"{one.path}: expected the recording of an arm of a cell, got that of arm {name!r} alone"
+            )
+        if name in names:
+            raise RecordError(f"{one.path}: expected another arm, got {name!r} again")
+        names.append(name)
+    if len(cells) > 1:
+        raise RecordError(
+            f"{recordings[-1].path}: expected arms of one cell, got those of {', '.join(sorted(cells))}"
+        )
+
+
+def arm_of(recording: Recording) -> str:
+    """The arm's name."""
+    return str(recording.header.get("arm", ""))
+
+
+def recorded_cell(recordings: Sequence[Recording]) -> Cell:
+    """The cell as its headers say. RecordError if an arm is unknown, or no base is given for it."""
+    placed = []
+    for one in recordings:
+        try:
+            arm, base = recorded_arm(one), _about_cell(one)["bases"][arm_of(one)]
+            (x, y, z), (qw, qx, qy, qz) = base["origin_m"], base["orientation"]
+        except (LookupError, TypeError, ValueError):
+            arm = None
+        if arm is None:
+            raise RecordError(
+                f"{one.path}: its header does not say what arm {arm_of(one)!r} is, and where it stands"
+            )
+        placed.append(Placed(arm, (x, y, z), (qw, qx, qy, qz)))
+    return Cell(str(_about_cell(recordings[0])["name"]), tuple(placed))
+
+
+def _about_cell(recording: Recording) -> dict[str, Any]:
+    """What the header says of the cell; nothing of an arm alone."""
+    about = recording.header.get("cell")
+    return about if isinstance(about, dict) else {}

@@ -1,0 +1,230 @@
+"""Drills of two arms on one runtime: what befalls one, or their client, while both move, and what both do."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import msgspec
+
+from control.errors import ArmError
+from control.model.cell import load_cell
+from control.safety.table import Mode
+from firmware_iface.errors import LinkError
+from hil_mocks.plant.hand import Point
+from hil_mocks.scenario import FaultTable, Start, load_scenario
+from procedures.drills.drill import LOOKED
+from procedures.drills.promise import Outcome, Promise, length_m, stood_s
+from procedures.drills.stage import REST, SETTLED_S, THINNED, UNDER_WAY_S, off_way_m, wired_as_real
+from procedures.guiding.following import PERIOD_S as FOLLOWS_S
+from procedures.guiding.following import Following
+from procedures.mock.cell_bench import PERIOD_S, CellBench
+
+PAIR = "both move"  # the situation
+FROM_rad, TO_rad = (0.0, -0.4, 0.4), (0.8, -0.3, 0.6)  # of both: they stay half a metre apart
+ACROSS_rad = {"left": (-0.6, -0.8, 0.0), "right": (0.6, -0.8, 0.0)}  # both forearms in the middle
+WATCHED_S = 1.0  # after the fault
+CAUGHT_UP_S = 1.0
+FOLLOWING_SPEED = 0.2  # of the leader, in its limits: jogs are slow
+Way = list[tuple[float, Point]]
+
+
+@dataclass(slots=True)
+class PairStage:
+    """The supplied pair on the stepped clock; `ways` of the true tips grow while time passes."""
+
+    bench: CellBench
+    ways: dict[str, Way] = field(default_factory=dict)
+    noticed_s: float | None = None
+    found: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    message: str = ""
+    each_cycle: list[Callable[[], None]] = field(default_factory=list)
+    complaint: str = ""  # what the cause itself found wrong
+
+    @property
+    def now_s(self) -> float:
+        """The simulation's time."""
+        return self.bench.rig.clock.now_s()
+
+    def run(self, duration_s: float) -> None:
+        """Run cycles; note tips and faults after each."""
+        end_s = self.now_s + duration_s
+        while self.now_s < end_s - 1e-9:
+            self.bench.wait(PERIOD_S)
+            for name, runtime in self.bench.runtimes.items():
+                self.ways.setdefault(name, []).append((self.now_s, self.bench.tip_m(name)))
+                if runtime.monitor.mode is Mode.FAULT and name not in self.found:
+                    self.found[name] = tuple(fault.code for fault in runtime.monitor.faults)
+                    self.noticed_s = self.noticed_s or self.now_s
+                    self.message = self.message or f"arm {name!r}: {runtime.monitor.faults[0].message}"
+            for happens in tuple(self.each_cycle):
+                happens()
+
+    def move_both(self, speed: float = 1.0, names: tuple[str, ...] = ("left", "right")) -> None:
+        """Begin a motion, and go on until the fault comes."""
+        moves = {name: {"q_rad": list(TO_rad), "speed": speed} for name in names}
+        if len(names) == 1:
+            self.bench.clients[names[0]].move_joints(TO_rad, speed, waits=False)
+        else:
+            self.bench.clients["left"].ask("move_together", moves=moves)
+        self.run(UNDER_WAY_S)
+
+    def wrong_rad(self) -> float:
+        """By how much an arm that takes itself for homed is elsewhere than it says."""
+        off = [0.0]
+        for name, runtime in self.bench.runtimes.items():
+            if runtime.monitor.is_homed and runtime.monitor.mode is not Mode.FAULT:
+                true = self.bench.rig.mock.robots[name].joint_rad()
+                off += [abs(a - b) for a, b in zip(true, runtime.parts.measurement.q_rad, strict=True)]
+        return max(off)
+
+
+def both_move(played: PairStage) -> None:
+    """Both are under way."""
+    played.move_both()
+
+
+def right_in_the_middle(played: PairStage) -> None:
+    """Both hold, the right arm across the table."""
+    played.bench.clients["right"].move_joints(ACROSS_rad["right"], waits=True)
+    played.run(SETTLED_S)
+
+
+def one_follows(played: PairStage) -> None:
+    """A program moves the left arm, and the right one follows until its client is told that it is over."""
+    clients = played.bench.clients
+    placed = played.bench.standing.placed("right")
+    following = Following(clients["left"], clients["right"], placed, (1.0,) * placed.arm.joint_count)
+    next_s = [played.now_s]
+
+    def step() -> None:
+        if played.now_s >= next_s[0]:
+            next_s[0] = played.now_s + FOLLOWS_S
+            try:
+                following.step()
+            except ArmError:
+                played.each_cycle.remove(step)
+
+    played.each_cycle.append(step)
+    played.move_both(FOLLOWING_SPEED, ("left",))
+    played.run(CAUGHT_UP_S)
+
+
+def fault_of(arm: str, kind: str, board: str) -> Callable[[PairStage], None]:
+    """A fault of docs/mock_robot.md on a board of one arm."""
+
+    def inject(played: PairStage) -> None:
+        played.bench.rig.mock.robots[arm].inject(msgspec.convert({"kind": kind, "board": board}, FaultTable))
+
+    return inject
+
+
+def stop_pressed(played: PairStage) -> None:
+    """By a client of the right arm."""
+    played.bench.clients["right"].stop()
+
+
+def client_gone(played: PairStage) -> None:
+    """The client that began the motion of both."""
+    played.bench.channels[0].close()
+
+
+def refused_ways(played: PairStage) -> None:
+    """Motions that would meet the other arm, alone and together."""
+    alone = {"do": "move_joints", "q_rad": list(ACROSS_rad["left"])}
+    moves = {name: {"q_rad": list(ACROSS_rad[name]), "speed": 1.0} for name in ACROSS_rad}
+    for request in (alone, {"do": "move_together", "moves": moves}):
+        if played.bench.channels[0].request(request)["ok"]:
+            played.complaint = f"served: {request}"
+
+
+@dataclass(frozen=True, slots=True)
+class PairDrill(Promise):
+    """Off its path, and at rest, is an arm without a fault; one with a fault may brake, and sink."""
+
+    begin: Callable[[PairStage], None] = both_move
+    inject: Callable[[PairStage], None] = stop_pressed
+
+    def run(self) -> Outcome:
+        """Run it on a fresh pair."""
+        with pair_stage() as played:
+            self.begin(played)
+            begun_s = played.now_s
+            played.ways = {name: way[-1:] for name, way in played.ways.items()}
+            self.inject(played)
+            played.run(WATCHED_S)
+            asked = asked_ways(self.begin)
+            sound = {name: way for name, way in played.ways.items() if name not in played.found}
+            off_m = [
+                max(off_way_m(tip, asked[name]) for _, tip in (*way[::THINNED], way[-1]))
+                for name, way in sound.items()
+            ]
+            stood = [stood_s(way, begun_s, LOOKED) for way in sound.values()]
+            is_standing = all(one is not None for one in stood)
+            runtimes = played.bench.runtimes.values()
+            lost = [] if all(runtime.monitor.is_homed for runtime in runtimes) else ["the zero"]
+            lost += ["the motion"] if self.begin is not right_in_the_middle else []
+            return Outcome(
+                self,
+                1e3 * max(off_m, default=0.0),
+                1e3 * max((length_m(way) for way in sound.values()), default=0.0),
+                None if played.noticed_s is None else played.noticed_s - begun_s,
+                max((one for one in stood if one is not None), default=None) if is_standing else None,
+                ", ".join(lost) or "nothing",
+                tuple(code for codes in played.found.values() for code in codes),
+                played.message,
+                1e3 * played.wrong_rad(),
+                played.complaint or ("" if is_standing else "an arm did not come to rest"),
+            )
+
+    @staticmethod
+    def all() -> Iterator[PairDrill]:
+        """Every drill of two arms."""
+        trips = frozenset({"drive_fault"})
+        gone = frozenset({"encoder_stale", "link"})
+        yield PairDrill(
+            "over-temperature-pair", "a motor board of the left arm trips", PAIR, trips,
+            inject=fault_of("left", "over_temperature", "motor2"),
+        )  # fmt: skip
+        yield PairDrill("stop-pair", "stop pressed at the right arm", PAIR, frozenset(), most_mm=2.0)
+        yield PairDrill(
+            "client-gone-pair", "the client of both dies", PAIR, frozenset(), most_mm=2.0, inject=client_gone
+        )
+        yield PairDrill(
+            "meeting-pair", "moves that would meet the other arm", REST, frozenset(),
+            most_mm=2.0, begin=right_in_the_middle, inject=refused_ways,
+        )  # fmt: skip
+        yield PairDrill(
+            "leader-unplugged-pair", "the left arm's encoder board unplugged, the right one follows it", PAIR, gone,
+            begin=one_follows, inject=fault_of("left", "silent", "encoder"),
+        )  # fmt: skip
+
+
+@contextmanager
+def pair_stage() -> Iterator[PairStage]:
+    """The supplied pair, homed and holding; its arms are those of the demo."""
+    demo = load_scenario("demo")
+    scenario = msgspec.structs.replace(demo, start=Start(q_rad=FROM_rad, homed=True))
+    with tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
+        bench = CellBench(load_cell("pair"), scenario, Path(folder), wired_as_real)
+        try:
+            for client in bench.start(bench.standing).values():
+                client.enable()
+            yield PairStage(bench)
+        finally:
+            with suppress(LinkError):
+                bench.close()
+
+
+@cache
+def asked_ways(begin: Callable[[PairStage], None]) -> dict[str, tuple[Point, ...]]:
+    """The true ways of the twins' tips, from a little before the fault on."""
+    with pair_stage() as twin:
+        begin(twin)
+        twin.ways = {name: way[-10:] for name, way in twin.ways.items()}
+        twin.run(WATCHED_S)
+        return {name: tuple(tip for _, tip in way[::THINNED]) for name, way in twin.ways.items()}

@@ -1,0 +1,55 @@
+"""Contacts of the demo's two arms come from the physics: tips really meet, wherever the files say that the arms stand."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.closed_chain.candidates import Candidates, contact_candidates
+from calib.closed_chain.contacts import read_contacts
+from control.model.cell import load_cell
+from control.recording.reading import Recording
+from procedures.demo.two_arms import as_bolted_down
+from procedures.demo.two_arms_moves import Contacting, write_taken
+from procedures.mock.cell_bench import CellBench
+from tests.cell import scenario
+from tests.pair import APART
+
+PAIR, NAMES = load_cell("pair"), ("left", "right")
+
+
+def a_bar() -> Candidates:
+    """A contact at the ends of a bar."""
+    return contact_candidates(PAIR, NAMES, (0.1,), drawn=50).chosen([0])
+
+
+def test_contacts_are_those_of_the_true_arms(tmp_path: Path) -> None:
+    standing = as_bolted_down(PAIR, seed=3)
+    assert 1e-3 < math.dist(standing.arms[1].origin_m, PAIR.arms[1].origin_m) < 0.02
+    bench = CellBench(standing, scenario(APART, base="demo"), tmp_path / "log")
+    truth = []
+    try:
+        for client in bench.start(PAIR).values():
+            client.enable()
+        contacting = Contacting(PAIR, NAMES, bench)
+        seat = contacting._seat
+
+        def seen(touching_rad: tuple[list[float], list[float]], distance_m: float) -> None:
+            seat(touching_rad, distance_m)
+            apart_m = math.dist(bench.tip_m("left"), bench.tip_m("right"))
+            assert apart_m == pytest.approx(distance_m, abs=3e-4)
+            truth.append([q for name in NAMES for q in bench.rig.mock.robots[name].joint_rad()])
+
+        contacting._seat = seen  # type: ignore[method-assign]
+        taken = list(contacting.take(a_bar()))
+    finally:
+        bench.close()
+    write_taken(tmp_path / "contacts.csv", taken)
+    contacts, _ = read_contacts(tmp_path / "contacts.csv", (PAIR.arms[0].arm, PAIR.arms[1].arm))
+    assert contacts.distance_m.tolist() == [0.1]
+    assert np.hstack((contacts.first_rad, contacts.second_rad)) == pytest.approx(np.array(truth), abs=3e-3)
+    rows = {name: Recording.open(bench.recording / f"{name}.armlog").row_count for name in NAMES}
+    assert rows["left"] == rows["right"] > 100
