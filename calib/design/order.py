@@ -38,7 +38,7 @@ def visiting_order(
         ways = np.abs(q[:, None] - q[None, :]).max(axis=2)
         if setup == FREE:  # between cavities the session lifts the arm
             ways = ways + DETOUR_RAD * ~clear_ways(arm, q, standing)
-        order += [rows[k - 1] for k in _short_path(ways)[1:]]
+        order += [rows[k - 1] for k in short_path(ways)[1:]]
         last = planned.q_rad[order[-1]]
     return order
 
@@ -60,7 +60,7 @@ def clear_ways(arm: Arm, q_rad: Array, boards: Iterable[PlacedBoard]) -> Mask:
     return ways
 
 
-def _short_path(ways: Array) -> list[int]:
+def short_path(ways: Array) -> list[int]:
     """A short path through all places of the matrix (m, m), from the first."""
     path, left = [0], set(range(1, len(ways)))
     while left:
