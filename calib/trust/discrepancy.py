@@ -19,9 +19,11 @@ from typing import Final
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.link_bending import beams, bending_m
 from calib.arrays import Array
 from calib.design.reach import joint_box
+from calib.points.points import Points
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.static_pose import ROUNDING_Nm, gravity_Nm, resting, statics_of
 from control.errors import MissingModel
@@ -64,6 +66,16 @@ class Conditions:
     def of(cls, q_rad: Array, direction: float = 0.0, payload_kg: float = 0.0) -> Conditions:
         """Poses that all joints reach in one direction with one payload."""
         return cls(q_rad, np.full(q_rad.shape, direction), np.full(len(q_rad), payload_kg))
+
+    @classmethod
+    def recorded(cls, arm: Arm, points: Points) -> Conditions:
+        """Those of recorded points: joint angles are the encoders', corrected by the effects that the arm's file has."""
+        return cls(
+            points.q_rad + known_corrections(arm, points),
+            np.nan_to_num(points.direction),
+            np.nan_to_num(points.payload_kg),
+            points.current_A,
+        )
 
     def __len__(self) -> int:
         """How many poses."""
