@@ -95,6 +95,12 @@ gap-orientation: install  ## what measured orientations add to the gap workflow:
 trust-study: install  ## do 95 % ellipsoids of predicted tip errors hold the truth over the whole workspace? some minutes; CASES=20 arms of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.trust_coverage $(if $(CASES),--cases $(CASES))
 
+iso9283-study: install  ## do predicted ISO 9283 figures hold the measured ones on many simulated arms? some minutes; CASES=20 arms of each sort
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.iso9283_arms $(if $(CASES),--cases $(CASES))
+
+planning-study: install  ## what planned paths and stops gain on mock arms, measured by their camera before any correction; half an hour; CASES=6 of each sort
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.planning $(if $(CASES),--cases $(CASES))
+
 rough-score: install  ## the same for poses of parts whose laws are only roughly right, up to six at once; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.static.rough_score $(if $(CASES),--cases $(CASES))
 

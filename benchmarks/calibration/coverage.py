@@ -23,6 +23,7 @@ from calib.identify import ArmModel, ArmProblem, Observations
 from calib.identify.determinability import determinability
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, objective_named
+from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import minimise
 from calib.studies.executor import Executor, InProcess, task_rng
 from calib.studies.opening import executor
@@ -175,7 +176,7 @@ def _scored(
         robust = minimise(problem, objective_named("e2"), starts_count=1)
         objective = objective.settled_on(problem.residuals(robust.x))
     x = minimise(problem, objective, starts_count=1).x
-    result = uncertainty(problem.parameters, objective, x, problem.residuals(x), problem.sensitivity(x))
+    result = uncertainty(problem.parameters, objective, x, problem.residuals(x), Sensitivity.at(problem, x))
     quantile = result.noise.quantile()
     true = dict(zip(dh_names(len(deviation)), deviation.ravel().tolist(), strict=True))
     for estimate in result.estimates:

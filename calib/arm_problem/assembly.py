@@ -189,13 +189,10 @@ def referenced(arm: Arm, points: Points, choice: Choice) -> Points:
     table = arm.table
     cavities = board_cavities(table) if table is not None else {}
     setups = set(points.setup) if table is not None and not table.known_pose else {*choice.boards, *SETUPS}
-    measured = set(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)).tolist())
-    rows = [
-        k
-        for k in range(len(points))
-        if k in measured or (points.point[k] in cavities and points.setup[k] in setups)
-    ]
-    return points.chosen(rows)
+    is_known = np.asarray(np.isfinite(points.tip_m).all(axis=1))
+    for k in np.flatnonzero(~is_known):
+        is_known[k] = points.point[k] in cavities and points.setup[k] in setups
+    return points if is_known.all() else points.chosen(np.flatnonzero(is_known))
 
 
 def base_frame_of(arm: Arm, is_free: bool = False) -> Frame:

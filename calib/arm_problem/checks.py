@@ -14,7 +14,7 @@ from calib.arm_problem.misread.turns import require_turns_meant
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.errors import UnusablePointsError
-from calib.points.points import Points
+from calib.points.points import Points, seen_again
 from control.model.arm import Arm
 
 POINTS_MINIMUM_COUNT = 4
@@ -126,7 +126,7 @@ def _copies(points: Points) -> tuple[str, ...]:
     """A warning about identical rows; refused if most are: repeats differ by noise, copies do not."""
     seen: dict[tuple[object, ...], int] = {}
     copies: list[tuple[int, int]] = []
-    for row in range(len(points)):
+    for row in seen_again(zip(points.setup, points.point, map(bytes, points.q_rad), strict=True)):
         key = (points.setup[row], points.point[row], points.q_rad[row].tobytes(), points.tip_m[row].tobytes())
         if key in seen:
             copies.append((seen[key], row))

@@ -108,10 +108,11 @@ class PosedProblem:
         some, turned = self._split(rows)
         return PosedExpansion(self.tips.expanded(x[: self._count], some), *self._turned(x, turned))
 
-    def sensitivity(self, x: Array) -> Array:
+    def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
         """The Jacobian for zero residuals, (rows, 3, k)."""
-        by_turn = self._turned(x, self.rows, at_zero=True)[1]
-        return np.concatenate((self._widened(self.tips.sensitivity(x[: self._count])), by_turn))
+        some, turned = self._split(rows)
+        by_turn = self._turned(x, turned, at_zero=True)[1]
+        return np.concatenate((self._widened(self.tips.sensitivity(x[: self._count], some)), by_turn))
 
     def angles_rad(self, x: Array) -> Array:
         """Errors of the orientations as rotation vectors in the base frame, (r, 3)."""

@@ -68,8 +68,8 @@ class Problem(Protocol):
     def expanded(self, x: Array, rows: slice = ALL) -> Expanded:
         """The residuals, and sums of their derivatives for Newton's steps."""
 
-    def sensitivity(self, x: Array) -> Array:
-        """(m, 3, k): the Jacobian for zero residuals, which shows what the points determine."""
+    def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
+        """(m, 3, k), of all poses or a slice of them: the Jacobian for zero residuals, which shows what the points determine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,10 +165,10 @@ class ArmProblem:
         """How many poses."""
         return len(self.observed)
 
-    def of_rows(self, rows: npt.ArrayLike) -> ArmProblem:
-        """The problem with the same unknowns for some of the poses (indices or a mask)."""
+    def of_rows(self, rows: npt.ArrayLike | slice) -> ArmProblem:
+        """The problem with the same unknowns for some of the poses (indices, a mask or a slice)."""
         some = copy.copy(self)
-        keep = np.arange(len(self))[np.asarray(rows)]
+        keep = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
         some.observed, some.references_m = self.observed.chosen(keep), self.references_m[keep]
         return some
 
@@ -295,14 +295,14 @@ class ArmProblem:
             found[here] = turn @ rotations[here]
         return found, by_measured
 
-    def sensitivity(self, x: Array) -> Array:
+    def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
         """The Jacobian (m, 3, k) at poses near the measured ones whose tips are at their references.
 
         It shows what the points determine. Rotating arm and board together also rotates a residual r, so the Jacobian contains
         w x r as if that rotation were observable, although no distance changes. Zero residuals avoid this.
         If no board is free, it is the Jacobian at the measured poses.
         """
-        seated = copy.copy(self)
+        seated = copy.copy(self) if rows == ALL else self.of_rows(rows)
         for _ in range(SEATING_STEPS if self._free else 0):
             found = seated.expanded(x)
             by_joint = found.columns[list(self.model.theta_places)].transpose(2, 1, 0)

@@ -115,9 +115,9 @@ class WeightedProblem:
         """Around x."""
         return WeightedExpansion(self.inner.expanded(x, rows), self.weights[rows])
 
-    def sensitivity(self, x: Array) -> Array:
+    def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
         """(rows, 3, k)."""
-        return np.asarray(self.weights @ self.inner.sensitivity(x))
+        return np.asarray(self.weights[rows] @ self.inner.sensitivity(x, rows))
 
 
 def _times(weights: Array, vectors: Array) -> Array:

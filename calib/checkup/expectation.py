@@ -78,9 +78,7 @@ def expectation_of(arm: Arm, earlier: Points, new: Points) -> Expectation:
     points = joined((earlier, new))
     problem = problem_of(arm, points, Choice().for_points(arm, points))
     is_new = np.arange(len(points)) >= len(earlier)
-    at = Conditions(
-        points.q_rad, np.nan_to_num(points.direction), np.nan_to_num(points.payload_kg), points.current_A
-    )
+    at = Conditions.recorded(arm, points)
     discrepancy = Discrepancy(arm)
     found = posterior_of(problem, at, discrepancy, ~is_new)
     design, wanted = linearised(problem, at, discrepancy, found.x)

@@ -21,6 +21,7 @@ from calib.errors import UnusablePointsError
 from calib.identify.determinability import Determinability, determinability
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, SumOfDistances
+from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import Minimum, minimise
 from control.model.arm import Arm
 from control.progress import Advance, silent
@@ -87,7 +88,9 @@ def calibrate_pair(
     advance("identifying", 0.1)
     problem, best = _identified(arms, contacts, placed.base, plan)
     x = best.x
-    found = uncertainty(problem.parameters, best.objective, x, problem.residuals(x), problem.sensitivity(x))
+    found = uncertainty(
+        problem.parameters, best.objective, x, problem.residuals(x), Sensitivity.at(problem, x)
+    )
     calibrated, base = problem.solution(x)
     held = _held_out(arms, contacts, plan, advance)
     advance("done", 1.0)

@@ -135,7 +135,7 @@ class PairProblem:
         """Around x."""
         return PairExpansion(*self.residuals_and_jacobian(x, rows))
 
-    def sensitivity(self, x: Array) -> Array:
+    def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
         """The Jacobian (rows, 3, k) with the second arm's joints turned until the contacts close.
 
         It shows what the contacts determine: open ones make a rotation of the first arm differ from one of the second base.
@@ -150,7 +150,7 @@ class PairProblem:
             seated.contacts = dataclasses.replace(
                 seated.contacts, second_rad=seated.contacts.second_rad + move
             )
-        return seated.residuals_and_jacobian(x, at_zero=True)[1]
+        return seated.residuals_and_jacobian(x, rows, at_zero=True)[1]
 
     def errors_m(self, x: Array) -> Array:
         """How far each contact is from closing, (m,)."""

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from calib.arm_problem.parameters import Parameter
 from calib.arrays import Array, frozen
 from calib.identify.open_combinations import NOTICEABLE, Undetermined, described
+from calib.identify.sensitivity import triangle
 
 __all__ = ["NOTICEABLE", "Determinability", "Undetermined", "determinability", "null_space"]
 
@@ -91,7 +92,7 @@ class _Parts:
     @classmethod
     def of(cls, sensitivity: Array, parameters: tuple[Parameter, ...]) -> _Parts:
         """The parts of the sensitivity (m, 3, k); if no parameter has a bound, all count as bounded."""
-        rows = _triangle(sensitivity.reshape(-1, sensitivity.shape[2]))
+        rows = triangle(sensitivity.reshape(-1, sensitivity.shape[2]))
         has_bound = np.array([parameter.has_bound for parameter in parameters])
         if not has_bound.any():
             has_bound[:] = True
@@ -129,11 +130,6 @@ class _Parts:
         whole[self.bounded, : of_bounded.shape[1]] = of_bounded
         whole[self.free, of_bounded.shape[1] :] = of_free
         return whole
-
-
-def _triangle(rows: Array) -> Array:
-    """QR first, or many points would need a large U."""
-    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
 
 def _decomposed(rows: Array) -> tuple[Array, Array, Array]:

@@ -11,6 +11,7 @@ from calib.arm_problem.parameters import Parameter
 from calib.arrays import Array
 from calib.identify.determinability import NOTICEABLE, Determinability, determinability
 from calib.identify.objective import Objective
+from calib.identify.sensitivity import Sensitivity
 from calib.identify.spread import NoiseScale, leverages, noise_scale
 
 AT_BOUND = 1.0 - 1e-6  # a deviation beyond this share of its bound is at the bound
@@ -59,19 +60,24 @@ class Uncertainty:
 
 
 def uncertainty(
-    parameters: tuple[Parameter, ...], objective: Objective, x: Array, residuals: Array, sensitivity: Array
+    parameters: tuple[Parameter, ...],
+    objective: Objective,
+    x: Array,
+    residuals: Array,
+    sensitivity: Sensitivity,
 ) -> Uncertainty:
-    """Uncertainty of the optimum x (k,) with residuals (m, 3) and sensitivity (m, 3, k)."""
+    """Uncertainty of the optimum x (k,) with residuals (m, 3)."""
     limits = np.array([parameter.limit for parameter in parameters])
     resting = np.abs(x) >= AT_BOUND * limits
-    known = determinability(sensitivity, parameters)
+    known = determinability(sensitivity.compact, parameters)
     free = np.flatnonzero(~resting)
     spread = np.zeros((len(x), 0))
     if len(free):
-        part = determinability(sensitivity[:, :, free], tuple(parameters[k] for k in free))
+        part = determinability(sensitivity.compact[:, :, free], tuple(parameters[k] for k in free))
         spread = np.zeros((len(x), part.rank))
         spread[free] = part.spread
-    noise = noise_scale(objective, residuals, leverages(sensitivity, spread))
+    shares = np.concatenate([leverages(part, spread) for _, part in sensitivity.blocks()])
+    noise = noise_scale(objective, residuals, shares)
     sd = np.where(
         resting, np.nan, np.sqrt(noise.variance_m2 * np.einsum("ij,ij->i", known.spread, known.spread))
     )
@@ -98,7 +104,7 @@ def _intervals(
     noise: NoiseScale,
     objective: Objective,
     residuals: Array,
-    sensitivity: Array,
+    sensitivity: Sensitivity,
 ) -> tuple[Array, Array]:
     """Scaled intervals, (k,) each: around the optimum without bounds, truncated at the bounds.
 
@@ -117,7 +123,7 @@ def _intervals(
 
 
 def _slope(
-    objective: Objective, residuals: Array, sensitivity: Array, resting: npt.NDArray[np.bool_]
+    objective: Objective, residuals: Array, sensitivity: Sensitivity, resting: npt.NDArray[np.bool_]
 ) -> Array:
     """Derivative of the objective by each unknown at its bound.
 
@@ -131,9 +137,10 @@ def _slope(
         is_near = distances < KINK * float(np.median(distances))
         kinked = is_near.reshape(residuals.shape) if by_coordinate else np.repeat(is_near[:, None], 3, axis=1)
         score[kinked] = 0.0
-        free = sensitivity[:, :, ~resting]
-        pull = np.einsum("ij,ijk->k", score, free)
-        scale = np.maximum(np.linalg.norm(free.reshape(-1, free.shape[2]), axis=0), 1e-300)
-        answer, *_ = np.linalg.lstsq((free[kinked] / scale).T, -pull / scale, rcond=1e-9)
+        pull = sensitivity.pulled(score)[~resting]
+        scale = np.maximum(np.linalg.norm(sensitivity.compact[:, 0, ~resting], axis=0), 1e-300)
+        answer, *_ = np.linalg.lstsq(
+            (sensitivity.chosen(kinked)[:, ~resting] / scale).T, -pull / scale, rcond=1e-9
+        )
         score[kinked] = np.clip(answer, -1.0, 1.0)
-    return np.asarray(np.einsum("ij,ijk->k", score, sensitivity[:, :, resting]))
+    return sensitivity.pulled(score)[resting]

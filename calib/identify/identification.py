@@ -15,6 +15,7 @@ from calib.identify.budget import Accuracy
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Objective, SumOfDistances, value_of
 from calib.identify.open_combinations import Undetermined, open_in_words
+from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import Minimum, minimise
 from calib.identify.spread import NoiseScale
 
@@ -151,7 +152,7 @@ def identify(
     whole, best = _solved(problem, objective or SumOfDistances(), starts_count, seed, accuracy_limit_m)
     wanted, x = best.objective, best.x[: len(problem.parameters)]
     before, after = whole.residuals(np.zeros(len(best.x))), whole.residuals(best.x)
-    found = uncertainty(whole.parameters, wanted, best.x, after, whole.sensitivity(best.x))
+    found = uncertainty(whole.parameters, wanted, best.x, after, Sensitivity.at(whole, best.x))
     return Identification(
         objective=wanted.name,
         solution=problem.solution(x),

@@ -12,6 +12,7 @@ from calib.arm_problem.weighted import position_weights
 from calib.arrays import Array
 from calib.identify.determinability import determinability
 from calib.identify.estimates import AT_BOUND
+from calib.identify.sensitivity import Sensitivity
 
 Mask = npt.NDArray[np.bool_]
 
@@ -37,7 +38,7 @@ class LinearFit:
         limits = np.array([parameter.limit for parameter in problem.parameters])
         free = np.flatnonzero(np.abs(x) < AT_BOUND * limits)
         known = determinability(
-            problem.sensitivity(x)[:, :, free], tuple(problem.parameters[k] for k in free)
+            Sensitivity.at(problem, x).compact[:, :, free], tuple(problem.parameters[k] for k in free)
         )
         columns = jacobian[:, :, free] @ known.basis
         weights = position_weights(problem, problem.solution(x).frames)

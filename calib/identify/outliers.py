@@ -75,6 +75,7 @@ def find_outliers(
     cavities: Mapping[str, Array] | None = None,
     extra: Array | None = None,
     noise_m: float = RESOLUTION_m,
+    false_alarm: float = FALSE_ALARM,
 ) -> tuple[Outlier, ...]:
     """The outliers of a problem around its solution x (k,), the worst first.
 
@@ -83,7 +84,7 @@ def find_outliers(
     if known: the smallest noise assumed.
     """
     fit = LinearFit.around(problem, x, extra)
-    found = outlier_test(fit, noise_m)
+    found = outlier_test(fit, noise_m, false_alarm)
     rows = np.flatnonzero(~found.agrees)
     named = [
         _outlier(problem, x, int(row), found, fit.unweighted(int(row), found.deleted_m[row]), cavities or {})
@@ -92,8 +93,13 @@ def find_outliers(
     return tuple(sorted(named, key=lambda outlier: -outlier.score))
 
 
-def outlier_test(fit: LinearFit, noise_m: float = RESOLUTION_m) -> OutlierTest:
-    """Test which points agree, given noise of one axis of at least noise_m; all if there are too few."""
+def outlier_test(
+    fit: LinearFit, noise_m: float = RESOLUTION_m, false_alarm: float = FALSE_ALARM
+) -> OutlierTest:
+    """Test which points agree, given noise of one axis of at least noise_m; all if there are too few.
+
+    `false_alarm`: probability that one of a clean session does not.
+    """
     m = len(fit)
     if 3 * m - fit.rank < 6:
         return OutlierTest(np.ones(m, dtype=bool), fit.residuals, np.zeros(m), math.nan)
@@ -101,14 +107,14 @@ def outlier_test(fit: LinearFit, noise_m: float = RESOLUTION_m) -> OutlierTest:
     seen: list[bytes] = []
     for _ in range(ROUNDS_LIMIT):
         seen.append(agreeing.tobytes())
-        found = _tested(fit, agreeing, max(noise_m, RESOLUTION_m))
+        found = _tested(fit, agreeing, max(noise_m, RESOLUTION_m), false_alarm)
         agreeing = found.agrees
         if agreeing.tobytes() in seen:
             break
     return found
 
 
-def _tested(fit: LinearFit, agreeing: Mask, noise_m: float) -> OutlierTest:
+def _tested(fit: LinearFit, agreeing: Mask, noise_m: float, false_alarm: float) -> OutlierTest:
     """Test every point against those of `agreeing`, without itself."""
     from scipy.special import fdtri
 
@@ -124,7 +130,7 @@ def _tested(fit: LinearFit, agreeing: Mask, noise_m: float) -> OutlierTest:
     others = np.where(agreeing, freedom - 3, freedom)
     variance = np.maximum((total - np.where(agreeing, squares, 0.0)) / np.maximum(others, 1), noise_m**2)
     ratio = np.where(is_testable, squares / 3.0 / variance, 0.0)
-    agrees = ratio <= fdtri(3, np.maximum(others, 1), 1.0 - FALSE_ALARM / len(fit))
+    agrees = ratio <= fdtri(3, np.maximum(others, 1), 1.0 - false_alarm / len(fit))
     deleted = np.where(agreeing[:, None], np.einsum("mij,mj->mi", inverse, residuals), residuals)
     return OutlierTest(agrees, deleted, np.sqrt(3.0 * ratio), math.sqrt(max(total / freedom, noise_m**2)))
 

@@ -22,6 +22,7 @@ from calib.identify.descent import NOTHING_M, End, Goal, descend
 from calib.identify.determinability import null_space
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
 from calib.identify.sample import Sample
+from calib.identify.sensitivity import Sensitivity
 
 COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may cost
 # What counts as undetermined, tried in this order against that cost.
@@ -251,7 +252,7 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
     nothing = objective.value(objective.distances(np.full((len(problem), 3), NOTHING_M)), 0.0)
     tried = -1
     sensitivity, noise_m = (
-        problem.sensitivity(best.x),
+        Sensitivity.at(problem, best.x).compact,
         0.0 if equal == "exactly" else _noise_m(problem, best.x),
     )
     # First what the noise hides: a change by its bound is less than a standard deviation. Rotations of arm and board

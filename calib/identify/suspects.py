@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
-from calib.identify.outliers import Outlier, RESOLUTION_m, find_outliers
+from calib.identify.outliers import FALSE_ALARM, Outlier, RESOLUTION_m, find_outliers
 from calib.identify.shifted import ShiftedSetup, moved_columns, shifted_setups
 
+PART = (
+    50_000  # points that are compared with each other: far more than the fit's unknowns need, in some 100 MB
+)
 REPORTED_LIMIT = 10  # outliers reported individually
 REPORTED_IF_SYSTEMATIC = 3
 SYSTEMATIC_COUNT = 12  # this many outliers without a slip indicate an effect
@@ -81,13 +84,20 @@ def find_suspects(
 ) -> Suspects:
     """Find suspects around the solution x (k,) of a problem; points of a shifted setup are compared only with each other.
 
-    `noise_m`: of one axis, if known; deviations within it are never suspicious.
+    `noise_m`: of one axis, if known; deviations within it are never suspicious. More than PART points are compared in parts,
+    each spread evenly over all.
     """
-    setups = shifted_setups(problem, x)
-    moved = [moved_columns(problem, one.setup) for one in setups]
-    extra = np.concatenate(moved, axis=2) if moved else None
-    outliers = find_outliers(problem, x, cavities, extra, noise_m)
-    return Suspects(setups, outliers, len(problem), _slip(problem, x, outliers))
+    parts = max(1, math.ceil(len(problem) / PART))
+    setups = shifted_setups(problem.of_rows(slice(None, None, parts)) if parts > 1 else problem, x)
+    found: list[Outlier] = []
+    for first in range(parts):
+        part = problem.of_rows(slice(first, None, parts)) if parts > 1 else problem
+        moved = [moved_columns(part, one.setup) for one in setups]
+        extra = np.concatenate(moved, axis=2) if moved else None
+        outliers = find_outliers(part, x, cavities, extra, noise_m, FALSE_ALARM / parts)
+        found += [replace(one, row=first + parts * one.row) for one in outliers]
+    worst_first = tuple(sorted(found, key=lambda one: -one.score))
+    return Suspects(setups, worst_first, len(problem), _slip(problem, x, worst_first))
 
 
 def _slip(problem: ArmProblem, x: Array, outliers: tuple[Outlier, ...]) -> Slip | None:

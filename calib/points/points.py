@@ -13,9 +13,10 @@ import gzip
 import io
 import math
 import re
+import sys
 import zlib
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,7 +43,7 @@ OWN_EXTRAS = re.compile(
 CAMERA_FRAME = (
     "camera"  # in the column `frame`: positions and orientations are in a camera's frame of unknown place
 )
-POINTS_MOST = 100_000  # poses; calibrations have hundreds
+POINTS_MOST = 1_000_000  # poses, which take 1 GB to calibrate; calibrations have hundreds
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ class Points:
         """Without any orientation or covariance, a row of NaN for each pose."""
         for name, width in (("orientation", 4), ("covariance", 12)):
             if not len(getattr(self, name)):
-                object.__setattr__(self, name, frozen(np.full((len(self.setup), width), np.nan)))
+                object.__setattr__(self, name, _known(None, (len(self.setup), width)))
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -131,18 +132,33 @@ def make_points(
         frozen(q_rad),
         frozen(tip_m),
         frozen(np.zeros((m, n)) if direction is None else direction),
-        frozen(np.full((m, n), np.nan) if current_A is None else current_A),
-        frozen(np.full(m, np.nan) if t_s is None else t_s),
-        frozen(np.full(m, np.nan) if payload_kg is None else payload_kg),
+        _known(current_A, (m, n)),
+        _known(t_s, (m,)),
+        _known(payload_kg, (m,)),
         MappingProxyType(dict(extra or {})),
-        frozen(np.zeros((0, 4)) if orientation is None else orientation),
-        frozen(np.zeros((0, 12)) if covariance is None else covariance),
+        _known(orientation, (m, 4)),
+        _known(covariance, (m, 12)),
     )
+
+
+def _known(values: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
+    """Read-only values; not a number, which then takes no memory, where none of them is known."""
+    found = np.zeros(0) if values is None else np.asarray(values, dtype=np.float64)
+    return np.broadcast_to(np.nan, shape) if np.isnan(found).all() else frozen(found)
+
+
+def seen_again(keys: Iterable[object]) -> list[int]:
+    """Positions of keys that probably occur again: only of these is a table needed, which takes half a kilobyte a key."""
+    marks = np.fromiter((hash(key) for key in keys), dtype=np.int64)
+    _, place, count = np.unique(marks, return_inverse=True, return_counts=True)
+    return [int(row) for row in np.flatnonzero(count[place] > 1)]
 
 
 def joined(parts: Sequence[Points]) -> Points:
     """Concatenate the poses of several files; columns beyond the format are kept if every file has them."""
     first, *others = parts
+    if not others:
+        return first
     shared = [name for name in first.extra if all(name in part.extra for part in others)]
     return make_points(
         [name for part in parts for name in part.setup],
@@ -308,7 +324,8 @@ class _Table:
                 f"{self._path}, line {line}: {len(row)} values, line 1 names {len(self._columns.names)}"
             )
         for name, texts in self._text.items():
-            texts.append(row[self._place[name]].strip())
+            cell = row[self._place[name]].strip()
+            texts.append(cell if name == "point" else sys.intern(cell))  # most are alike
         for name in ("setup", "point"):
             if not self._text[name][-1]:
                 raise self._bad(line, name, "", "a name")

@@ -17,12 +17,16 @@ if TYPE_CHECKING:
 
 MARKERS = "o^sDvP"
 ARROW_SHARE = 0.16  # length of a typical arrow as a share of the points' extent
+DRAWN_MOST = 1000  # points: more would hide each other, in a file of many megabytes
 ARROW_LIMIT = 3.0  # longest arrow in typical errors
 
 
 def vector_picture(comparison: Comparison) -> str:
-    """Error vectors at the points, seen from above and from the side, before and after, each with a scale arrow."""
-    return svg((10.4, 7.4), lambda figure: _draw_vectors(figure, comparison))
+    """Error vectors at the points, seen from above and from the side, before and after, each with a scale arrow.
+
+    Of very many points, some: the picture says how many.
+    """
+    return svg((10.4, 7.4), lambda figure: _draw_vectors(figure, comparison.thinned(DRAWN_MOST)))
 
 
 def histogram_picture(comparison: Comparison) -> str:
@@ -137,9 +141,11 @@ def _draw_histogram(axes: Axes, comparison: Comparison) -> None:
 
 def _draw_setups(axes: Axes, comparison: Comparison) -> None:
     entries = [comparison.of(name) for name in comparison.setups]
-    own = np.array([comparison.setups.index(name) for name in comparison.setup], dtype=float)
-    _draw_summaries(axes, own - 0.17, comparison.before_m, [e.before for e in entries], BEFORE, "before")
-    _draw_summaries(axes, own + 0.17, comparison.after_m, [e.after for e in entries], AFTER, "after")
+    some = comparison.thinned(DRAWN_MOST)
+    place = {name: float(k) for k, name in enumerate(comparison.setups)}
+    own = np.array([place[name] for name in some.setup])
+    _draw_summaries(axes, own - 0.17, some.before_m, [e.before for e in entries], BEFORE, "before")
+    _draw_summaries(axes, own + 0.17, some.after_m, [e.after for e in entries], AFTER, "after")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_xticks(np.arange(len(entries), dtype=float), [e.setup for e in entries])

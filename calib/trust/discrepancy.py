@@ -19,10 +19,13 @@ from typing import Final
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.link_bending import beams, bending_m
 from calib.arrays import Array
 from calib.design.reach import joint_box
-from control.dynamics.static_pose import gravity_Nm, resting
+from calib.points.points import Points
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.static_pose import ROUNDING_Nm, gravity_Nm, resting, statics_of
 from control.errors import MissingModel
 from control.model.arm import Arm
 
@@ -47,20 +50,32 @@ SEED: Final = 20161771
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Poses at rest and how each was reached.
+    """Poses at rest or on the way, and how each was reached.
 
-    q_rad (m, n); direction (m, n): sign of the last motion, 0 unknown; payload_kg (m,); current_A (m, n), or None.
+    q_rad (m, n): joint angles; direction (m, n): sign of the last motion, 0 unknown; payload_kg (m,); current_A (m, n), or None;
+    moving_Nm (m, n): what moving links need beyond gravity, or None at rest.
     """
 
     q_rad: Array
     direction: Array
     payload_kg: Array
     current_A: Array | None = None
+    moving_Nm: Array | None = None
 
     @classmethod
     def of(cls, q_rad: Array, direction: float = 0.0, payload_kg: float = 0.0) -> Conditions:
         """Poses that all joints reach in one direction with one payload."""
         return cls(q_rad, np.full(q_rad.shape, direction), np.full(len(q_rad), payload_kg))
+
+    @classmethod
+    def recorded(cls, arm: Arm, points: Points) -> Conditions:
+        """Those of recorded points: joint angles are the encoders', corrected by the effects that the arm's file has."""
+        return cls(
+            points.q_rad + known_corrections(arm, points),
+            np.nan_to_num(points.direction),
+            np.nan_to_num(points.payload_kg),
+            points.current_A,
+        )
 
     def __len__(self) -> int:
         """How many poses."""
@@ -95,7 +110,8 @@ class Discrepancy:
         self._centre, self._travel = 0.5 * (lower + upper), 0.5 * (upper - lower)
         rng = np.random.default_rng(SEED)
         sample = lower + (upper - lower) * rng.random((SAMPLE, len(lower)))
-        self._load_Nm = _largest_load_Nm(arm, sample)
+        self._statics = _statics_of(arm)
+        self._load_Nm = _largest_load_Nm(arm, sample, self._statics)
         self._bending = self._bending_scales(sample)
         self._waves, self._phases = _field_waves(arm, rng)
         blocks = list(self._blocks(Conditions.of(sample[:2]), arm.dh, self._model.nominal_tool_m))
@@ -150,8 +166,14 @@ class Discrepancy:
         """Gravity torque over the largest, and the gear's flank (0 unclear), (m, n) each."""
         if self._load_Nm is None:
             return np.zeros(at.q_rad.shape), np.sign(at.direction)
-        state = resting(self._arm, at.q_rad, at.direction, at.current_A, at.payload_kg)
-        return state.gravity_Nm / np.where(self._load_Nm > 0.0, self._load_Nm, 1.0), state.flank
+        moving_Nm = 0.0 if at.moving_Nm is None else at.moving_Nm
+        state = resting(
+            self._arm, at.q_rad, at.direction, at.current_A, at.payload_kg, moving_Nm, self._statics
+        )
+        is_loaded = self._load_Nm > 0.0
+        return np.where(
+            is_loaded, state.gravity_Nm / np.where(is_loaded, self._load_Nm, 1.0), 0.0
+        ), state.flank
 
     def unclear(self, at: Conditions, dh: Array, tool_m: Array) -> Array:
         """The tip's displacement [m] by each joint's play, (m, 3, n), where its gear's flank is unclear; else 0."""
@@ -182,12 +204,19 @@ class Discrepancy:
         return np.asarray(np.einsum("mw,ij->miwj", features, np.eye(3)).reshape(len(tips_m), 3, -1))
 
 
-def _largest_load_Nm(arm: Arm, sample: Array) -> Array | None:
-    """The largest gravity torque of each joint (n,) over the travel; None without masses."""
+def _statics_of(arm: Arm) -> Dynamics | None:
     try:
-        return np.asarray(np.abs(gravity_Nm(arm, sample)).max(axis=0))
+        return statics_of(arm)
     except MissingModel:
         return None
+
+
+def _largest_load_Nm(arm: Arm, sample: Array, statics: Dynamics | None) -> Array | None:
+    """The largest gravity torque of each joint (n,) over the travel, 0 of an upright axis; None without masses."""
+    if statics is None:
+        return None
+    largest = np.abs(gravity_Nm(arm, sample, dynamics=statics)).max(axis=0)
+    return np.where(largest > ROUNDING_Nm, largest, 0.0)
 
 
 def _field_waves(arm: Arm, rng: np.random.Generator) -> tuple[Array, Array]:

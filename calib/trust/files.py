@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.inputs import InputFile
 from calib.points.writer import replace_file
+from calib.trust.iso9283 import PoseFigures, pose_json
 from calib.trust.task import Reliability
 from calib.trust.trust import Trust, share_within
 from calib.trust.words import sentences, task_sentences
@@ -40,6 +41,7 @@ def write_json(
     file: Path,
     trust: Trust,
     tasks: Sequence[Reliability],
+    poses: Sequence[PoseFigures],
     about: Mapping[str, object],
     inputs: Sequence[InputFile],
 ) -> None:
@@ -50,11 +52,11 @@ def write_json(
         **about,
         "inputs": {one.name: one.sha256 for one in inputs},
     }
-    content |= trust_json(trust, tasks)
+    content |= trust_json(trust, tasks, poses)
     replace_file(file, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
 
 
-def trust_json(trust: Trust, tasks: Sequence[Reliability]) -> dict[str, object]:
+def trust_json(trust: Trust, tasks: Sequence[Reliability], poses: Sequence[PoseFigures]) -> dict[str, object]:
     """The result for programs; SI units."""
     reach, tolerance = trust.within_95_m, trust.request.tolerance_m
     found = trust.coverage
@@ -89,6 +91,7 @@ def trust_json(trust: Trust, tasks: Sequence[Reliability]) -> dict[str, object]:
             for source, size in zip(trust.discrepancy.sources, trust.posterior.sizes, strict=True)
         },
         "tasks": [_task_json(one) for one in tasks],
+        "iso9283": pose_json(poses),
         "in_words": [*sentences(trust), *(line for one in tasks for line in task_sentences(one))],
         "warnings": list(trust.warnings),
     }

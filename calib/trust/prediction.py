@@ -63,7 +63,7 @@ class Predictor:
         self.own_places = [k for k, name in enumerate(names) if name in known]
         self._places = [known[names[k]] for k in self.own_places]
         self._scale = problem.scale[self.own_places]
-        self._repeat_m, self._reference_q = repeat_m, reference_q
+        self.repeat_m, self._reference_q = repeat_m, reference_q
         self.is_tied = _is_tied(problem)
 
     def at(self, poses: Conditions) -> TipError:
@@ -123,7 +123,7 @@ class Predictor:
         by_joint = slopes.by_dh[:, :, list(self._model.theta_places)]
         steps = by_joint * encoder_steps_rad(self._arm) / math.sqrt(12.0)
         loose = loose_play_m2(self._discrepancy, poses, self._solved, self.posterior)
-        return np.asarray(np.einsum("mik,mjk->mij", steps, steps) + loose + self._repeat_m**2 * np.eye(3))
+        return np.asarray(np.einsum("mik,mjk->mij", steps, steps) + loose + self.repeat_m**2 * np.eye(3))
 
 
 def _is_tied(problem: ArmProblem) -> bool:

@@ -15,10 +15,12 @@ from calib.arrays import Array
 from calib.studies.figures import proportion
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
+from control.dynamics.static_pose import moving_Nm
+from control.errors import MissingModel
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.motion.plan import plan_path
+from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import Waypoints
 
 DRAWS: Final = 2000
@@ -61,12 +63,25 @@ class Path:
 
 def planned(arm: Arm, waypoints: Waypoints, payload_kg: float = 0.0) -> Path:
     """The path as `armwright run` plans it for this arm. PathError if the arm cannot run it."""
-    path = plan_path(arm, waypoints)
-    times = np.linspace(0.0, path.duration_s, SAMPLES_MOST)
+    return sampled(arm, plan_path(arm, waypoints), payload_kg)
+
+
+def sampled(arm: Arm, path: PlannedPath, payload_kg: float = 0.0, count: int = SAMPLES_MOST) -> Path:
+    """Poses all along a planned path. Its first and last pose count as moving, as the ones beside them do."""
+    times = np.linspace(0.0, path.duration_s, count)
     motion = path.motion(InverseKinematics(arm), Kinematics(arm))
     states = [motion.at(time_s) for time_s in times.tolist()]
-    q, speed = np.array([state.q_rad for state in states]), np.array([state.speed_rad_s for state in states])
-    return Path(times, Conditions(q, np.sign(speed), np.full(len(q), payload_kg)))
+    q = np.array([state.q_rad for state in states])
+    speed = np.array([state.speed_rad_s for state in states])
+    acceleration = np.array([state.acceleration_rad_s2 for state in states])
+    payload = np.full(len(q), payload_kg)
+    direction = np.sign(speed)
+    direction[0], direction[-1] = direction[1], direction[-2]
+    try:
+        moving = moving_Nm(arm, q, speed, acceleration, payload)
+    except MissingModel:
+        moving = None
+    return Path(times, Conditions(q, direction, payload, None, moving))
 
 
 def reliability_of(predictor: Predictor, path: Path, tolerance_m: float, seed: int = 0) -> Reliability:

@@ -24,6 +24,8 @@ from control.model.arm import Arm
 from control.progress import Advance, silent
 
 POSES: Final = 1500  # drawn over the joints' ranges, before those that collide are left out
+SURE: Final = 0.95  # that scatter beyond the measuring noise is no chance
+MANY: Final = 1e6  # degrees of freedom of a noise that is known
 DRAWS: Final = 400  # of each pose's error, for its 95 % distance
 DIRECTIONS: Final = (1.0, -1.0)
 
@@ -90,13 +92,12 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
     choice = request.choice.for_points(arm, points)
     problem = problem_of(arm, points, choice)
     warnings = require_usable(arm, points, problem, choice)
-    at = Conditions(
-        points.q_rad, np.nan_to_num(points.direction), np.nan_to_num(points.payload_kg), points.current_A
-    )
+    at = Conditions.recorded(arm, points)
     advance("identifying, with what the geometry lacks", 0.1)
     discrepancy = Discrepancy(arm)
     posterior = posterior_of(problem, at, discrepancy)
-    measuring_m, repeat_m = _noises_m(noise_floor(arm, points, problem, posterior.x), posterior.noise_m)
+    floor, freedom = noise_floor(arm, points, problem, posterior.x), 3 * len(problem) - posterior.x_count
+    measuring_m, repeat_m = _noises_m(floor, posterior.noise_m, freedom)
     poses = workspace_poses(arm, (), request.poses_count)
     predictor = Predictor(arm, problem, discrepancy, posterior, repeat_m, poses[:: max(1, len(poses) // 200)])
     advance("predicting errors over the workspace", 0.4)
@@ -125,10 +126,18 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
     )
 
 
-def _noises_m(floor: NoiseFloor | None, noise_m: float) -> tuple[float | None, float]:
-    """The measurement's noise, if it is known, and what the arm itself scatters beside it; of one axis [m]."""
-    measuring_m = floor.axis_m if floor is not None else None
-    return measuring_m, math.sqrt(max(0.0, noise_m**2 - (measuring_m or 0.0) ** 2))
+def _noises_m(floor: NoiseFloor | None, noise_m: float, freedom: int) -> tuple[float | None, float]:
+    """The measurement's noise, if it is known, and what the arm itself scatters beside it; of one axis [m].
+
+    Both are estimates: of an excess that chance explains (an F test) nothing is the arm's.
+    """
+    from scipy.special import fdtri
+
+    if floor is None:
+        return None, noise_m
+    limit = float(fdtri(max(1, freedom), min(floor.freedom, MANY), SURE))
+    excess_m2 = noise_m**2 - floor.axis_m**2
+    return floor.axis_m, math.sqrt(excess_m2) if noise_m**2 > limit * floor.axis_m**2 else 0.0
 
 
 def _sheet(predictor: Predictor, q_rad: Array, direction: float, payload_kg: float) -> Sheet:

@@ -6,10 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.trust.iso9283 import PoseFigures, pose_rows
 from calib.trust.task import Reliability
 from calib.trust.trust import Trust, share_within
 
 LISTED = 6
+POSE_HEAD = ("ISO 9283", "visits", "AP_p predicted [mm]", "measured", "RP_l predicted [mm]", "measured")
 CORRECTABLE = 2.0  # expected over uncertain error, from which the file is worth correcting
 COVERED_LEAST = 0.9  # of held-out poses inside 95 % ellipsoids: with fewer, the intervals are too narrow
 
@@ -80,12 +82,18 @@ def cause_rows(trust: Trust) -> list[tuple[str, str, str]]:
     return [(one.name, f"{1e3 * one.without_m:.3f}", f"{1e3 * one.expected_m:.3f}") for one in best]
 
 
-def as_text(trust: Trust, tasks: tuple[Reliability, ...]) -> str:
+def as_text(trust: Trust, tasks: tuple[Reliability, ...], poses: tuple[PoseFigures, ...]) -> str:
     """What the command prints."""
     lines = [*sentences(trust), *(line for one in tasks for line in task_sentences(one))]
     rows = [f"  {name:<28}{left:>14}{expected:>14}" for name, left, expected in cause_rows(trust)]
     head = f"  {'if this were known exactly':<28}{'left [mm]':>14}{'expected [mm]':>14}"
-    return "\n".join([*lines, "", head, *rows]) + "\n"
+    return "\n".join([*lines, "", head, *rows, *_pose_lines(poses)]) + "\n"
+
+
+def _pose_lines(poses: tuple[PoseFigures, ...]) -> list[str]:
+    form = "  {:<14}{:>7}{:>28}{:>10}{:>26}{:>10}"
+    rows = [form.format(*cells) for cells in pose_rows(poses)]
+    return ["", form.format(*POSE_HEAD), *rows] if rows else []
 
 
 def _mm(length_m: float) -> str:

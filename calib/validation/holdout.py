@@ -7,6 +7,7 @@ their mean is used, since all of them were seated in the same place.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -187,8 +188,9 @@ def _fold(
     builder: Builder, points: Points, name: str, rows: Sequence[int], objective: Objective | None
 ) -> list[Fold]:
     """Evaluate one left-out part; None if it has no reference and no two tips of one cavity."""
-    rest = sorted(set(range(len(points))) - set(rows))
-    trained, seen = builder(points.chosen(rest)), builder(points.chosen(list(rows)))
+    is_left_out = np.zeros(len(points), dtype=np.bool_)
+    is_left_out[list(rows)] = True
+    trained, seen = builder(points.chosen(np.flatnonzero(~is_left_out))), builder(points.chosen(list(rows)))
     best, _ = fit(trained, objective, starts_count=1)
     before, after = trained.solution(np.zeros(len(best.x))), trained.solution(best.x)
     known = {frame.name for frame in after.frames}
@@ -217,7 +219,7 @@ def _cavity_groups(seen: ArmProblem, wanted: npt.NDArray[np.bool_]) -> npt.NDArr
         for frame, position in zip(seen.observed.frame, seen.observed.position_m.tolist(), strict=True)
     ]
     numbers = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-    several = {key for key in numbers if keys.count(key) > 1}
+    several = {key for key, count in Counter(keys).items() if count > 1}
     return np.array([numbers[key] if key in several and wanted[row] else -1 for row, key in enumerate(keys)])
 
 

@@ -26,7 +26,7 @@ from calib.arrays import Array
 from calib.identify.identification import Identification
 from calib.identify.suspects import Suspects
 from calib.points.covariance import POSITION
-from calib.points.points import Points
+from calib.points.points import Points, seen_again
 from calib.validation.holdout import HeldOut
 from control.model.arm import Arm
 
@@ -72,10 +72,11 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class NoiseFloor:
-    """Noise floor: standard deviation of one axis of a tip position, and its source."""
+    """Noise floor: standard deviation of one axis of a tip position, its source, and the degrees of freedom it is known by."""
 
     axis_m: float
     source: str
+    freedom: float = math.inf
 
     @property
     def mean_m(self) -> float:
@@ -104,7 +105,9 @@ def _from_repeats(points: Points, errors: Array) -> NoiseFloor | None:
         freedom += 3 * (len(rows) - 1)
     if freedom < REPEATS_FREEDOM or squares <= 0.0:
         return None
-    return NoiseFloor(math.sqrt(squares / freedom), f"the scatter of repeats ({freedom} degrees of freedom)")
+    return NoiseFloor(
+        math.sqrt(squares / freedom), f"the scatter of repeats ({freedom} degrees of freedom)", freedom
+    )
 
 
 def _from_covariances(points: Points) -> NoiseFloor | None:
@@ -127,7 +130,7 @@ def _from_camera(arm: Arm, points: Points) -> NoiseFloor | None:
 def _repeats(points: Points) -> list[list[int]]:
     """Groups of two or more rows that are repeats."""
     groups: dict[tuple[object, ...], list[int]] = {}
-    for row in range(len(points)):
+    for row in seen_again(zip(points.setup, points.point, strict=True)):
         side, load = tuple(points.direction[row].tolist()), str(points.payload_kg[row])
         groups.setdefault((points.setup[row], points.point[row], side, load), []).append(row)
     spread = {key: float(np.ptp(points.q_rad[rows], axis=0).max()) for key, rows in groups.items()}

@@ -65,6 +65,21 @@ class Comparison:
         """Names of the setups in the order of their first point."""
         return tuple(dict.fromkeys(self.setup))
 
+    def thinned(self, count: int) -> Comparison:
+        """At most `count` points, spread evenly over all."""
+        if len(self.setup) <= count:
+            return self
+        rows = np.linspace(0, len(self.setup) - 1, count).astype(np.intp)
+        return Comparison(
+            tuple(self.setup[k] for k in rows.tolist()),
+            tuple(self.point[k] for k in rows.tolist()),
+            frozen(self.tip_m[rows]),
+            frozen(self.before_m[rows]),
+            frozen(self.after_m[rows]),
+            frozen(self.before_half_width_m[rows]),
+            frozen(self.after_half_width_m[rows]),
+        )
+
     def of(self, setup: str) -> SetupComparison:
         """One setup, or `all` for every point."""
         rows = [k for k, name in enumerate(self.setup) if setup in (name, ALL)]

@@ -128,6 +128,12 @@ ASSESSING = (
                 action="append",
                 help="way-points as for `armwright run`: the probability that the path keeps the tolerance; may be repeated",
             ),
+            option(
+                "--visits",
+                metavar="P",
+                action="append",
+                help="points.csv of `armwright iso9283`: its pose accuracy and repeatability, predicted beside measured",
+            ),
             payload(
                 "mass at the tip that the map is made for (default: 0); may be repeated", action="append"
             ),

@@ -8,6 +8,7 @@ from console.specs.end_effector import END_EFFECTOR
 from console.specs.files import FILES
 from console.specs.gap import GAP
 from console.specs.operating import OPERATING
+from console.specs.planning import PLANNING
 from console.specs.recording import RECORDING
 from console.specs.trying import TRYING
 from console.specs.visualisation import VISUALISATION
@@ -20,6 +21,7 @@ COMMANDS = (
     *END_EFFECTOR,
     *RECORDING,
     *CALIBRATING,
+    *PLANNING,
     *ASSESSING,
     *GAP,
     *FILES,

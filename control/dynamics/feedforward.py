@@ -65,6 +65,13 @@ def own_payload_kg(arm: Arm) -> float:
     return sum(e.parameters["mass_kg"] for e in arm.effects if e.effect == "payload")
 
 
+def links_alone(arm: Arm) -> Arm:
+    """The arm with its `link_inertia` effects and without rotors: its torques are those that gears transmit to the links."""
+    return replace(
+        with_link_inertia(arm), drives=tuple(replace(one, rotor_inertia_kg_m2=0.0) for one in arm.drives)
+    )
+
+
 def with_link_inertia(arm: Arm) -> Arm:
     """The arm with the mass and inertia of its `link_inertia` effects added to its links; unchanged if it has none."""
     more = [

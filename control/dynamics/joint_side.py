@@ -13,7 +13,7 @@ from math import inf, isfinite
 from typing import Final, Self
 
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.feedforward import own_payload_kg, torque_constants_Nm_A, with_link_inertia
+from control.dynamics.feedforward import links_alone, own_payload_kg, torque_constants_Nm_A
 from control.dynamics.gear import Gear, GearLaw, MeasuredLag
 from control.errors import ArmError
 from control.kinematics.encoder_chain import RIGID_EFFECTS, EncoderChain, Floats
@@ -109,11 +109,8 @@ def has_joint_side(arm: Arm) -> bool:
 
 def link_torque(arm: Arm) -> LinkTorque:
     """`torque(q, speed, acceleration, payload_kg)` [N m] of the links alone: the transmitted torque without friction."""
-    rotorless = replace(
-        with_link_inertia(arm), drives=tuple(replace(drive, rotor_inertia_kg_m2=0.0) for drive in arm.drives)
-    )
-    own_kg = own_payload_kg(arm)
-    known, laden = Dynamics(rotorless, own_kg).inverse, Dynamics(rotorless, own_kg + 1.0).inverse
+    links, own_kg = links_alone(arm), own_payload_kg(arm)
+    known, laden = Dynamics(links, own_kg).inverse, Dynamics(links, own_kg + 1.0).inverse
 
     def torque(
         q: Sequence[float], speed: Sequence[float], acceleration: Sequence[float], payload_kg: float

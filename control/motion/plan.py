@@ -7,7 +7,7 @@ follow, and the velocity stays continuous. Other sections keep their speed. Afte
 excess of a few per mille is removed by slowing the whole path.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -140,6 +140,52 @@ def plan_path(
     Raises:
         ArmError: the path cannot be run; names the obstacle, the way-point and the amount.
     """
+    planner, recipe, starts = _prepared(
+        arm, waypoints, speeds, q_near_rad, setup, pace_m_s, inverse, kinematics
+    )
+    return _first(planner, recipe, starts)
+
+
+def plan_paths(
+    arm: Arm,
+    waypoints: Waypoints | Sequence[Sequence[float]],
+    *,
+    inverse: InverseKinematics | None = None,
+    kinematics: Kinematics | None = None,
+) -> Iterator[PlannedPath]:
+    """A plan from each start that can be run, on each branch of an arm that has some; the first is that of `plan_path`.
+
+    Raises:
+        ArmError: none can be run; the first start's.
+    """
+    planner, recipe, starts = _prepared(
+        arm, waypoints, None, None, "normal", DEFAULT_PACE_M_S, inverse, kinematics
+    )
+    problems: list[ArmError] = []
+    is_any = False
+    for start in starts:
+        try:
+            path = planner.plan(recipe, start)
+        except ArmError as problem:
+            problems.append(problem)
+            continue
+        is_any = True
+        yield path
+    if not is_any:
+        raise problems[0]
+
+
+def _prepared(
+    arm: Arm,
+    waypoints: Waypoints | Sequence[Sequence[float]],
+    speeds: float | Sequence[float] | None,
+    q_near_rad: Sequence[float] | None,
+    setup: str,
+    pace_m_s: float,
+    inverse: InverseKinematics | None,
+    kinematics: Kinematics | None,
+) -> tuple["_Planner", TimedWaypoints, Iterator[Start]]:
+    """What plans the path, its times, and the starts to try, the nearest first."""
     named = (
         waypoints if isinstance(waypoints, Waypoints) else Waypoints(tuple(checked_points(waypoints)), None)
     )
@@ -150,7 +196,7 @@ def plan_path(
     follower = _follower(arm, named, inverse, kinematics)
     rest = arm.rest.q_rad if arm.rest else (0.0,) * arm.joint_count
     starts = islice(follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS)
-    return _first(_Planner(arm, kinematics, follower, named, setup), recipe, starts)
+    return _Planner(arm, kinematics, follower, named, setup), recipe, starts
 
 
 def _first(planner: "_Planner", recipe: TimedWaypoints, starts: Iterable[Start]) -> PlannedPath:

@@ -1,5 +1,10 @@
 """The scenario of a mock arm as the text of a file, to be saved beside its measurements."""
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hil_mocks.scenario import Scenario
+
 
 def seeded_scenario(name: str, seed: int | None, was_homed: bool) -> bytes:
     """The scenario with its seed as the text of a file, saved beside the results so that the run can be repeated.
@@ -17,6 +22,13 @@ def seeded_scenario(name: str, seed: int | None, was_homed: bool) -> bytes:
         scenario = msgspec.structs.replace(
             scenario, start=msgspec.structs.replace(scenario.start, homed=True)
         )
+    return scenario_bytes(scenario)
+
+
+def scenario_bytes(scenario: "Scenario") -> bytes:
+    """A scenario as the text of a file."""
+    import msgspec
+
     document = msgspec.to_builtins(scenario)
     del document["path"]
     return msgspec.toml.encode(_without_none(document))

@@ -119,10 +119,14 @@ def clear(arm: Arm, q_rad: Array, clearance_m: float = CLEARANCE_m) -> Mask:
     """Which poses (m, n) keep every part that moves so far above floor and board (m,)."""
     heights = body_points(arm, q_rad)[:, :, 2]
     moves = np.ptp(heights, axis=0) > 1e-6 if len(heights) > 1 else np.ones(heights.shape[1], dtype=bool)
+    return np.asarray((heights[:, moves] >= ground_m(arm) + clearance_m).all(axis=1))
+
+
+def ground_m(arm: Arm) -> float:
+    """Height of the board's top or of the floor that may be touched, whichever is higher."""
     board = arm.table
     top_m = board.origin_m[2] if board is not None and board.origin_m is not None else arm.limits.floor_z_m
-    floor_m = max(arm.limits.floor_z_m + arm.limits.floor_clearance_m, top_m)
-    return np.asarray((heights[:, moves] >= floor_m + clearance_m).all(axis=1))
+    return max(arm.limits.floor_z_m + arm.limits.floor_clearance_m, top_m)
 
 
 def _cut(good: Array, bad: Array, lower: Array, upper: Array, cut: Array) -> tuple[Array, Array]:

@@ -10,9 +10,11 @@ from pathlib import Path
 from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
 from calib.inputs import input_file
-from calib.points.arm_points import base_points_for
+from calib.points.arm_points import base_points_for, points_for
+from calib.points.points import Points
 from calib.points.writer import replace_file
 from calib.trust.files import trust_json, write_json, write_map
+from calib.trust.iso9283 import PoseFigures, pose_figures
 from calib.trust.report import trust_report
 from calib.trust.task import Reliability, planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in
@@ -39,16 +41,19 @@ def run(given: argparse.Namespace) -> int:
     request = _request(given)
     points, warnings = base_points_for(arm, [Path(name) for name in given.points], "trust")
     paths = [planned(arm, read_waypoints(file), request.payloads_kg[0]) for file in given.task or []]
+    programmes = [(name, points_for(arm, [Path(name)])[0]) for name in given.visits or []]
     with Bar("trust") as bar:
         trust = trust_in(arm, points, request, bar.advance)
     for warning in (*warnings, *trust.warnings):
         sys.stderr.write(f"armwright: warning: {warning}\n")
     tasks = tuple(reliability_of(trust.predictor, path, request.tolerance_m or 0.0) for path in paths)
-    files = _write(given, arm, trust, tasks, out)
+    poses = tuple(_pose_figures(trust, Path(name), recorded) for name, recorded in programmes)
+    visited = tuple(one for found in poses for one in found)
+    files = _write(given, arm, trust, tasks, visited, out)
     if given.json:
-        sys.stdout.write(json.dumps(trust_json(trust, tasks), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(trust_json(trust, tasks, visited), indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write(as_text(trust, tasks))
+        sys.stdout.write(as_text(trust, tasks, visited))
         sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
     return 0
 
@@ -73,16 +78,31 @@ def _request(given: argparse.Namespace) -> MapRequest:
     return MapRequest(payloads_kg, wanted_m, choice=Choice(boards=board_frames(given.boards)))
 
 
+def _pose_figures(trust: Trust, file: Path, recorded: Points) -> tuple[PoseFigures, ...]:
+    """Of a recorded programme; CalibrationError if it has no plain poses."""
+    found = pose_figures(trust.predictor, trust.arm, recorded, str(file))
+    if not found:
+        raise CalibrationError(
+            f"--visits {file}: no visits of poses (setup pose, P1 to P5): record them with `armwright iso9283`"
+        )
+    return found
+
+
 def _write(
-    given: argparse.Namespace, arm: Arm, trust: Trust, tasks: tuple[Reliability, ...], out: Path
+    given: argparse.Namespace,
+    arm: Arm,
+    trust: Trust,
+    tasks: tuple[Reliability, ...],
+    poses: tuple[PoseFigures, ...],
+    out: Path,
 ) -> dict[str, Path]:
     date = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
     program = f"armwright {version('armwright')}"
-    page = trust_report(trust, tasks, date, program)
+    page = trust_report(trust, tasks, poses, date, program)
     out.mkdir(parents=True, exist_ok=True)
     files = {"report": out / "report.html", "for programs": out / "trust.json", "map": out / "map.npz"}
     replace_file(files["report"], page.encode())
     write_map(files["map"], trust)
     inputs = [input_file(Path(name), "points") for name in given.points]
-    write_json(files["for programs"], trust, tasks, {"date": date, "program_version": program}, inputs)
+    write_json(files["for programs"], trust, tasks, poses, {"date": date, "program_version": program}, inputs)
     return files

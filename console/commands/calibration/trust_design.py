@@ -26,7 +26,7 @@ from control.model.description import arm_text, load_arm
 from procedures.folders import require_new
 
 OPTIONS = ("tolerances", "arms", "seed", "workers", "cluster")
-NOT_OURS = ("task", "boards")
+NOT_OURS = ("task", "visits", "boards")
 RESULTS = ("tolerances.json", "map.npz", "report.html")
 CHUNKS = "unfinished"  # results of tasks, in --out until the study ends
 ARMS = 2000

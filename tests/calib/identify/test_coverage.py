@@ -9,6 +9,7 @@ import pytest
 from benchmarks.calibration.coverage import Session, studied
 from calib.identify.estimates import uncertainty
 from calib.identify.objective import Huber, LeastSquares, SumOfCoordinates, SumOfDistances
+from calib.identify.sensitivity import Sensitivity
 from calib.identify.spread import leverages, noise_scale
 from tests.calib.simulated import RIGHT, board_points, problem_of, true_dh
 
@@ -81,7 +82,7 @@ def test_the_interval_of_a_parameter_on_its_bound_ends_there_and_reaches_inside(
     x[6] = 1.0
     residuals = problem.residuals(x)
     estimate = uncertainty(
-        problem.parameters, LeastSquares(), x, residuals, problem.sensitivity(x)
+        problem.parameters, LeastSquares(), x, residuals, Sensitivity.at(problem, x)
     ).estimates[6]
     assert estimate.parameter.name == "L2"
     assert np.isnan(estimate.sd)

@@ -7,16 +7,21 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.trust_coverage import ARM, Session, session
+from benchmarks.gap.static.cases import NOISE_m
 from benchmarks.gap.static.physics import Hidden
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
+from calib.points.points import make_points
 from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.held_out import ELLIPSOID_95
+from calib.trust.iso9283 import pose_figures
 from calib.trust.posterior import Evidence, linearised, posterior_of
 from calib.trust.prediction import TipError
 from calib.trust.task import planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in, within_95_m
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Effect
 from control.motion.waypoints import Waypoints
 
 SQUARE = Waypoints(((0.45, 0.0, 0.2), (0.5, 0.05, 0.2), (0.55, 0.0, 0.2), (0.5, -0.05, 0.2)), (0.1,) * 4)
@@ -137,6 +142,40 @@ def test_the_probability_of_a_task_rises_with_its_tolerance() -> None:
         low, high = one.interval
         assert 0.0 <= low <= one.probability <= high <= 1.0
     assert 0.0 <= first.worst_time_s <= first.duration_s
+
+
+def test_poses_are_joint_angles_where_the_file_knows_its_encoders() -> None:
+    """An encoder that turns too little by 2 %, in the file and in the recording: nothing is left to be off."""
+    scale, rng = 0.02, np.random.default_rng(9)
+    arm = dataclasses.replace(ARM, effects=(Effect("encoder_scale", 2, {"scale": scale}),))
+    q = unseen_q()[:40]
+    tips = Kinematics(ARM).tips(q) + rng.normal(0.0, NOISE_m, (len(q), 3))
+    encoder = q / (1.0 + np.array([0.0, scale, 0.0]))
+    points = make_points(["pose"] * 40, [f"p{k}" for k in range(20)] * 2, [1] * 20 + [2] * 20, encoder, tips)
+    assert np.allclose(Conditions.recorded(arm, points).q_rad, q)
+    trust = trust_in(arm, points, MapRequest(poses_count=200, is_checked=False))
+    assert np.median(trust.within_95_m) < 2e-3
+    assert np.allclose(trust.predictor.at(Conditions.recorded(arm, points)).tip_m, tips, atol=1e-3)
+
+
+def test_iso9283_figures_of_a_programme_lie_in_their_intervals() -> None:
+    visits, rng = 12, np.random.default_rng(8)
+    at = np.tile(unseen_q()[:2], (visits, 1))
+    made = session(41, (), at)
+    names = ["P1", "P2"] * visits
+    seen_m = made.true_m + rng.normal(0.0, NOISE_m, made.true_m.shape)
+    points = make_points(["pose"] * len(names), names, [1] * len(names), at, seen_m, made.unseen.direction)
+    trust = trusted()
+    found = pose_figures(trust.predictor, ARM, points, "points.csv")
+    assert [(one.where, one.visits) for one in found] == [("pose P1", visits), ("pose P2", visits)]
+    for one in found:
+        assert one.measured_accuracy_m is not None
+        assert one.measured_repeatability_m is not None
+        assert one.repeatability_m is not None
+        assert one.accuracy_m.lower < one.measured_accuracy_m < one.accuracy_m.upper
+        assert one.repeatability_m.lower < one.measured_repeatability_m < one.repeatability_m.upper
+        assert one.accuracy_m.upper - one.accuracy_m.lower < 0.2 * one.accuracy_m.value
+        assert one.repeatability_m.upper < 3.0 * one.repeatability_m.lower
 
 
 def test_95_percent_of_visits_keep_the_distance() -> None:

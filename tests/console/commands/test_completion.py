@@ -57,7 +57,7 @@ def test_bash_completes_commands_options_choices_names_and_files(bash_script: Pa
     def offers(*words: str) -> set[str]:
         return completed(bash_script, tmp_path, *words)
 
-    assert offers("pl") == {"plan-contacts", "plan-poses", "plot"}
+    assert offers("pl") == {"plan-contacts", "plan-path", "plan-poses", "plot"}
     assert {command.name for command in COMMANDS} <= offers("")
     assert offers("plot", "--wh") == {"--what"}
     assert offers("export-arm", "--export", "") == {"urdf", "mjcf", "json"}

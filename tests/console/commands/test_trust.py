@@ -28,11 +28,19 @@ def points(tmp_path: Path) -> Path:
 def test_the_map_and_its_words(points: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, path = tmp_path / "out", tmp_path / "path.csv"
     path.write_text(PATH)
+    visits = tmp_path / "visits.csv"
+    some = recorded().points.chosen([0, 1, 2, 3])
+    write_points(
+        visits, make_points(["pose"] * 4, ["P1", "P1", "P2", "P2"], [1, 2, 1, 2], some.q_rad, some.tip_m)
+    )
     line = ["trust", "--points", str(points), "--out", str(out), "--tolerance", "30mm", "--task", str(path)]
+    line += ["--visits", str(visits)]
     assert main([*line, "--payload", "0", "--payload", "1"]) == 0
     printed = capsys.readouterr().out
     found = json.loads((out / "trust.json").read_text())
     assert found["format"] == "trust/1"
+    assert [one["where"] for one in found["iso9283"]] == ["pose P1", "pose P2"]
+    assert "AP_p predicted [mm]" in printed
     assert all(sentence in printed for sentence in found["in_words"])
     assert found["tasks"][0]["lower"] <= found["tasks"][0]["probability"] <= found["tasks"][0]["upper"]
     with np.load(out / "map.npz") as chart:
@@ -50,6 +58,7 @@ def test_the_map_and_its_words(points: Path, tmp_path: Path, capsys: pytest.Capt
         (["--tolerance", "0.5"], "expected a number with one of the units"),
         (["--tolerance=-1mm"], "expected a length above 0"),
         (["--task", "path.csv"], "give the --tolerance"),
+        (["--visits", "none.csv"], "none.csv"),
         (["--payload", "-1"], "expected a mass not below 0"),
         (["--arm", "nobody"], "nobody"),
     ],

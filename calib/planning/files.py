@@ -1,0 +1,132 @@
+"""What a plan leaves on disk: a path or poses, operator lines that do the task, and task.json. Formats: docs/formats.md."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.gap.plan.plan import GENTLE
+from calib.inputs import InputFile
+from calib.planning.cost import Cost
+from calib.planning.path import PathPlan, WayOfPath
+from calib.planning.stops import WayOfStops
+from calib.planning.words import Plan, sentences
+from calib.points.points import make_points
+from calib.points.writer import replace_file, write_points
+from calib.session.plan import FREE
+from calib.trust.task import Reliability
+from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, SPEED_COLUMN, Waypoints
+
+FORMAT: Final = "task/1"
+PATH, POSES, SCRIPT, RESULT = "path.csv", "poses.csv", "script.txt", "task.json"
+RESULTS: Final = (PATH, POSES, SCRIPT, RESULT)
+DWELL_s: Final = 0.5  # at a stop
+
+Tasks = tuple[Reliability, Reliability] | None
+
+
+def write_plan(
+    folder: Path, plan: Plan, tasks: Tasks, about: Mapping[str, object], inputs: Sequence[InputFile]
+) -> None:
+    """Write path.csv or poses.csv, script.txt and task.json; `about` has date and program_version."""
+    if isinstance(plan, PathPlan):
+        replace_file(folder / PATH, waypoints_text(plan.chosen.waypoints).encode())
+        lines = path_lines(plan.chosen, folder / PATH)
+    else:
+        _write_poses(folder / POSES, plan.chosen)
+        lines = stop_lines(plan.chosen)
+    replace_file(folder / SCRIPT, "".join(f"{line}\n" for line in lines).encode())
+    content = {"format": FORMAT, "arm": plan.plain.arm.name, **about}
+    content |= {"inputs": {one.name: one.sha256 for one in inputs}} | plan_json(plan, tasks)
+    replace_file(folder / RESULT, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
+
+
+def waypoints_text(waypoints: Waypoints) -> str:
+    """Way-points as `armwright run` reads them."""
+    columns, rows = [*POSITION_COLUMNS], [list(point) for point in waypoints.points]
+    if waypoints.orientations is not None:
+        columns += ORIENTATION_COLUMNS
+        rows = [[*row, *turn] for row, turn in zip(rows, waypoints.orientations, strict=True)]
+    if waypoints.speeds_m_s is not None:
+        columns.append(SPEED_COLUMN)
+        rows = [[*row, speed] for row, speed in zip(rows, waypoints.speeds_m_s, strict=True)]
+    return "\n".join([",".join(columns), *(",".join(f"{x:.9g}" for x in row) for row in rows)]) + "\n"
+
+
+def path_lines(way: WayOfPath, file: Path) -> list[str]:
+    """Operator lines: to the lead-in, which also decides the branch, then the path."""
+    return [f"move --joints {_angles(way.lead_in_rad)}", f"run {file}"]
+
+
+def stop_lines(way: WayOfStops) -> list[str]:
+    """Operator lines: to each lead-in, gently on to the point, and a wait there."""
+    return list(_stop_lines(way))
+
+
+def _stop_lines(way: WayOfStops) -> Iterator[str]:
+    lead_in = way.lead_in_rad
+    for row in way.order:
+        yield f"# way-point {row + 1}"
+        if way.has_lead_in[row]:
+            yield f"move --joints {_angles(lead_in[row].tolist())}"
+        yield f"move --joints {_angles(way.poses.q_rad[row].tolist())} --speed {GENTLE:g}"
+        yield f"wait {DWELL_s:g}"
+
+
+def _write_poses(file: Path, way: WayOfStops) -> None:
+    """points.csv without tips, in visiting order: `armwright session --plan` takes it."""
+    rows = list(way.order)
+    names = [f"w{row + 1}" for row in rows]
+    nowhere = np.full((len(rows), 3), np.nan)
+    q, sides = way.poses.q_rad[rows], way.poses.direction[rows]
+    write_points(file, make_points([FREE] * len(rows), names, [1] * len(rows), q, nowhere, sides))
+
+
+def plan_json(plan: Plan, tasks: Tasks) -> dict[str, object]:
+    """The plan for programs; SI units, way-points by their number in the file."""
+    chosen = plan.chosen
+    found: dict[str, object] = {
+        "as_given": _cost(plan.plain.cost),
+        "as_planned": _cost(chosen.cost),
+        "choices": [{"choice": name, "rms_m": error_m} for name, error_m in plan.steps],
+        "shift_m": list(chosen.shift_m),
+    }
+    if isinstance(chosen, WayOfPath):
+        found |= {
+            "lead_in_rad": list(chosen.lead_in_rad),
+            "branch": chosen.plan.branch,
+            "is_reversed": chosen.is_reversed,
+            "pace": chosen.pace,
+        }
+    else:
+        found["stops"] = [_stop(chosen, row) for row in chosen.order]
+    if tasks is not None:
+        found["tolerance_m"] = tasks[0].tolerance_m
+        found["probability"] = {"as_given": tasks[0].probability, "as_planned": tasks[1].probability}
+    return found | {"in_words": list(sentences(plan, tasks))}
+
+
+def _stop(way: WayOfStops, row: int) -> dict[str, object]:
+    return {
+        "waypoint": row + 1,
+        "q_rad": way.poses.q_rad[row].tolist(),
+        "direction": way.poses.direction[row].astype(int).tolist(),
+        "lead_in_rad": way.lead_in_rad[row].tolist() if way.has_lead_in[row] else None,
+    }
+
+
+def _cost(cost: Cost) -> dict[str, float]:
+    return {
+        "rms_m": cost.rms_m,
+        "known_m": cost.known_m,
+        "unknown_m": cost.unknown_m,
+        "scatter_m": cost.scatter_m,
+    }
+
+
+def _angles(q_rad: Sequence[float]) -> str:
+    return " ".join(f"{q:.6f}" for q in q_rad)

@@ -1,0 +1,90 @@
+"""`armwright plan-path`: a path or stops with the least expected tip error, by what is known of the arm."""
+
+import argparse
+import datetime
+import json
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from calib.arm_problem.assembly import Choice
+from calib.errors import CalibrationError
+from calib.inputs import input_file
+from calib.planning.files import RESULTS, plan_json, write_plan
+from calib.planning.path import Freedom, planned_path
+from calib.planning.stops import StopsPlan, planned_stops
+from calib.planning.words import Plan, sentences
+from calib.points.arm_points import base_points_for
+from calib.trust.prediction import Predictor
+from calib.trust.task import Path as TaskPath
+from calib.trust.task import Reliability, reliability_of
+from calib.trust.trust import MapRequest, trust_in
+from console.commands.calibration.boards_option import board_frames
+from console.commands.progress import Bar
+from console.quantities import tolerance_m
+from control.model.description import load_arm
+from control.motion.waypoints import read_waypoints
+from procedures.folders import require_new
+
+FARTHEST_m = 1.0  # that work is moved; more is a number in mm
+
+
+def run(given: argparse.Namespace) -> int:
+    """Read, plan, write. Nothing is written before all input has been read and checked; nothing moves."""
+    arm, out = load_arm(given.arm), Path(given.out)
+    require_new(out, RESULTS)
+    freedom, wanted_m = _freedom(given), tolerance_m(given.tolerance)
+    waypoints = read_waypoints(given.file)
+    points, warnings = base_points_for(arm, [Path(name) for name in given.points], "plan-path")
+    request = MapRequest(
+        (freedom.payload_kg,), is_checked=False, choice=Choice(boards=board_frames(given.boards))
+    )
+    plan: Plan
+    with Bar("plan-path") as bar:
+        trust = trust_in(arm, points, request, bar.advance)
+        planner = planned_stops if given.stops else planned_path
+        plan = planner(arm, trust.predictor, waypoints, freedom, bar.advance)
+    for warning in (*warnings, *trust.warnings):
+        sys.stderr.write(f"armwright: warning: {warning}\n")
+    tasks = None if wanted_m is None else _tasks(trust.predictor, plan, wanted_m)
+    about = {
+        "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
+        "program_version": f"armwright {version('armwright')}",
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    inputs = [
+        input_file(Path(given.file), "way-points"),
+        *(input_file(Path(name), "points") for name in given.points),
+    ]
+    write_plan(out, plan, tasks, about, inputs)
+    if given.json:
+        sys.stdout.write(json.dumps(plan_json(plan, tasks), indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write("".join(f"{one}\n" for one in sentences(plan, tasks)))
+        sys.stdout.write(f"\nrun it           armwright script {out / 'script.txt'}\n")
+    return 0
+
+
+def _freedom(given: argparse.Namespace) -> Freedom:
+    x, y, z = given.shift or (0.0, 0.0, 0.0)
+    if not all(0.0 <= half <= FARTHEST_m for half in (x, y, z)):
+        raise CalibrationError(
+            f"--shift: expected 0 to {FARTHEST_m:g} m along x, y and z, got {x:g} {y:g} {z:g}"
+        )
+    payload_kg = given.payload or 0.0
+    if payload_kg < 0.0:
+        raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
+    return Freedom((x, y, z), given.any_order, payload_kg)
+
+
+def _tasks(predictor: Predictor, plan: Plan, wanted_m: float) -> tuple[Reliability, Reliability]:
+    """The probability that all of it is kept, as given and as planned."""
+    if isinstance(plan, StopsPlan):
+        given, planned = (
+            TaskPath(np.arange(float(len(way.poses))), way.poses) for way in (plan.plain, plan.chosen)
+        )
+    else:
+        given, planned = plan.plain.motion, plan.chosen.motion
+    return reliability_of(predictor, given, wanted_m), reliability_of(predictor, planned, wanted_m)
