@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from calib.session.moves.ports import Sample, Vector
+from calib.session.moves.ports import Sample, SeenTip, Vector
 from calib.session.plan import Target
 from control.errors import ArmError
 from control.server.client import ArmClient, ArmFaulted, fault_text
@@ -59,14 +59,16 @@ class RuntimePort:
         warmth = tuple(math.nan if t is None else float(t) for t in self._client.status()["temperature_C"])
         return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth)
 
-    def measure(self, duration_s: float) -> tuple[Vector, Vector]:
-        """Mean of the camera's tip positions and their standard deviation. ArmError if there are none."""
+    def measure(self, duration_s: float) -> SeenTip:
+        """Mean of the camera's tips. ArmError, with the camera's reason, if there are none."""
         for _ in range(1 + int(CAMERA_PATIENCE_S / duration_s)):
-            mean = self._client.average(duration_s)
-            if mean.tip_m is not None and mean.tip_std_m is not None:
-                return mean.tip_m, mean.tip_std_m
+            seen = self._client.average(duration_s).target
+            if seen is not None:
+                return SeenTip(seen.position_m, seen.std_m, seen.orientation)
+        said = self._client.status()["camera_problem"]
         raise ArmError(
-            f"no camera frame within {CAMERA_PATIENCE_S:g} s: check that the camera is on and sees the tip"
+            f"no camera frame within {CAMERA_PATIENCE_S:g} s{f' ({said})' if said else ''}: check that the camera is on and"
+            " sees the tip"
         )
 
 

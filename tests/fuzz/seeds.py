@@ -11,6 +11,7 @@ from control.recording.rotation import PartFile, begin
 from firmware_iface.camera import CameraFrame
 from firmware_iface.encoder import wire
 from firmware_iface.motor import wire as motor_wire
+from tests.firmware_iface.test_mocap import VICON
 from tests.recordings import row_of
 
 ROOT = Path(__file__).parents[2]
@@ -58,6 +59,7 @@ def seeds_of(name: str) -> list[bytes]:
         "motor": [motor_wire.Command(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
         "slcan": [b"\rz\rt18180F2920D1FFFF0000\rt1812AABB\r", b"T000001812AABB\rt00010\a"],
         "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
+        "vicon": [VICON, VICON.ljust(256, b"\0")],
         "socket": [json.dumps(request).encode() for request in REQUESTS],
         "recording frames": [recorded[recorded.index(b"}") + 1 :]],
         "run.armlog": [recorded],

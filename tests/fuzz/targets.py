@@ -6,6 +6,7 @@ Anything else that leaves a target is a finding: a crash, or a broken promise th
 from __future__ import annotations
 
 import contextlib
+import math
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -29,6 +30,8 @@ from firmware_iface import camera
 from firmware_iface.encoder import cobs, wire
 from firmware_iface.errors import ArmwrightError, LinkError
 from firmware_iface.memory_link import MemoryBus
+from firmware_iface.mocap import vicon
+from firmware_iface.mocap.bodies import BodyFrame
 from firmware_iface.motor import wire as motor_wire
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
@@ -125,6 +128,19 @@ def camera_datagram(content: bytes) -> None:
     assert frame is None or frame.pack() == content
 
 
+def vicon_datagram(content: bytes) -> None:
+    """A packet of the object stream has finite poses, or is refused."""
+    _is_sound(vicon.unpack(content))
+
+
+def _is_sound(frame: BodyFrame | None) -> None:
+    """Positions within a kilometre, unit quaternions, one body a name."""
+    for body in frame.bodies if frame is not None else ():
+        if body.is_visible:
+            assert max(map(abs, body.pose.position_m)) <= 1000.0
+            assert abs(math.hypot(*body.pose.quaternion) - 1.0) < 1e-6
+
+
 def socket_line(content: bytes) -> None:
     """A line of the socket is a request of a known type, or an ArmError."""
     messages.is_at_once(content)
@@ -174,6 +190,7 @@ def _of_file(name: str) -> Target:
 
 DECODERS: dict[str, Target] = {
     "encoder": encoder_stream, "cobs": cobs_block, "motor": motor_frames, "slcan": slcan_line, "camera": camera_datagram,
+    "vicon": vicon_datagram,
     "socket": socket_line, "recording frames": recording_frames,
 }  # fmt: skip
 TARGETS: dict[str, Target] = {**DECODERS, **{name: _of_file(name) for name in READERS}}

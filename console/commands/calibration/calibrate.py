@@ -145,7 +145,9 @@ def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[s
     inputs = _inputs(given, made.nominal)
     hashes = {entry.name: entry.sha256 for entry in inputs}
     files = {"calibrated arm": out / "arm.toml", "for programs": out / "calibration.json"}
-    write_calibrated_arm(files["calibrated arm"], made.nominal, made.found, hashes, date, program)
+    write_calibrated_arm(
+        files["calibrated arm"], made.nominal, made.found, hashes, date, program, made.points
+    )
     write_calibration_json(
         files["for programs"],
         made.nominal.name,
