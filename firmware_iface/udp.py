@@ -11,20 +11,26 @@ _LONGEST_DATAGRAM = 65536
 
 
 class UdpListener:
-    """Datagrams of a port. `sender`: only those of this address are passed on; empty: all."""
+    """Datagrams of a port. `sender`: only those of this computer are passed on; empty: all."""
 
-    def __init__(self, what: str, port: int, sender: str = "", interface: str = "") -> None:
+    def __init__(self, what: str, port: int, sender: str = "", interface: str = "", group: str = "") -> None:
         """Listen on `port` of the interface with this address (empty: all; a sender on loopback: loopback); 0: any free port.
 
-        PortMissing if the port is taken, or the sender's name is unknown.
+        group: of multicast, joined where the sender is reached; others may listen, too. PortMissing if the port is taken,
+        the sender's name is unknown, or the group cannot be joined.
         """
         self._what, self._socket = what, socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
-            self._sender = socket.gethostbyname(sender) if sender else ""
-            is_local = self._sender.startswith("127.")
-            host = interface or ("127.0.0.1" if is_local else "")
+            self.sender = socket.gethostbyname(sender) if sender else ""
+            is_local = self.sender.startswith("127.")
+            host = interface or ("127.0.0.1" if is_local and not group else "")
+            if group:
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((host, port))
+            if group:
+                joined = socket.inet_aton(group) + socket.inet_aton(_own_address_towards(self.sender))
+                self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, joined)
         except (OSError, OverflowError, UnicodeError) as problem:
             self._socket.close()
             raise PortMissing(
@@ -43,9 +49,25 @@ class UdpListener:
                 return
             except OSError as problem:
                 raise LinkLost(f"{self._what} on {self.name}: lost: {problem}") from None
-            if not self._sender or address == self._sender:
+            if not self.sender or address == self.sender:
                 yield datagram
+
+    def send(self, datagram: bytes, port: int) -> None:
+        """Send to a port of the sender. LinkLost."""
+        try:
+            self._socket.sendto(datagram, (self.sender, port))
+        except BlockingIOError:
+            return  # a full buffer loses a datagram, as a network does
+        except OSError as problem:
+            raise LinkLost(f"{self._what}: cannot send to {self.sender}: {problem}") from None
 
     def close(self) -> None:
         """Stop listening."""
         self._socket.close()
+
+
+def _own_address_towards(host: str) -> str:
+    """Address of the interface from which a computer is reached; nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect((host, 9))
+        return str(probe.getsockname()[0])

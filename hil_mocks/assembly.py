@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from control.model.description import Arm, Drive
 from hil_mocks.devices.camera import CameraMock, CameraSetup, PictureMock
 from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup
+from hil_mocks.devices.mocap.natnet import NatNetMock
+from hil_mocks.devices.mocap.qtm import QtmMock
 from hil_mocks.devices.mocap.scene import MocapMock, SceneSetup
 from hil_mocks.devices.mocap.vicon import ViconMock
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
@@ -20,7 +22,7 @@ from hil_mocks.wiring import ENCODER_BOARD_SERIAL, JointWiring
 _MOTOR_BOARD_RATING_mA = 20_000
 _CAMERA_NOISE_M = 0.00014  # default of scenario and arm.toml: 0.28 mm at 95 %
 _TURN_NOISE_rad = 0.001  # of a body's orientation: that noise over markers some 150 mm apart
-MOCAP: Mapping[str, type[MocapMock]] = {"vicon": ViconMock}
+MOCAP: Mapping[str, type[MocapMock]] = {"vicon": ViconMock, "natnet": NatNetMock, "qualisys": QtmMock}
 
 
 def effects_of(arm: Arm, scenario: Scenario) -> PlantEffects:

@@ -7,6 +7,7 @@ from typing import Protocol
 from control.model.camera import Camera, CameraStream
 from firmware_iface.camera import TIP_SOURCE, CameraReceiver
 from firmware_iface.clock import Clock
+from firmware_iface.errors import LinkError
 from firmware_iface.mocap.bodies import BodyFrame, BodyStream, Pose, Quaternion, Vector, compose, inverse
 from firmware_iface.mocap.leaps import LeapWatch
 from firmware_iface.mocap.open_stream import open_stream
@@ -78,16 +79,26 @@ class BodyCamera:
         self._stream, self._body, self._base_body = stream, how.body, how.base_body
         self._place = None if how.origin_m is None else Pose(how.origin_m, how.orientation)
         self._leaps, self._base = LeapWatch(), SteadyPose()
-        self._problem = WITHOUT_A_STREAM
+        self._problem, self._is_lost = WITHOUT_A_STREAM, False
 
     def newest(self) -> tuple[Vector, Quaternion | None] | None:
         """Pose of the body in the newest frame that shows it."""
+        if self._is_lost:
+            return None
         pose = None
-        for frame in self._stream.receive():
+        for frame in self._received():
             self._leaps.look(frame)
             self._problem = self._fault_in(frame)
             pose = pose if self._problem else self._of(frame)
         return None if pose is None else (pose.position_m, pose.quaternion)
+
+    def _received(self) -> list[BodyFrame]:
+        """A stream that is lost takes only the tip's measurement away: it is no fault of the arm."""
+        try:
+            return self._stream.receive()
+        except LinkError as error:
+            self._is_lost, self._problem = True, f"{error}; restart `armwright serve` once it is back"
+            return []
 
     def _of(self, frame: BodyFrame) -> Pose:
         poses = {body.name: body.pose for body in frame.bodies}

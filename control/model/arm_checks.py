@@ -49,6 +49,10 @@ def _check_stream(stream: CameraStream) -> None:
         raise Rejected((*path, "body"), "the name of a body", "an empty one")
     if stream.body == stream.base_body:
         raise Rejected((*path, "base_body"), "another body than `body`", f'"{stream.base_body}"')
+    if stream.system != "vicon" and not stream.host:
+        raise Rejected(
+            (*path, "host"), f"the computer that {stream.system} streams from: name or address", "none"
+        )
 
 
 def _check_masses(arm: Arm) -> None:

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 from control.model.end_effector import Vector3
 from control.model.rules import CAMERA_NOISE, NOT_NEGATIVE, POSITION, QUATERNION, TURN_NOISE, UDP_PORT
 
-System = Literal["vicon"]
-USUAL_PORT = {"vicon": 51001}
+System = Literal["vicon", "natnet", "qualisys"]
+USUAL_PORT = {"vicon": 51001, "natnet": 1510, "qualisys": 22223}
 NonNegative = Annotated[float, NOT_NEGATIVE]
 Position = Annotated[Vector3, POSITION]
 Unit = Annotated[tuple[float, float, float, float], QUATERNION]
@@ -20,11 +20,11 @@ class CameraStream:
     system: Annotated[System, "whose stream it is"]
     body: Annotated[str, "the body at the tip"]
     base_body: Annotated[str, "a body on the arm's base: the tip is then measured relative to it"] = ""
-    host: Annotated[str, "the computer that sends; empty takes packets of any"] = ""
+    host: Annotated[str, "the computer that sends; for vicon, empty takes packets of any"] = ""
     port: Annotated[
         Annotated[int, UDP_PORT] | None,
-        "on which packets arrive",
-        "51001",
+        "vicon: on which packets arrive; natnet: of Motive's commands; qualisys: of QTM",
+        "51001, 1510, 22223",
     ] = None
     origin_m: Annotated[
         Position | None,
@@ -66,6 +66,11 @@ class Camera:
     def port(self) -> int:
         """On which frames arrive, or where the system answers."""
         return self.udp_port if self.stream is None else self.stream.usual_port
+
+    @property
+    def listens(self) -> bool:
+        """Whether its port is one of this computer, which no other arm can have."""
+        return self.stream is None or self.stream.system == "vicon"
 
     def with_port(self, port: int | None) -> "Camera":
         """The same camera on another port (None: the usual one)."""

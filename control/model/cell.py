@@ -283,7 +283,7 @@ def _claims(placed: Placed) -> list[tuple[str, str, object]]:
         nodes += [arm.gripper.motor_node] if arm.gripper is not None and not arm.gripper.board else []
         bus = (can.interface, can.channel)
         claims += [("motor_nodes", f"a motor node (here {node})", ("node", *bus, node)) for node in nodes]
-    if arm.camera is not None:
+    if arm.camera is not None and arm.camera.listens:
         claims.append(("camera_port", "a camera port", ("camera", arm.camera.port)))
     return claims
 

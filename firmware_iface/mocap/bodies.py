@@ -23,6 +23,9 @@ class Pose:
     quaternion: Quaternion
 
 
+NOWHERE = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))  # of a body that is hidden
+
+
 @dataclass(frozen=True, slots=True)
 class Body:
     """A body in one frame. error_m: the system's own mean residual of its markers, NaN where it says none."""

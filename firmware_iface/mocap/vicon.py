@@ -13,55 +13,46 @@ import math
 from struct import Struct
 
 from firmware_iface.mocap.bodies import Body, BodyFrame, Pose, Quaternion, product
+from firmware_iface.mocap.fields import FARTHEST_m, Fields, Malformed
 from firmware_iface.udp import UdpListener
 
 DEFAULT_PORT = 51001
 PADDED_bytes = (256, 512, 1024)
 _HEADER = Struct("<IB")
 _ITEM = Struct("<BH")
-_OBJECT = Struct("<24s6d")
+_NAME_bytes, _NUMBERS = 24, Struct("<6d")
 _OBJECT_ID = 0
-_FARTHEST_m = 1000.0  # a larger coordinate is no capture volume
 _MM = 1e-3
 
 
 def unpack(datagram: bytes) -> BodyFrame | None:
     """The frame in a datagram, or None if it is not one of the object stream."""
-    if len(datagram) < _HEADER.size:
-        return None
-    number, items = _HEADER.unpack_from(datagram)
-    at, bodies = _HEADER.size, []
-    for _ in range(items):
-        if at + _ITEM.size > len(datagram):
-            return None
-        kind, size = _ITEM.unpack_from(datagram, at)
-        at += _ITEM.size
-        if at + size > len(datagram):
-            return None
-        if kind == _OBJECT_ID:
-            if size != _OBJECT.size or (body := _body(datagram, at)) is None:
-                return None
-            bodies.append(body)
-        at += size
-    names = {body.name for body in bodies}
-    if len(names) < len(bodies) or (at != len(datagram) and len(datagram) not in PADDED_bytes):
-        return None
-    return BodyFrame(number, tuple(bodies))
-
-
-def _body(datagram: bytes, at: int) -> Body | None:
-    raw, *numbers = _OBJECT.unpack_from(datagram, at)
-    name = raw.split(b"\0", 1)[0]
-    if not all(map(math.isfinite, numbers)):
-        return None
-    x, y, z = (_MM * value for value in numbers[:3])
-    if max(abs(x), abs(y), abs(z)) > _FARTHEST_m or max(map(abs, numbers[3:])) > 2.0 * math.pi:
-        return None
+    fields, bodies = Fields(datagram), []
     try:
-        text = name.decode()
-    except UnicodeDecodeError:
+        number, items = fields.read(_HEADER)
+        for _ in range(int(items)):
+            kind, size = fields.read(_ITEM)
+            if kind == _OBJECT_ID:
+                if size != _NAME_bytes + _NUMBERS.size:
+                    return None
+                bodies.append(_object(fields))
+            else:
+                fields.skip(int(size))
+    except Malformed:
         return None
-    return Body(text, Pose((x, y, z), from_euler_xyz(*numbers[3:])), any(numbers)) if text else None
+    names = {body.name for body in bodies}
+    if len(names) < len(bodies) or (fields.left and len(datagram) not in PADDED_bytes):
+        return None
+    return BodyFrame(int(number), tuple(bodies))
+
+
+def _object(fields: Fields) -> Body:
+    name = fields.text(_NAME_bytes)
+    x, y, z, *angles = fields.read(_NUMBERS)
+    if not name or max(abs(x), abs(y), abs(z)) > FARTHEST_m / _MM or max(map(abs, angles)) > 2.0 * math.pi:
+        raise Malformed
+    is_visible = any((x, y, z, *angles))
+    return Body(name, Pose((_MM * x, _MM * y, _MM * z), from_euler_xyz(*angles)), is_visible)
 
 
 def from_euler_xyz(x_rad: float, y_rad: float, z_rad: float) -> Quaternion:

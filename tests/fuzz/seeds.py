@@ -10,8 +10,12 @@ from control.recording.record import Layout
 from control.recording.rotation import PartFile, begin
 from firmware_iface.camera import CameraFrame
 from firmware_iface.encoder import wire
+from firmware_iface.mocap import qtm_wire
 from firmware_iface.motor import wire as motor_wire
+from hil_mocks.devices.mocap.natnet import NatNetMock
+from hil_mocks.devices.mocap.qtm import QtmMock
 from tests.firmware_iface.test_mocap import VICON
+from tests.firmware_iface.test_mocap_streams import NATNET_3, NATNET_41, QTM, SCENE, SETUP
 from tests.recordings import row_of
 
 ROOT = Path(__file__).parents[2]
@@ -60,6 +64,12 @@ def seeds_of(name: str) -> list[bytes]:
         "slcan": [b"\rz\rt18180F2920D1FFFF0000\rt1812AABB\r", b"T000001812AABB\rt00010\a"],
         "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
         "vicon": [VICON, VICON.ljust(256, b"\0")],
+        "natnet": [NATNET_3, NATNET_41, *NatNetMock(SETUP, SCENE).answer(bytes((4, 0, 0, 0)))],
+        "qtm": [
+            QTM,
+            *QtmMock(SETUP, SCENE).answer(bytes(8) + b"getparameters 6d"),
+            qtm_wire.command("Version 1.19"),
+        ],
         "socket": [json.dumps(request).encode() for request in REQUESTS],
         "recording frames": [recorded[recorded.index(b"}") + 1 :]],
         "run.armlog": [recorded],

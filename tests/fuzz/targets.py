@@ -30,8 +30,9 @@ from firmware_iface import camera
 from firmware_iface.encoder import cobs, wire
 from firmware_iface.errors import ArmwrightError, LinkError
 from firmware_iface.memory_link import MemoryBus
-from firmware_iface.mocap import vicon
+from firmware_iface.mocap import natnet_wire, qtm_wire, vicon
 from firmware_iface.mocap.bodies import BodyFrame
+from firmware_iface.mocap.fields import Malformed
 from firmware_iface.motor import wire as motor_wire
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
@@ -133,6 +134,25 @@ def vicon_datagram(content: bytes) -> None:
     _is_sound(vicon.unpack(content))
 
 
+def natnet_packet(content: bytes) -> None:
+    """What a NatNet server says, as any of its messages and in any version, is read or refused."""
+    payload = (natnet_wire.message_of(content) or (0, content))[1]
+    natnet_wire.unpack_server(payload)
+    for version in ((3, 0), (4, 0), (4, 1), (4, 2)):
+        names = natnet_wire.unpack_models(payload, version)
+        _is_sound(natnet_wire.unpack_frame(payload, version, names or {}))
+
+
+def qtm_stream(content: bytes) -> None:
+    """What QTM sends is cut into packets that are read or refused; a size that no packet has ends it."""
+    _is_sound(qtm_wire.unpack_data(content, [("a", True)]))
+    qtm_wire.unpack_names(content)
+    with contextlib.suppress(Malformed):
+        whole = qtm_wire.Packets().feed(content)
+        pieces = qtm_wire.Packets()
+        assert [packet for k in range(len(content)) for packet in pieces.feed(content[k : k + 1])] == whole
+
+
 def _is_sound(frame: BodyFrame | None) -> None:
     """Positions within a kilometre, unit quaternions, one body a name."""
     for body in frame.bodies if frame is not None else ():
@@ -190,7 +210,7 @@ def _of_file(name: str) -> Target:
 
 DECODERS: dict[str, Target] = {
     "encoder": encoder_stream, "cobs": cobs_block, "motor": motor_frames, "slcan": slcan_line, "camera": camera_datagram,
-    "vicon": vicon_datagram,
+    "vicon": vicon_datagram, "natnet": natnet_packet, "qtm": qtm_stream,
     "socket": socket_line, "recording frames": recording_frames,
 }  # fmt: skip
 TARGETS: dict[str, Target] = {**DECODERS, **{name: _of_file(name) for name in READERS}}
