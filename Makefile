@@ -95,6 +95,9 @@ gap-orientation: install  ## what measured orientations add to the gap workflow:
 trust-study: install  ## do 95 % ellipsoids of predicted tip errors hold the truth over the whole workspace? some minutes; CASES=20 arms of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.trust_coverage $(if $(CASES),--cases $(CASES))
 
+distances-study: install  ## how well draw wires, gauges and pairs of poses calibrate the reference arm (docs/distances.md), a minute
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.distances
+
 rough-score: install  ## the same for poses of parts whose laws are only roughly right, up to six at once; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.static.rough_score $(if $(CASES),--cases $(CASES))
 

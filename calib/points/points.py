@@ -37,7 +37,7 @@ TIP = ("x_m", "y_m", "z_m")
 ORIENTATION = ("qw", "qx", "qy", "qz")
 SCALARS = ("t_s", "payload_kg")
 OWN_EXTRAS = re.compile(
-    r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_m"
+    r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_(of|m|sd_m)"
 )  # added by our own sessions; kept like any other column, without a warning
 # In the column `frame`: positions and orientations are in a frame of unknown place, of a camera (files of
 # `armwright camera`), or of the arm's [camera.stream], which a calibration then places.

@@ -143,6 +143,53 @@ CALIBRATING = (
         module="calibration.calibrate_pair",
     ),
     CommandSpec(
+        "calibrate-distances",
+        "identify the arm from lengths: draw wires, dial gauges, ball bars, distances between two poses of the tip",
+        (
+            ARM,
+            option(
+                "--points",
+                required=True,
+                metavar="FILE",
+                help="points.csv with the columns distance_of and distance_m (docs/distances.md)",
+            ),
+            OUT,
+            option(
+                "--objective",
+                default="huber",
+                choices=("huber", "lsq"),
+                help="huber: outliers count less (default); lsq: least squares",
+            ),
+            option(
+                "--bound",
+                metavar="NAME=VALUE",
+                action="append",
+                help="largest deviation: lengths=5mm, angles=2deg (the defaults), or one parameter, e.g. L2=8mm",
+            ),
+            option(
+                "--fix",
+                metavar="NAMES",
+                action="append",
+                help="parameters to keep fixed: theta4,L2",
+            ),
+            option(
+                "--wire-at",
+                metavar="NAME=X,Y,Z",
+                action="append",
+                help="the fixed point of a wire is known: in m, in the base frame; may be repeated",
+            ),
+            option("--free-tool", action="store_true", help="identify where the tip is, too"),
+            option(
+                "--free-zero",
+                action="store_true",
+                help="identify the zero of each wire, too: its readings count from an unknown length",
+            ),
+            JSON,
+        ),
+        "Nothing moves. Writes arm.toml and calibration.json; never overwrites.",
+        module="calibration.calibrate_distances",
+    ),
+    CommandSpec(
         "camera",
         "measure the arm with a webcam: print a target, calibrate the lens, measure the target's pose in pictures",
         (

@@ -79,6 +79,11 @@ def _require_no_results(out: Path, forms: list[str]) -> None:
 def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
     """The points of all files, without those that the operator omits."""
     points, warnings = points_for(arm, [Path(name) for name in given.points])
+    if "distance_of" in points.extra:
+        raise CalibrationError(
+            "the points have lengths (column distance_of): calibrate with `armwright calibrate-distances`, which uses measured"
+            " tips, too"
+        )
     left_out = _rows_of(points, given.without or [])
     return points.chosen([k for k in range(len(points)) if k not in left_out]), warnings
 
