@@ -190,6 +190,29 @@ CALIBRATING = (
         module="calibration.calibrate_distances",
     ),
     CommandSpec(
+        "import-capture",
+        "points from a recording of a motion capture system (Vicon CSV, C3D), on the time of the encoders",
+        (
+            option("file", metavar="FILE", help="a .csv that Tracker or Nexus has exported, or a .c3d"),
+            ARM,
+            option("--log", required=True, metavar="FILE", help="log.csv of the same motion"),
+            option(
+                "--run", metavar="NAME", help="the captured run of the log (default: all, if on one clock)"
+            ),
+            option(
+                "--body",
+                required=True,
+                metavar="NAME",
+                help="the body at the tip: its name, a marker, or three or more markers: A+B+C",
+            ),
+            option("--base-body", metavar="NAME", help="a body on the arm's base: tips are relative to it"),
+            OUT,
+            JSON,
+        ),
+        "Nothing moves. Writes points.csv; never overwrites.",
+        module="calibration.import_capture",
+    ),
+    CommandSpec(
         "camera",
         "measure the arm with a webcam: print a target, calibrate the lens, measure the target's pose in pictures",
         (
