@@ -36,7 +36,7 @@ def read_c3d(path: Path) -> Capture:
         raise CaptureError(f"{path}: cannot be read: {problem.strerror}") from None
     try:
         return _read(path, content)
-    except (error, IndexError, ValueError) as problem:
+    except (error, IndexError, ValueError, OverflowError) as problem:
         raise CaptureError(f"{path}: not a whole C3D file ({problem})") from None
 
 
@@ -130,6 +130,8 @@ def _value(content: bytes, at: int, kind: int) -> Value:
     sort, dimensions = unpack_from("bB", content, at)
     sizes = tuple(content[at + 2 : at + 2 + dimensions])
     begin, count = at + 2 + dimensions, math.prod(sizes)
+    if begin + count > len(content):
+        raise ValueError(f"a parameter of {count} values")
     order = ">" if kind == MIPS else "<"
     if sort == -1:
         width = sizes[0] if sizes else 1

@@ -13,6 +13,8 @@ from pathlib import Path
 
 from calib.boards.boards import read_boards
 from calib.boards.markers import read_markers
+from calib.capture.c3d import read_c3d
+from calib.capture.vicon_csv import read_vicon_csv
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle
 from calib.points.points import read_points
@@ -194,7 +196,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "arm.toml": load_arm, "points.csv": read_points, "log.csv": read_log, "markers.csv": read_markers,
     "path.csv": read_waypoints, "boards.json": read_boards, "session.json": _session, "run.armlog": _recording,
     "programme.json": read_rectangle, "places.toml": read_places, "scenario.toml": load_scenario,
-    "tolerances.toml": _tolerances,
+    "tolerances.toml": _tolerances, "capture.csv": read_vicon_csv, "capture.c3d": read_c3d,
 }  # fmt: skip
 
 

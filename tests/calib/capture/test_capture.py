@@ -226,7 +226,7 @@ def test_other_peoples_c3d_is_read_alike(tmp_path: Path) -> None:
 def test_the_command_writes_points_of_the_stream_and_says_what_it_cannot_use(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = both(14)
+    made = both(14, span_s=14.0)
     log = write_log(tmp_path / "log.csv", made)
     (tmp_path / "v.csv").write_text(vicon_csv(made))
     (tmp_path / "x.c3d").write_bytes(c3d_bytes(made.markers_m))
