@@ -13,6 +13,7 @@ from calib.arrays import Array
 from calib.errors import CalibrationError
 
 Mask = npt.NDArray[np.bool_]
+IN_LINE = 0.1  # sine of the angle between two edges
 FRAMES_MOST = 2_000_000  # 2.7 hours at 200 Hz
 
 
@@ -60,20 +61,17 @@ class Capture:
 
 
 def fitted_body(name: str, places_m: Array) -> Body:
-    """The body of markers (k, m, 3): its origin is their centre, its axes the system's in the frame that shows all first.
+    """The body of markers (k, m, 3), the same in every recording: origin at their centre, x from the first towards the second
+    marker, z normal to the first three.
 
-    A frame with fewer than three markers does not show it. CaptureError if they are in line, or never all seen.
+    Its shape is the mean of all frames that show every marker; a frame with fewer than three of them does not show it.
+    CaptureError if the first three are in line, or all are never seen together.
     """
     seen = np.asarray(np.isfinite(places_m).all(axis=2))
     whole = np.flatnonzero(seen.all(axis=0))
     if not len(whole):
         raise CaptureError(f'body "{name}": no frame shows all of its markers')
-    shape = places_m[:, whole[0]]
-    shape = shape - shape.mean(axis=0)
-    if np.linalg.svd(shape, compute_uv=False)[1] < 5e-3:
-        raise CaptureError(
-            f'body "{name}": its markers lie on one line, or in one place: no orientation follows from them'
-        )
+    shape = _shape(name, places_m[:, whole])
     position = np.full((places_m.shape[1], 3), np.nan)
     rotation = np.full((places_m.shape[1], 3, 3), np.nan)
     for count in range(3, len(shape) + 1):
@@ -82,6 +80,22 @@ def fitted_body(name: str, places_m: Array) -> Body:
             here = np.flatnonzero(mask)
             rotation[rows], position[rows] = _motions(shape[here], places_m[np.ix_(here, rows)])
     return Body(position, rotation)
+
+
+def _shape(name: str, places_m: Array) -> Array:
+    """Markers (k, 3) in the body's frame, from frames (k, m, 3) that show all."""
+    first = places_m[:, 0] - places_m[:, 0].mean(axis=0)
+    turns, origins = _motions(first, places_m)
+    mean = np.einsum("rji,krj->kri", turns, places_m - origins).mean(axis=1)
+    mean -= mean.mean(axis=0)
+    x, other = mean[1] - mean[0], mean[2] - mean[0]
+    z = np.cross(x, other)
+    if np.linalg.norm(z) < IN_LINE * np.linalg.norm(x) * np.linalg.norm(other):
+        raise CaptureError(
+            f'body "{name}": its first three markers lie on one line: no orientation follows from them'
+        )
+    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+    return np.asarray(mean @ np.column_stack((x, np.cross(z, x), z)))
 
 
 def _motions(shape: Array, places: Array) -> tuple[Array, Array]:

@@ -195,17 +195,21 @@ CALIBRATING = (
         (
             option("file", metavar="FILE", help="a .csv that Tracker or Nexus has exported, or a .c3d"),
             ARM,
-            option("--log", required=True, metavar="FILE", help="log.csv of the same motion"),
+            option("--log", metavar="FILE", help="log.csv of the same motion"),
             option(
                 "--run", metavar="NAME", help="the captured run of the log (default: all, if on one clock)"
             ),
             option(
                 "--body",
-                required=True,
                 metavar="NAME",
                 help="the body at the tip: its name, a marker, or three or more markers: A+B+C",
             ),
             option("--base-body", metavar="NAME", help="a body on the arm's base: tips are relative to it"),
+            option(
+                "--board-markers",
+                metavar="SETUP",
+                help="instead of points: markers.csv of the markers that stand in the board's cavities and are called like them",
+            ),
             OUT,
             JSON,
         ),

@@ -5,7 +5,9 @@ import json
 import sys
 from pathlib import Path
 
+from calib.boards.markers import markers_text
 from calib.capture.alignment import Alignment, align
+from calib.capture.board_markers import board_markers
 from calib.capture.c3d import read_c3d
 from calib.capture.motion import Motion
 from calib.capture.poses import Rested, believed, poses_at_rest
@@ -15,18 +17,42 @@ from calib.gap.log import read_log
 from calib.points.points import CAMERA_FRAME, STREAM_FRAME
 from calib.points.writer import write_points
 from control.errors import ArmError
+from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
 
 
 def run(given: argparse.Namespace) -> int:
-    """Read both recordings, align them, write a point for each rest."""
+    """Write points of the arm's rests, or markers of the board."""
     arm, out = load_arm(given.arm), Path(given.out)
-    file = out / "points.csv"
+    file = out / ("markers.csv" if given.board_markers else "points.csv")
     if file.exists():
         raise ArmError(f"{file} exists already and is never overwritten: choose another --out")
     require_writable(out)
+    return (_markers if given.board_markers else _points)(given, arm, file)
+
+
+def _markers(given: argparse.Namespace, arm: Arm, file: Path) -> int:
+    """Markers in the board's cavities, in the base frame."""
+    if given.log or given.body or given.run or given.json:
+        raise CaptureError(
+            "--board-markers: the arm need not move: leave --log, --body, --run and --json out"
+        )
+    found = board_markers(arm, _read(Path(given.file)), given.board_markers, given.base_body or "")
+    write_whole(file, markers_text(found))
+    sys.stdout.write(
+        f"{len(found)} markers of setup {given.board_markers}, in the base frame\nwritten: {file}\n"
+    )
+    return 0
+
+
+def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
+    """Read both recordings, align them, write a point for each rest."""
+    if not given.log or not given.body:
+        raise CaptureError(
+            "expected --log, the arm's log.csv, and --body, what is followed; or --board-markers"
+        )
     log, _ = read_log(Path(given.log), arm.joint_count)
     motion, of_log = Motion.of(log, given.run)
     capture = _read(Path(given.file))
