@@ -23,11 +23,16 @@ CREEP = 0.1  # of the speed of other moves
 class RuntimePort:
     """`ArmPort` and `Camera` over the runtime's client."""
 
-    def __init__(self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False) -> None:
-        """`as_encoders`: moves are to encoder angles, without the runtime's gear corrections (docs/corrections.md)."""
+    def __init__(
+        self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False, in_own_frame: bool = False
+    ) -> None:
+        """`as_encoders`: moves are to encoder angles, without the runtime's gear corrections (docs/corrections.md).
+
+        in_own_frame: tips may be in a camera's frame of unknown place.
+        """
         self._client = client
         self._speed = speed
-        self._as_encoders = as_encoders
+        self._as_encoders, self._in_own_frame = as_encoders, in_own_frame
 
     def now_s(self) -> float:
         """The runtime's time."""
@@ -62,14 +67,20 @@ class RuntimePort:
     def measure(self, duration_s: float) -> SeenTip:
         """Mean of the camera's tips. ArmError, with the camera's reason, if there are none."""
         for _ in range(1 + int(CAMERA_PATIENCE_S / duration_s)):
-            seen = self._client.average(duration_s).target
-            if seen is not None:
+            mean = self._client.average(duration_s)
+            seen = mean.target
+            if seen is not None and (mean.tip_m is not None or self._in_own_frame):
                 return SeenTip(seen.position_m, seen.std_m, seen.orientation)
-        said = self._client.status()["camera_problem"]
         raise ArmError(
-            f"no camera frame within {CAMERA_PATIENCE_S:g} s{f' ({said})' if said else ''}: check that the camera is on and"
+            f"no camera frame within {CAMERA_PATIENCE_S:g} s{camera_said(self._client)}: check that the camera is on and"
             " sees the tip"
         )
+
+
+def camera_said(client: ArmClient) -> str:
+    """Why the camera measures no tip now, in brackets; empty if it says nothing."""
+    said = client.status()["camera_problem"]
+    return f" ({said})" if said else ""
 
 
 class MockHandSeat:

@@ -14,6 +14,7 @@ from firmware_iface.mocap.open_stream import open_stream
 from firmware_iface.mocap.steady import SteadyPose
 
 WITHOUT_A_STREAM = "no frames arrive"
+UNPLACED = "its frame has no known place to the arm's base: a session and `calibrate` find it"
 
 
 class TipCamera(Protocol):
@@ -124,7 +125,7 @@ class BodyCamera:
         """What is wrong with the newest frame; counts packets that were not understood if no other came."""
         if self._problem == WITHOUT_A_STREAM and self._stream.rejected:
             return f"{self._stream.rejected} packets on {self._stream.name}, none of this system's format"
-        return self._problem
+        return self._problem or (UNPLACED if self.has_own_frame else "")
 
     def close(self) -> None:
         """End the stream."""

@@ -44,7 +44,9 @@ def target(cell: Cell) -> Target | None:
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_system_measures_the_tip_and_says_which_bodies_are_hidden_or_exchanged(system: str) -> None:
+def test_a_system_measures_the_tip_and_says_which_bodies_are_hidden_or_exchanged(
+    system: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with seen_by(system) as cell:
         found = target(cell)
         assert found is not None
@@ -56,10 +58,8 @@ def test_a_system_measures_the_tip_and_says_which_bodies_are_hidden_or_exchanged
             rotation, turn.T @ np.array(axes).T @ rotation_of(TARGET_turn_rad), atol=2e-5
         )
         status = cell.client.status()
-        assert (status["camera_m"], status["camera_problem"]) == (
-            None,
-            "",
-        )  # no place in the base frame is known
+        assert status["camera_m"] is None
+        assert "no known place" in status["camera_problem"]
 
         cell.inject("exchanged_bodies", "camera")
         cell.run(0.02)
@@ -67,7 +67,10 @@ def test_a_system_measures_the_tip_and_says_which_bodies_are_hidden_or_exchanged
         assert "tool and wand exchanged their names" in cell.client.status()["camera_problem"]
         cell.rig.clear_faults()
         cell.run(0.02)
-        assert ports.RuntimePort(cell.client).measure(0.03).orientation is not None
+        assert ports.RuntimePort(cell.client, in_own_frame=True).measure(0.03).orientation is not None
+        monkeypatch.setattr(ports, "CAMERA_PATIENCE_S", 0.02)
+        with pytest.raises(ArmError, match=r"no known place to the arm.s base"):
+            ports.RuntimePort(cell.client).measure(0.02)
 
         camera = cell.rig.robot.camera
         camera.setup = replace(camera.setup, dropout=1.0)
