@@ -73,7 +73,7 @@ def align(arm: Arm, motion: Motion, capture_s: Array, body: Body) -> Alignment:
     model = ArmModel(arm)
     tips = model.tips(arm.dh, motion.q_rad)
     offset_s, correlation = _coarse(motion, tips, capture_s, body)
-    return _fine(model, motion, capture_s, body, offset_s, correlation)
+    return _fine(_overlap(model, motion, capture_s, body, offset_s), correlation)
 
 
 def _coarse(motion: Motion, tips: Array, capture_s: Array, body: Body) -> tuple[float, float]:
@@ -143,10 +143,28 @@ def _scores(ours: Array, theirs: Array) -> Array:
     return np.where(enough, (crossed(a, b) - sum_a * sum_b / count) / scale, -1.0)
 
 
-def _fine(
-    model: ArmModel, motion: Motion, capture_s: Array, body: Body, offset_s: float, correlation: float
-) -> Alignment:
-    """Gauss-Newton on deviations of the arm, place of the body, frame, offset and rate."""
+@dataclass(frozen=True, slots=True)
+class _Overlap:
+    """The frames (m,) that lie in the log at a rough offset: body (m, 3), time, and the middle of the times."""
+
+    model: ArmModel
+    motion: Motion
+    seen_m: Array
+    tau_s: Array
+    offset_s: float
+
+    @property
+    def middle_s(self) -> float:
+        """Of the capture's clock, about which a rate turns."""
+        return float(self.tau_s.mean())
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it tells a rate."""
+        return float(np.ptp(self.tau_s)) >= RATE_FROM_s
+
+
+def _overlap(model: ArmModel, motion: Motion, capture_s: Array, body: Body, offset_s: float) -> _Overlap:
     rows = np.flatnonzero(body.is_seen & (motion.covers(offset_s + capture_s) > 0.0))
     rows = rows[:: max(1, len(rows) // FRAMES)]
     span_s = float(np.ptp(capture_s[rows])) if len(rows) else 0.0
@@ -154,32 +172,13 @@ def _fine(
         raise CaptureError(
             f"log and capture overlap by {span_s:.1f} s: {LEAST_OVERLAP_s:g} s are needed at least"
         )
-    seen, tau = body.position_m[rows], capture_s[rows]
-    middle_s = float(tau.mean())
-    prior = _prior(model, span_s)
-    x = np.zeros(len(prior))
-    frame = best_motion(seen, model.tips(model.nominal_dh, motion.at(offset_s + tau)[0]))
-    turn, shift = frame.rotation, frame.shift_m
-    noise_m = NOISE_LEAST_m
-    for _ in range(STEPS):
-        residual, jacobian = _linearised(model, motion, x, turn, shift, seen, tau, offset_s, middle_s)
-        noise_m, weight = _weights(residual)
-        information = np.einsum("m,mik,mil->kl", weight, jacobian, jacobian) / noise_m**2 + np.diag(
-            prior**-2.0
-        )
-        gradient = np.einsum("m,mik,mi->k", weight, jacobian, residual) / noise_m**2 - x / prior**2
-        step = np.linalg.solve(information, gradient)
-        x = x + step
-        turn, shift = rotation_of(step[-5:-2]) @ turn, shift + step[-8:-5]
-        x[-8:-2] = 0.0
-    residual, jacobian = _linearised(model, motion, x, turn, shift, seen, tau, offset_s, middle_s)
-    pieces = np.einsum("m,mik,mi->mk", weight, jacobian, residual) / noise_m**2
-    blocks = np.array([piece.sum(axis=0) for piece in np.array_split(pieces, BLOCKS)])
-    inverse = np.linalg.inv(information)
-    spread = inverse @ (blocks.T @ blocks + np.diag(prior**-2.0)) @ inverse
-    rate, rate_sd = float(x[-1]), float(np.sqrt(spread[-1, -1]))
-    is_long = span_s >= RATE_FROM_s
-    to_begin = np.array([1.0, -middle_s if is_long else 0.0])  # x has the offset at the middle
+    return _Overlap(model, motion, body.position_m[rows], capture_s[rows], offset_s)
+
+
+def _fine(both: _Overlap, correlation: float) -> Alignment:
+    """Least squares, and what the fit says of its own time. CaptureError if that is nothing."""
+    x, spread, noise_m = _solved(both)
+    to_begin = np.array([1.0, -both.middle_s if both.is_long else 0.0])  # x has the offset at the middle
     sd_s = float(np.sqrt(to_begin @ spread[-2:, -2:] @ to_begin))
     if noise_m > FAR_OFF_m:
         raise CaptureError(
@@ -190,10 +189,32 @@ def _fine(
         raise CaptureError(
             f"the motion cannot tell the time: the offset is known to {1e3 * sd_s:.0f} ms only; record faster motions"
         )
-    found_s = offset_s + float(to_begin @ x[-2:])
-    return Alignment(
-        found_s, sd_s, rate if is_long else 0.0, rate_sd if is_long else 0.0, correlation, noise_m
-    )
+    rate, rate_sd = (float(x[-1]), float(np.sqrt(spread[-1, -1]))) if both.is_long else (0.0, 0.0)
+    return Alignment(both.offset_s + float(to_begin @ x[-2:]), sd_s, rate, rate_sd, correlation, noise_m)
+
+
+def _solved(both: _Overlap) -> tuple[Array, Array, float]:
+    """Deviations of the arm, place of the body, (frame,) offset and rate; their covariance; noise: Gauss-Newton."""
+    prior = _prior(both.model, both.is_long)
+    x = np.zeros(len(prior))
+    tips = both.model.tips(both.model.nominal_dh, both.motion.at(both.offset_s + both.tau_s)[0])
+    frame = best_motion(both.seen_m, tips)
+    turn, shift = frame.rotation, frame.shift_m
+    for _ in range(STEPS):
+        residual, jacobian = _linearised(both, x, turn, shift)
+        noise_m, weight = _weights(residual)
+        gram = np.einsum("m,mik,mil->kl", weight, jacobian, jacobian)
+        information = gram / noise_m**2 + np.diag(prior**-2.0)
+        gradient = np.einsum("m,mik,mi->k", weight, jacobian, residual) / noise_m**2 - x / prior**2
+        step = np.linalg.solve(information, gradient)
+        x = x + step
+        turn, shift = rotation_of(step[-5:-2]) @ turn, shift + step[-8:-5]
+        x[-8:-2] = 0.0
+    residual, jacobian = _linearised(both, x, turn, shift)
+    pieces = np.einsum("m,mik,mi->mk", weight, jacobian, residual) / noise_m**2
+    blocks = np.array([piece.sum(axis=0) for piece in np.array_split(pieces, BLOCKS)])
+    inverse = np.linalg.inv(information)
+    return x, inverse @ (blocks.T @ blocks + np.diag(prior**-2.0)) @ inverse, noise_m
 
 
 def _weights(residual: Array) -> tuple[float, Array]:
@@ -203,38 +224,28 @@ def _weights(residual: Array) -> tuple[float, Array]:
     return noise_m, np.minimum(1.0, CLIP * noise_m / np.maximum(far, NOISE_LEAST_m))
 
 
-def _prior(model: ArmModel, span_s: float) -> Array:
+def _prior(model: ArmModel, is_long: bool) -> Array:
     """Sizes of the unknowns: DH, body, frame (shift, turn), offset, rate; a rate that a short recording cannot tell is none."""
     dh = 0.5 * np.tile(
         [LENGTH_BOUND_m, ANGLE_BOUND_rad, LENGTH_BOUND_m, ANGLE_BOUND_rad], len(model.nominal_dh)
     )
-    rate = RATE if span_s >= RATE_FROM_s else 1e-12
+    rate = RATE if is_long else 1e-12
     return np.concatenate((dh, [BODY_m] * 3, [FRAME_m] * 3, [np.pi] * 3, [1.0, rate]))
 
 
-def _linearised(
-    model: ArmModel,
-    motion: Motion,
-    x: Array,
-    turn: Array,
-    shift: Array,
-    seen: Array,
-    tau: Array,
-    offset_s: float,
-    middle_s: float,
-) -> tuple[Array, Array]:
+def _linearised(both: _Overlap, x: Array, turn: Array, shift: Array) -> tuple[Array, Array]:
     """Body in the base frame minus tip (m, 3), and minus its derivatives (m, 3, k)."""
-    size = model.nominal_dh.size
+    model, tau = both.model, both.tau_s
+    size, about_s = model.nominal_dh.size, tau - both.middle_s
     dh = model.nominal_dh + x[:size].reshape(-1, 4)
-    t_s = offset_s + x[-2] + tau + x[-1] * (tau - middle_s)
-    q, speed = motion.at(t_s)
+    q, speed = both.motion.at(both.offset_s + x[-2] + tau + x[-1] * about_s)
     slopes = model.slopes(dh, q, model.nominal_tool_m + x[size : size + 3])
     velocity = np.einsum("mij,mj->mi", slopes.by_dh[:, :, list(model.theta_places)], speed)
-    turned = seen @ turn.T
+    turned = both.seen_m @ turn.T
     jacobian = np.concatenate((slopes.by_dh, slopes.by_tool, np.zeros((len(tau), 3, 8))), axis=2)
     jacobian[:, :, size + 3 : size + 6] = -np.eye(3)
     for axis in range(3):
         jacobian[:, :, size + 6 + axis] = -(turned @ cross_matrix(np.eye(3)[axis]).T)
     jacobian[:, :, -2] = velocity
-    jacobian[:, :, -1] = velocity * (tau - middle_s)[:, None]
+    jacobian[:, :, -1] = velocity * about_s[:, None]
     return turned + shift - slopes.tips, jacobian

@@ -15,8 +15,8 @@ from firmware_iface.motor import wire as motor_wire
 from hil_mocks.devices.mocap.natnet import NatNetMock
 from hil_mocks.devices.mocap.qtm import QtmMock
 from tests.calib.capture.recordings import both, c3d_bytes, vicon_csv
-from tests.firmware_iface.test_mocap import VICON
-from tests.firmware_iface.test_mocap_streams import NATNET_3, NATNET_41, QTM, SCENE, SETUP
+from tests.firmware_iface.mocap.test_bodies import VICON
+from tests.firmware_iface.mocap.test_streams import NATNET_3, NATNET_41, QTM, SCENE, SETUP
 from tests.recordings import row_of
 
 ROOT = Path(__file__).parents[2]
