@@ -57,7 +57,7 @@ solver-study: install  ## is the optimum of an identification a real one? 200 fr
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.solver_study
 
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS = "encoder" "cobs" "motor" "slcan" "camera" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
+FUZZ_TARGETS = "encoder" "cobs" "motor" "slcan" "camera" "vicon" "natnet" "qtm" "capture.csv" "capture.c3d" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
   "boards.json" "session.json" "run.armlog" "programme.json" "places.toml" "scenario.toml" "tolerances.toml"
 
 .venv-fuzz/installed: tests/fuzz/requirements.lock
