@@ -57,7 +57,7 @@ solver-study: install  ## is the optimum of an identification a real one? 200 fr
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.solver_study
 
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS = "encoder" "cobs" "motor" "slcan" "camera" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
+FUZZ_TARGETS = "encoder" "cobs" "motor" "slcan" "camera" "vicon" "natnet" "qtm" "capture.csv" "capture.c3d" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
   "boards.json" "session.json" "run.armlog" "programme.json" "places.toml" "scenario.toml" "tolerances.toml"
 
 .venv-fuzz/installed: tests/fuzz/requirements.lock
@@ -100,6 +100,9 @@ iso9283-study: install  ## do predicted ISO 9283 figures hold the measured ones 
 
 planning-study: install  ## what planned paths and stops gain on mock arms, measured by their camera before any correction; half an hour; CASES=6 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.planning $(if $(CASES),--cases $(CASES))
+
+distances-study: install  ## how well draw wires, gauges and pairs of poses calibrate the reference arm (docs/distances.md), a minute
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.distances
 
 rough-score: install  ## the same for poses of parts whose laws are only roughly right, up to six at once; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.static.rough_score $(if $(CASES),--cases $(CASES))

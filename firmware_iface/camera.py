@@ -9,14 +9,14 @@ import socket
 from dataclasses import dataclass
 from struct import Struct, error
 
-from firmware_iface.errors import LinkLost, MisuseError, PortMissing
+from firmware_iface.errors import MisuseError
+from firmware_iface.udp import UdpListener
 
 DEFAULT_PORT = 47310
 TIP_SOURCE = 0
 _MAGIC = b"AWCM"
 _VERSION = 1
 _LAYOUT = Struct("<4sBBHIdddd")
-_LONGEST_DATAGRAM = 65536
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,40 +58,22 @@ class CameraReceiver:
     def __init__(self, port: int = DEFAULT_PORT, host: str = "127.0.0.1") -> None:
         """Listen on `port` of the interface with address `host`; port 0 takes any free one."""
         self.rejected = 0
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        try:
-            self._socket.bind((host, port))
-        except (OSError, OverflowError) as problem:
-            self._socket.close()
-            raise PortMissing(
-                f"camera: cannot listen on UDP port {port} of {host}: {problem}; "
-                "stop another running armwright, or choose another port"
-            ) from None
-        self.port: int = self._socket.getsockname()[1]
-        self.name = f"udp://{host}:{self.port}"
+        self._listener = UdpListener("camera", port, interface=host)
+        self.port, self.name = self._listener.port, self._listener.name
 
     def receive(self) -> list[CameraFrame]:
         """Return all frames received so far, in order of arrival; never blocks. Raises LinkLost."""
         frames = []
-        while (datagram := self._datagram()) is not None:
+        for datagram in self._listener.datagrams():
             if (frame := unpack(datagram)) is None:
                 self.rejected += 1
             else:
                 frames.append(frame)
         return frames
 
-    def _datagram(self) -> bytes | None:
-        try:
-            return self._socket.recv(_LONGEST_DATAGRAM)
-        except BlockingIOError:
-            return None
-        except OSError as problem:
-            raise LinkLost(f"camera on {self.name}: lost: {problem}") from None
-
     def close(self) -> None:
         """Stop listening."""
-        self._socket.close()
+        self._listener.close()
 
 
 class CameraSender:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from control.model.description import Arm, Drive
-from hil_mocks.devices.camera import CameraMock, CameraSetup
+from hil_mocks.devices.camera import CameraMock, CameraSetup, PictureMock
 from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup
+from hil_mocks.devices.mocap.natnet import NatNetMock
+from hil_mocks.devices.mocap.qtm import QtmMock
+from hil_mocks.devices.mocap.scene import MocapMock, SceneSetup
+from hil_mocks.devices.mocap.vicon import ViconMock
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
 from hil_mocks.firmware.choice import encoder_board_class, motor_board_class
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, deviations, gather
@@ -17,6 +21,8 @@ from hil_mocks.wiring import ENCODER_BOARD_SERIAL, JointWiring
 
 _MOTOR_BOARD_RATING_mA = 20_000
 _CAMERA_NOISE_M = 0.00014  # default of scenario and arm.toml: 0.28 mm at 95 %
+_TURN_NOISE_rad = 0.001  # of a body's orientation: that noise over markers some 150 mm apart
+MOCAP: Mapping[str, type[MocapMock]] = {"vicon": ViconMock, "natnet": NatNetMock, "qualisys": QtmMock}
 
 
 def effects_of(arm: Arm, scenario: Scenario) -> PlantEffects:
@@ -130,12 +136,17 @@ def build_motor_board(
     return motor_board_class(scenario)(setup, read_shaft)
 
 
-def build_camera(arm: Arm, scenario: Scenario) -> CameraMock:
+def build_camera(arm: Arm, scenario: Scenario) -> PictureMock:
     """Build the camera; its noise is the scenario's, else that of arm.toml."""
     table = scenario.camera
     noise_m = table.noise_m
     if noise_m is None:
         noise_m = arm.camera.position_noise_m if arm.camera is not None else _CAMERA_NOISE_M
-    return CameraMock(
-        CameraSetup(table.rate_Hz, noise_m, table.latency_s, table.dropout, table.clock_ppm, scenario.seed)
+    setup = CameraSetup(
+        table.rate_Hz, noise_m, table.latency_s, table.dropout, table.clock_ppm, scenario.seed
     )
+    if arm.camera is None or arm.camera.stream is None:
+        return CameraMock(setup)
+    stream, turn_noise_rad = arm.camera.stream, arm.camera.orientation_noise_rad or _TURN_NOISE_rad
+    scene = SceneSetup(stream.body, stream.base_body, table.place_m, table.turn_rad, turn_noise_rad)
+    return MOCAP[stream.system](setup, scene)

@@ -67,6 +67,7 @@ class MockCell:
         self._plants, self._all = plants, tuple(self.robots.values())
         self.tick_s, self._steps = self._all[0].tick_s, self._all[0].steps_per_tick
         self._line_of = [(robot, k) for robot in self._all for k in range(robot.serial_lines)]
+        self.transports = [robot.camera.transport for robot in self._all]
         self.can_formats = set[CanFormat]().union(*(robot.can_formats for robot in self._all))
         self.outgoing: dict[CanFormat, list[Frame]] = {carried: [] for carried in CanFormat}
         self.camera_outgoing: list[Picture] = []
@@ -118,6 +119,11 @@ class MockCell:
             robot.from_host_can(can_id, payload, carried)
         self._gather()
 
+    def from_host_camera(self, camera: int, request: bytes) -> None:
+        """Process a packet from the host to the camera of an arm now."""
+        self._all[camera].from_host_camera(0, request)
+        self._gather()
+
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes:
         """Bytes of a serial line that arrive at the host by now, or within `ahead_s`."""
         robot, line = self._line_of[board]
@@ -144,7 +150,7 @@ class SteppedCell:
         name = f"armwright-cell-{os.getpid()}-{next(_rigs)}"
         lines = [Line(f"{name}-{k}") for k in range(self.mock.serial_lines)]
         self.can_interface, self.can_channel = CAN_INTERFACE, name
-        self.wires = Wires(lines, CAN_INTERFACE, name, len(cell.arms), self.mock.can_formats)
+        self.wires = Wires(lines, CAN_INTERFACE, name, self.mock.transports, self.mock.can_formats)
         self.can_options = self.wires.can_options
         paths = [wire.path for wire in self.wires.serial]
         self.ports = {

@@ -37,7 +37,9 @@ OF_BOUGHT = ON_FRAMES | {
     "board_reset", "e_stop", "over_current", "over_temperature", "supply", "swapped_polarity", "dead_motor", "stuck_joint",
     "stuck_encoder",
 }  # fmt: skip
-OF_CAMERA = ON_FRAMES - {"delay_frames", "replay_frames"}  # its latency is a separate key
+OF_CAMERA = (ON_FRAMES - {"delay_frames", "replay_frames"}) | {
+    "exchanged_bodies"
+}  # its latency is a separate key
 BUILT_IN = _BUILT_INTO_ENCODER | _BUILT_INTO_MOTOR  # before power-up
 _NEED_VALUE = {
     "delay_frames",

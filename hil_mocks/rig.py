@@ -161,7 +161,9 @@ class SteppedRig:
             register()
             serial_wires, self.can_interface = [Line(f"{name}-{k}") for k in lines], CAN_INTERFACE
         self.can_channel = name
-        self.wires = Wires(serial_wires, self.can_interface, name, can_formats=self.robot.can_formats)
+        self.wires = Wires(
+            serial_wires, self.can_interface, name, [self.robot.camera.transport], self.robot.can_formats
+        )
         self.can_options = self.wires.can_options
         (self.camera_port,) = self.wires.camera_ports
         paths = [wire.path for wire in self.wires.serial]

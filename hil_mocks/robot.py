@@ -216,6 +216,10 @@ class MockRobot:
         if now_s >= self.camera.next_s:
             self._look(now_s)
 
+    def from_host_camera(self, camera: int, request: bytes) -> None:
+        """Process a packet from the host to the camera now."""
+        self.camera_outgoing += [(0, packet) for packet in self.camera.answer(request)]
+
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes:
         """Bytes of a serial line that arrive at the host by now, or within `ahead_s`."""
         queue = self._serial[board]
@@ -354,7 +358,7 @@ class MockRobot:
         outgoing.clear()
 
     def _look(self, now_s: float) -> None:
-        datagrams = self.camera.tick(now_s, self.plant.tip_m)
+        datagrams = self.camera.tick(now_s, self.plant.tip_pose)
         line = self._lines["camera"]
         if line.faults:
             datagrams = [arrived for _, arrived in line.passed([(now_s, datagram) for datagram in datagrams])]
@@ -376,6 +380,8 @@ class MockRobot:
             joint = self.bought.joint(fault)
             if joint is None or not self._switch_wiring(fault, joint, is_on):
                 self.bought.switch(fault, is_on, self.now_s)
+        elif fault.board == "camera" and fault.kind == "exchanged_bodies":
+            self.camera.is_exchanged = is_on
         elif fault.board in self._encoder_names:
             self._switch_encoder(fault, self._encoder_names.index(fault.board), is_on)
 

@@ -117,6 +117,12 @@ class CameraTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     latency_s: NotNegative = 0.008
     dropout: Share = 0.0  # share of frames without the tip
     clock_ppm: float = 0.0
+    place_m: tuple[float, float, float] = (
+        1.4,
+        -0.9,
+        0.2,
+    )  # of a motion capture system's frame, in the base frame
+    turn_rad: tuple[float, float, float] = (0.1, -0.2, 2.0)
 
 
 class FaultTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

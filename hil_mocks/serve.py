@@ -64,7 +64,9 @@ class Server:
         self._cell = cell
         self._mock = MockCell(cell, load_scenario(scenario))
         lines = [Pty() for _ in range(self._mock.serial_lines)]
-        self._wires = Wires(lines, "udp_multicast", can_channel, len(cell.arms), self._mock.can_formats)
+        self._wires = Wires(
+            lines, "udp_multicast", can_channel, self._mock.transports, self._mock.can_formats
+        )
         self._channel, self._path = can_channel, socket_path
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(socket_path))

@@ -9,7 +9,6 @@ import contextlib
 import fcntl
 import os
 import select
-import socket
 import sys
 import termios
 import tty
@@ -21,6 +20,8 @@ import can
 
 from firmware_iface.errors import LinkLost
 from firmware_iface.link import CanFormat, FrameLink, open_can, open_extended_can, open_fd_can
+from hil_mocks.camera_wires import camera_wire, free_udp_port
+from hil_mocks.devices.camera import Transport
 from hil_mocks.devices.motor_inputs import Frame
 
 _BUS_OFF, _BIT_ERROR = 0x40, 0x88  # CAN_ERR_BUSOFF, CAN_ERR_BUSERROR | CAN_ERR_PROT of linux/can/error.h
@@ -41,6 +42,7 @@ class OnWires(Protocol):
 
     def from_host_serial(self, board: int, received: bytes) -> None: ...
     def from_host_can(self, can_id: int, payload: bytes, carried: CanFormat = ...) -> None: ...
+    def from_host_camera(self, camera: int, request: bytes) -> None: ...
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes: ...
 
 
@@ -142,7 +144,7 @@ class Wires:
         serial_wires: Sequence[SerialWire],
         can_interface: str,
         can_channel: str,
-        cameras: int = 1,
+        cameras: Sequence[Transport] = ("datagrams",),
         can_formats: Collection[CanFormat] = (),
     ) -> None:
         """`can_formats`: which frames boards on the CAN bus use beside classic ones with 11-bit ids."""
@@ -156,9 +158,8 @@ class Wires:
             carried: _OPENERS[carried](can_interface, can_channel, **self.can_options)
             for carried in can_formats
         }
-        self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._camera.setblocking(False)
-        self.camera_ports = tuple(free_udp_port() for _ in range(cameras))
+        self._cameras = [camera_wire(transport) for transport in cameras]
+        self.camera_ports = tuple(camera.port for camera in self._cameras)
 
     def from_host(self, robot: OnWires) -> None:
         """Pass the host's data to the robot."""
@@ -166,6 +167,9 @@ class Wires:
             received = wire.read()
             if received:
                 robot.from_host_serial(i, received)
+        for number, camera in enumerate(self._cameras):
+            for request in camera.received():
+                robot.from_host_camera(number, request)
         with contextlib.suppress(LinkLost):  # a bus that is off for the host
             for carried, bus in self._buses.items():
                 for can_id, payload in bus.receive():
@@ -193,7 +197,7 @@ class Wires:
                 sent.clear()
         if robot.camera_outgoing:
             for camera, datagram in robot.camera_outgoing:
-                self._send_picture(self.camera_ports[camera], datagram)
+                self._cameras[camera].send(datagram)
             robot.camera_outgoing.clear()
 
     def plug_in(self) -> None:
@@ -232,23 +236,11 @@ class Wires:
         with patch.object(kind, "send", full):
             yield
 
-    def _send_picture(self, port: int, datagram: bytes) -> None:
-        try:
-            self._camera.sendto(datagram, ("127.0.0.1", port))
-        except OSError:
-            return  # a full buffer loses a datagram, as a network does
-
     def close(self) -> None:
         """Close all wires."""
         for wire in self.serial:
             wire.close()
         for bus in self._buses.values():
             bus.close()
-        self._camera.close()
-
-
-def free_udp_port() -> int:
-    """A UDP port on loopback that is free at the moment."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+        for camera in self._cameras:
+            camera.close()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from calib.session.moves.ports import Sample, Vector
+from calib.session.moves.ports import Sample, SeenTip, Vector
 from calib.session.plan import Target
 from control.errors import ArmError
 from control.server.client import ArmClient, ArmFaulted, fault_text
@@ -23,11 +23,16 @@ CREEP = 0.1  # of the speed of other moves
 class RuntimePort:
     """`ArmPort` and `Camera` over the runtime's client."""
 
-    def __init__(self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False) -> None:
-        """`as_encoders`: moves are to encoder angles, without the runtime's gear corrections (docs/corrections.md)."""
+    def __init__(
+        self, client: ArmClient, speed: float = 1.0, as_encoders: bool = False, in_own_frame: bool = False
+    ) -> None:
+        """`as_encoders`: moves are to encoder angles, without the runtime's gear corrections (docs/corrections.md).
+
+        in_own_frame: tips may be in a camera's frame of unknown place.
+        """
         self._client = client
         self._speed = speed
-        self._as_encoders = as_encoders
+        self._as_encoders, self._in_own_frame = as_encoders, in_own_frame
 
     def now_s(self) -> float:
         """The runtime's time."""
@@ -59,15 +64,23 @@ class RuntimePort:
         warmth = tuple(math.nan if t is None else float(t) for t in self._client.status()["temperature_C"])
         return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth)
 
-    def measure(self, duration_s: float) -> tuple[Vector, Vector]:
-        """Mean of the camera's tip positions and their standard deviation. ArmError if there are none."""
+    def measure(self, duration_s: float) -> SeenTip:
+        """Mean of the camera's tips. ArmError, with the camera's reason, if there are none."""
         for _ in range(1 + int(CAMERA_PATIENCE_S / duration_s)):
             mean = self._client.average(duration_s)
-            if mean.tip_m is not None and mean.tip_std_m is not None:
-                return mean.tip_m, mean.tip_std_m
+            seen = mean.target
+            if seen is not None and (mean.tip_m is not None or self._in_own_frame):
+                return SeenTip(seen.position_m, seen.std_m, seen.orientation)
         raise ArmError(
-            f"no camera frame within {CAMERA_PATIENCE_S:g} s: check that the camera is on and sees the tip"
+            f"no camera frame within {CAMERA_PATIENCE_S:g} s{camera_said(self._client)}: check that the camera is on and"
+            " sees the tip"
         )
+
+
+def camera_said(client: ArmClient) -> str:
+    """Why the camera measures no tip now, in brackets; empty if it says nothing."""
+    said = client.status()["camera_problem"]
+    return f" ({said})" if said else ""
 
 
 class MockHandSeat:

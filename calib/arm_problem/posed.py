@@ -13,12 +13,10 @@ Second derivatives of the rows of orientation are left out (Gauss-Newton): e sta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.expansion import Expansion
+from calib.arm_problem.added_rows import WithRows
 from calib.arm_problem.frames import left_jacobian, mean_rotation, rotation_of
 from calib.arm_problem.parameters import Bounds, Parameter
 from calib.arm_problem.problem import ALL, ArmProblem, Turns
@@ -29,48 +27,6 @@ TARGET = "target"
 TARGET_NAMES = ("target_rx", "target_ry", "target_rz")
 SMALL_rad = 1e-4
 Places = npt.NDArray[np.intp]
-
-
-@dataclass(frozen=True, slots=True)
-class PosedExpansion:
-    """Tips and orientations around one x; `jacobian` (r, 3, k) of the orientations."""
-
-    tip: Expansion
-    turned: Array
-    jacobian: Array
-
-    @property
-    def residuals(self) -> Array:
-        """(m + r, 3) [m]."""
-        return np.concatenate((self.tip.residuals, self.turned))
-
-    def sums(self, pull: Array, bend: Array | None) -> tuple[Array, Array]:
-        """Gradient (k,) and gram (k, k)."""
-        m, k = len(self.tip.residuals), self.jacobian.shape[2]
-        own = len(self.tip.places)
-        gradient, gram = np.zeros(k), np.zeros((k, k))
-        gradient[:own], gram[:own, :own] = self.tip.sums(pull[:m], None if bend is None else bend[..., :m])
-        gradient += np.einsum("ri,rik->k", pull[m:], self.jacobian)
-        return gradient, gram + self._gram(None if bend is None else bend[..., m:])
-
-    def curvature(self, pull: Array) -> Array:
-        """Of the tips, (k, k)."""
-        k, own = self.jacobian.shape[2], len(self.tip.places)
-        whole = np.zeros((k, k))
-        whole[:own, :own] = self.tip.curvature(pull[: len(self.tip.residuals)])
-        return whole
-
-    def _gram(self, bend: Array | None) -> Array:
-        """Sum of J' bend J; bend (3, r), (3, 3, r), or None for ones."""
-        jacobian = self.jacobian
-        if bend is None:
-            bent = jacobian
-        elif bend.ndim == 2:
-            bent = bend.T[:, :, None] * jacobian
-        else:
-            bent = np.einsum("ijr,rjk->rik", bend, jacobian)
-        k = jacobian.shape[2]
-        return np.asarray(jacobian.reshape(-1, k).T @ bent.reshape(-1, k))
 
 
 class PosedProblem:
@@ -103,10 +59,10 @@ class PosedProblem:
         error, by_x = self._turned(x, turned)
         return np.concatenate((tip, error)), np.concatenate((self._widened(by_tip), by_x))
 
-    def expanded(self, x: Array, rows: slice = ALL) -> PosedExpansion:
+    def expanded(self, x: Array, rows: slice = ALL) -> WithRows:
         """Around x."""
         some, turned = self._split(rows)
-        return PosedExpansion(self.tips.expanded(x[: self._count], some), *self._turned(x, turned))
+        return WithRows(self.tips.expanded(x[: self._count], some), self._count, *self._turned(x, turned))
 
     def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
         """The Jacobian for zero residuals, (rows, 3, k)."""

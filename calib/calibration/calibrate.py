@@ -91,7 +91,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     advance("done", 1.0)
     return Calibrated(
         arm,
-        calibrated_arm(arm, found),
+        calibrated_arm(arm, found, points),
         points,
         problem,
         found,

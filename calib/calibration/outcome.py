@@ -8,12 +8,14 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from calib.arm_problem.assembly import BASE_FRAME, CAMERA
+from calib.arm_problem.assembly import BASE_FRAME, CAMERA, base_frame_of
 from calib.arm_problem.frames import Frame, rotation_vector
 from calib.arm_problem.joint_effects import with_effects
 from calib.identify.identification import Estimate, Identification, OrientationFit
+from calib.points.points import STREAM_FRAME, Points
 from calib.validation.verify import Comparison, ErrorSummary
 from control.files import write_whole
+from control.kinematics.rotation import quaternion_of
 from control.model.arm import Arm, Calibration, Effect
 from control.model.description import save_arm
 
@@ -27,28 +29,43 @@ def write_calibrated_arm(
     inputs: Mapping[str, str],
     date: str,
     program_version: str,
+    points: Points | None = None,
 ) -> Arm:
-    """Save the arm with the identified parameters as a new file, and return it.
+    """Save the arm with the identified parameters (`calibrated_arm`) as a new file, and return it.
 
     `inputs` maps files to their SHA-256. The nominal arm's file is not changed; an existing file at
     `path` is refused (ArmFileError).
     """
     source = str(nominal.path.name) if nominal.path is not None else nominal.name
     provenance = Calibration(source, dict(inputs), date, found.objective, program_version)
-    calibrated = dataclasses.replace(calibrated_arm(nominal, found), calibration=provenance)
+    calibrated = dataclasses.replace(calibrated_arm(nominal, found, points), calibration=provenance)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_arm(calibrated, path)
     return calibrated
 
 
-def calibrated_arm(nominal: Arm, found: Identification) -> Arm:
-    """The arm with the identified DH table, tool, base frame and effects."""
+def calibrated_arm(nominal: Arm, found: Identification, points: Points | None = None) -> Arm:
+    """The arm with the identified DH table, tool, base frame and effects, and the place of the stream that gave its points."""
     x, y, z = found.solution.tool_m.tolist()
     tool = nominal.tool
     if any(estimate.parameter.name.startswith("tool_") for estimate in found.estimates):
         tool = dataclasses.replace(tool, position_m=(x, y, z), known=True)
     framed = with_base_frame(nominal.with_dh(found.dh), found.solution.frames[0])
+    if points is not None and STREAM_FRAME in points.extra.get("frame", ()):
+        framed = with_placed_stream(framed, found.solution.frames[0])
     return with_effects(dataclasses.replace(framed, tool=tool), found.solution.corrections)
+
+
+def with_placed_stream(arm: Arm, frame: Frame) -> Arm:
+    """The arm whose [camera.stream] says where its frame is, so that it measures tips as table and camera have them."""
+    camera = arm.camera
+    if camera is None or camera.stream is None:
+        return arm
+    base = base_frame_of(arm)
+    x, y, z = (base.rotation.T @ (frame.origin_m - base.origin_m)).tolist()
+    orientation = quaternion_of((base.rotation.T @ frame.rotation).tolist())
+    stream = dataclasses.replace(camera.stream, origin_m=(x, y, z), orientation=orientation)
+    return dataclasses.replace(arm, camera=dataclasses.replace(camera, stream=stream))
 
 
 def with_base_frame(arm: Arm, base: Frame) -> Arm:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -41,8 +42,7 @@ def summary_text(made: Calibrated) -> str:
 
 def parameter_text(made: Calibrated) -> str:
     """One line per parameter; then the identified poses of boards."""
-    rows = [f"{'parameter':<20}{'unit':<9}{'nominal':>12}{'identified':>12}{'deviation':>12}{'sd':>10}"]
-    rows += [_parameter_line(one) for one in of_the_arm(made.found)]
+    rows = estimate_lines(of_the_arm(made.found))
     free = [frame for frame in made.found.solution.frames if frame.is_free]
     if free:
         rows += [
@@ -51,6 +51,12 @@ def parameter_text(made: Calibrated) -> str:
         ]
         rows += [_frame_line(frame) for frame in free]
     return "\n".join(rows)
+
+
+def estimate_lines(estimates: Sequence[Estimate]) -> list[str]:
+    """A table with a header and one line per parameter."""
+    header = f"{'parameter':<20}{'unit':<9}{'nominal':>12}{'identified':>12}{'deviation':>12}{'sd':>10}"
+    return [header, *map(_parameter_line, estimates)]
 
 
 def _parameter_line(one: Estimate) -> str:

@@ -129,7 +129,10 @@ def _where(by: tuple[str, ...]) -> str:
     bodies = ["the tool"] if "tool" in by else []
     if "base" in by:
         bodies.append("the pose of the base frame")
-    boards = [name for name in by if name not in ("tool", "base")]
+    devices = [name for name in by if name.startswith(("wire_", "gauge_"))]
+    if devices:
+        bodies.append(f"the place of {_listed([name.replace('_', ' ', 1) for name in devices])}")
+    boards = [name for name in by if name not in ("tool", "base", *devices)]
     if boards:
         bodies.append(
             "the poses of the boards" if len(boards) > 1 else f"the pose of {boards[0].replace('_', ' ', 1)}"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.errors import UnusablePointsError
-from calib.points.points import CAMERA_FRAME, Points, joined, read_points
+from calib.points.points import OWN_FRAMES, Points, joined, read_points
 from control.files import parsed_json, read_text
 from control.model.arm import Arm
 
@@ -41,12 +41,13 @@ def points_for(arm: Arm, files: Sequence[Path]) -> tuple[Points, tuple[str, ...]
 
 def _require_one_frame(files: Sequence[Path], parts: Sequence[Points]) -> None:
     """UnusablePointsError for points of a camera's frame among others."""
+    own = [name for part in parts for name in part.extra.get("frame", ()) if name in OWN_FRAMES]
+    first = own[0] if own else ""
     for file, part in zip(files, parts, strict=True):
         frames = part.extra.get("frame", ("",) * len(part))
-        whole = [one.in_camera_frame for one in parts]
-        if any(whole) and (not all(whole) or set(frames) != {CAMERA_FRAME}):
+        if first and set(frames) != {first}:
             raise UnusablePointsError(
-                f'{file}: points in a camera\'s frame (column frame: "{CAMERA_FRAME}") and others cannot be used together: give'
+                f'{file}: points in a camera\'s frame (column frame: "{first}") and others cannot be used together: give'
                 " the files of one frame"
             )
 

@@ -38,11 +38,11 @@ TIP = ("x_m", "y_m", "z_m")
 ORIENTATION = ("qw", "qx", "qy", "qz")
 SCALARS = ("t_s", "payload_kg")
 OWN_EXTRAS = re.compile(
-    r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_m"
+    r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_(of|m|sd_m)"
 )  # added by our own sessions; kept like any other column, without a warning
-CAMERA_FRAME = (
-    "camera"  # in the column `frame`: positions and orientations are in a camera's frame of unknown place
-)
+# In the column `frame`: positions and orientations are in a frame of unknown place, of a camera (files of
+# `armwright camera`), or of the arm's [camera.stream], which a calibration then places.
+CAMERA_FRAME, STREAM_FRAME = OWN_FRAMES = ("camera", "stream")
 POINTS_MOST = 1_000_000  # poses, which take 1 GB to calibrate; calibrations have hundreds
 
 
@@ -88,7 +88,7 @@ class Points:
     @property
     def in_camera_frame(self) -> bool:
         """Whether tips and orientations are in the frame of a camera, whose place is unknown."""
-        return CAMERA_FRAME in self.extra.get("frame", ())
+        return not {*OWN_FRAMES}.isdisjoint(self.extra.get("frame", ()))
 
     def chosen(self, rows: Sequence[int] | npt.NDArray[np.intp]) -> Points:
         """The poses of these rows, in this order."""

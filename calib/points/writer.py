@@ -15,10 +15,11 @@ import numpy as np
 
 from calib.errors import SessionError
 from calib.points.covariance import COVARIANCE
-from calib.points.points import ORIENTATION, SCALARS, TIP, Points, read_points
+from calib.points.points import ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points, read_points
 from control.files import append_whole, read_bytes, write_whole
 
 Key = tuple[str, str, int]
+POSE_COLUMNS = (*ORIENTATION, "frame")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +27,7 @@ class Record:
     """One recorded pose of a session: names, joint angles with their scatter, and the tip if known.
 
     temperature_C of the drives, empty if not measured; approach: number of the side, from 1; take: 2 and more
-    if earlier records of this pose were withdrawn.
+    if earlier records of this pose were withdrawn. orientation: of the measured target, in the tip's frame.
     """
 
     setup: str
@@ -42,6 +43,7 @@ class Record:
     temperature_C: tuple[float, ...] = ()
     approach: int = 1
     take: int = 1
+    orientation: tuple[float, float, float, float] | None = None
 
     @property
     def key(self) -> Key:
@@ -86,12 +88,12 @@ class PointsWriter:
     see `warnings`. SessionError if the file is of another arm or was not written by a session.
     """
 
-    def __init__(self, path: Path, joint_count: int) -> None:
-        """Open or create the file."""
+    def __init__(self, path: Path, joint_count: int, pose_frame: str = "") -> None:
+        """Open or create the file. pose_frame: "base" or "stream", the frame of full poses; empty: tips without orientations."""
         if path.name.endswith(".gz"):
             raise SessionError(f"{path}: a session writes plain .csv, not .gz; name another file")
-        self._path, self._joint_count = path, joint_count
-        self._header = _line(_header(joint_count))
+        self._path, self._joint_count, self._pose_frame = path, joint_count, pose_frame
+        self._header = _line([*_header(joint_count), *(POSE_COLUMNS if pose_frame else ())])
         path.parent.mkdir(parents=True, exist_ok=True)
         self.warnings: tuple[str, ...] = self._mend()
         self._lines: dict[Key, str] = self._read()
@@ -185,7 +187,12 @@ class PointsWriter:
             *(_text(t, 1) for t in record.temperature_C or (math.nan,) * self._joint_count),
             str(record.approach),
             str(record.take),
+            *(self._pose(record) if self._pose_frame else ()),
         ]
+
+    def _pose(self, record: Record) -> tuple[str, ...]:
+        quaternion = (_text(value, 9) for value in record.orientation or (math.nan,) * 4)
+        return (*quaternion, STREAM_FRAME if self._pose_frame == STREAM_FRAME else "")
 
 
 def _header(n: int) -> list[str]:

@@ -5,7 +5,7 @@ between operator, arm and folder; sequence: the same without an operator.
 """
 
 from calib.session.moves.geometry import ArmGeometry
-from calib.session.moves.ports import ArmPort, Camera, Geometry, Sample, TipSeat
+from calib.session.moves.ports import ArmPort, Camera, Geometry, Sample, SeenTip, TipSeat
 from calib.session.sequence import (
     BoardPoint,
     FreePose,
@@ -25,6 +25,7 @@ __all__ = [
     "Geometry",
     "Progress",
     "Sample",
+    "SeenTip",
     "SessionSettings",
     "Stage",
     "TipSeat",

@@ -50,7 +50,7 @@ class SessionFolder:
         try:
             if not self.is_resumed:
                 replace_file(folder / PLAN, to_json(self.plan, self.started).encode())
-            self._writer = PointsWriter(folder / POINTS, self.plan.joint_count)
+            self._writer = PointsWriter(folder / POINTS, self.plan.joint_count, self.plan.pose_frame)
         except BaseException:
             self._journal.close()
             raise

@@ -11,7 +11,7 @@ from calib.boards.boards import write_boards
 from calib.boards.markers import markers_text
 from calib.boards.registration import Registration
 from calib.errors import RegistrationError
-from calib.points.points import Points
+from calib.points.points import STREAM_FRAME, Points
 from calib.points.writer import Record, replace_file
 from calib.session.boards_known import Boards, markers_of
 from calib.session.dialogue import Command, Message, Saying
@@ -43,7 +43,8 @@ class BoardSurvey:
     def observation(self, record: Record) -> TipObservation:
         """A record as an observation for the watch."""
         if record.tip_m is not None:
-            return TipObservation(record.setup, record.q_rad, record.tip_m)
+            is_unplaced = self._folder.plan.pose_frame == STREAM_FRAME
+            return TipObservation(record.setup, record.q_rad, record.tip_m, is_unplaced)
         return TipObservation(record.setup, record.q_rad, self._boards.cavities_m[record.point], True)
 
     def place(self, setup: str) -> Generator[Saying, Command, None]:
@@ -81,7 +82,8 @@ def _observations(points: Points, boards: Boards) -> list[tuple[object, TipObser
         x, y, z = points.tip_m[k].tolist()
         is_unknown = x != x
         place: Vector = boards.cavities_m[point] if is_unknown else (x, y, z)
-        observation = TipObservation(setup, tuple(points.q_rad[k].tolist()), place, is_unknown)
+        is_unplaced = is_unknown or points.in_camera_frame
+        observation = TipObservation(setup, tuple(points.q_rad[k].tolist()), place, is_unplaced)
         found.append(((setup, point, repeat), observation))
     return found
 

@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from calib.errors import SessionError
+from calib.points.points import STREAM_FRAME
 from calib.points.writer import Key
 from control.files import parsed_json
-from control.model.arm import Arm, Camera
+from control.model.arm import Arm
 
 FORMAT = "session/1"
 FREE = "free"
 Board = Literal["known", "measured", "unknown"]
 Seating = Literal["hand", "jog"]
+PoseFrame = Literal["", "base", "stream"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ class SessionPlan:
 
     board: its pose is known, measured with the camera, or unknown; seat: how the tip is seated;
     has_camera: whether the tip is measured; arm_sha256: of the arm's parameters (`fingerprint`).
+    pose_frame: the frame in which full poses are measured, "stream" one of unknown place; empty: positions in the base frame.
     """
 
     arm: str
@@ -68,6 +71,7 @@ class SessionPlan:
     seat: Seating = "hand"
     has_camera: bool = False
     payload_kg: float = 0.0
+    pose_frame: PoseFrame = ""
 
     @property
     def approaches(self) -> int:
@@ -92,6 +96,11 @@ class SessionPlan:
         if self.seat == "jog" and self.board != "known":
             raise SessionError(
                 f"--seat jog needs a board with a known pose, got {self.board}: guide the tip by hand"
+            )
+        if self.pose_frame == STREAM_FRAME and not all(t.is_free for t in self.targets):
+            raise SessionError(
+                "the camera's frame has no known place to the arm's base, so it cannot say where the cavities of a board are:"
+                " record --free poses and calibrate first, or state origin_m in [camera.stream]"
             )
         if any(t.is_free for t in self.targets) and not self.has_camera:
             raise SessionError("free poses need a camera that measures the tip: add --camera")
@@ -125,7 +134,7 @@ def free_targets(poses: Mapping[str, Sequence[float]], repeats: int = 1) -> tupl
 def fingerprint(arm: Arm) -> str:
     """SHA-256 of the arm's parameters, independent of comments, order and ports."""
     ports = tuple(replace(board, port="") for board in arm.encoder_boards)
-    camera = replace(arm.camera, udp_port=Camera().udp_port) if arm.camera else None
+    camera = arm.camera.with_port(None) if arm.camera else None
     bare = replace(arm, encoder_boards=ports, can=None, camera=camera, path=None)
     return hashlib.sha256(repr(bare).encode()).hexdigest()
 
@@ -142,6 +151,7 @@ def to_json(plan: SessionPlan, started: str) -> str:
         "seat": plan.seat,
         "camera": plan.has_camera,
         "payload_kg": plan.payload_kg,
+        **({"pose_frame": plan.pose_frame} if plan.pose_frame else {}),
         "targets": [_target_json(target) for target in plan.targets],
     }
     return json.dumps(content, indent=1) + "\n"
@@ -155,6 +165,7 @@ def from_json(text: str, path: Path) -> tuple[SessionPlan, str]:
             raise SessionError(f'{path}, format: expected "{FORMAT}", got "{content["format"]}"')
         _require_one_of(path, "board", content["board"], get_args(Board))
         _require_one_of(path, "seat", content["seat"], get_args(Seating))
+        _require_one_of(path, "pose_frame", content.get("pose_frame", ""), get_args(PoseFrame))
         plan = SessionPlan(
             str(content["arm"]),
             str(content["arm_sha256"]),
@@ -164,6 +175,7 @@ def from_json(text: str, path: Path) -> tuple[SessionPlan, str]:
             content["seat"],
             bool(content["camera"]),
             float(content["payload_kg"]),
+            content.get("pose_frame", ""),
         )
         return plan, str(content["started"])
     except KeyError as error:

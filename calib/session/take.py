@@ -38,6 +38,7 @@ def take(
     wait_for_rest(arm, how.still_limit_rad, how.still_s, how.patience_s, how.window_s)
     t_s = arm.now_s() + clock_offset_s
     sample = arm.average(how.average_s)
+    seen = camera.measure(how.average_s) if camera is not None else None
     return Record(
         target.setup,
         target.point,
@@ -48,7 +49,8 @@ def take(
         sample.current_A,
         t_s,
         how.payload_kg,
-        camera.measure(how.average_s)[0] if camera is not None else tip_m,
+        tip_m if seen is None else seen.tip_m,
         sample.temperature_C,
         target.approach,
+        orientation=None if seen is None else seen.orientation,
     )

@@ -65,7 +65,7 @@ def _cell(given: argparse.Namespace) -> Cell:
 
 
 def camera_port(given: argparse.Namespace, arm: Arm) -> int | None:
-    """The UDP port of the command line, or of the arm's [camera]; None for an arm without a camera."""
+    """The camera's port of the command line, or of the arm's [camera]; None for an arm without a camera."""
     if given.camera_port is not None:
         return int(given.camera_port)
-    return arm.camera.udp_port if arm.camera else None
+    return arm.camera.port if arm.camera else None

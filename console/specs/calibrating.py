@@ -166,6 +166,80 @@ CALIBRATING = (
         module="calibration.plan_contacts",
     ),
     CommandSpec(
+        "calibrate-distances",
+        "identify the arm from lengths: draw wires, dial gauges, ball bars, distances between two poses of the tip",
+        (
+            ARM,
+            option(
+                "--points",
+                required=True,
+                metavar="FILE",
+                help="points.csv with the columns distance_of and distance_m (docs/distances.md)",
+            ),
+            OUT,
+            option(
+                "--objective",
+                default="huber",
+                choices=("huber", "lsq"),
+                help="huber: outliers count less (default); lsq: least squares",
+            ),
+            option(
+                "--bound",
+                metavar="NAME=VALUE",
+                action="append",
+                help="largest deviation: lengths=5mm, angles=2deg (the defaults), or one parameter, e.g. L2=8mm",
+            ),
+            option(
+                "--fix",
+                metavar="NAMES",
+                action="append",
+                help="parameters to keep fixed: theta4,L2",
+            ),
+            option(
+                "--wire-at",
+                metavar="NAME=X,Y,Z",
+                action="append",
+                help="the fixed point of a wire is known: in m, in the base frame; may be repeated",
+            ),
+            option("--free-tool", action="store_true", help="identify where the tip is, too"),
+            option(
+                "--free-zero",
+                action="store_true",
+                help="identify the zero of each wire, too: its readings count from an unknown length",
+            ),
+            JSON,
+        ),
+        "Nothing moves. Writes arm.toml and calibration.json; never overwrites.",
+        module="calibration.calibrate_distances",
+    ),
+    CommandSpec(
+        "import-capture",
+        "points from a recording of a motion capture system (Vicon CSV, C3D), on the time of the encoders",
+        (
+            option("file", metavar="FILE", help="a .csv that Tracker or Nexus has exported, or a .c3d"),
+            ARM,
+            option("--log", metavar="FILE", help="log.csv of the same motion"),
+            option(
+                "--run", metavar="NAME", help="the captured run of the log (default: all, if on one clock)"
+            ),
+            option(
+                "--body",
+                metavar="NAME",
+                help="the body at the tip: its name, a marker, or three or more markers: A+B+C",
+            ),
+            option("--base-body", metavar="NAME", help="a body on the arm's base: tips are relative to it"),
+            option(
+                "--board-markers",
+                metavar="SETUP",
+                help="instead of points: markers.csv of the markers that stand in the board's cavities and are called like them",
+            ),
+            OUT,
+            JSON,
+        ),
+        "Nothing moves. Writes points.csv; never overwrites.",
+        module="calibration.import_capture",
+    ),
+    CommandSpec(
         "camera",
         "measure the arm with a webcam: print a target, calibrate the lens, measure the target's pose in pictures",
         (

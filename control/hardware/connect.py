@@ -20,8 +20,8 @@ from control.hardware.pins import NamedPins
 from control.hardware.reference_drives import DriveWiring, ReferenceDrives
 from control.hardware.reference_encoders import ReferenceEncoders, start_stream
 from control.hardware.roles import Line
+from control.hardware.tip_camera import TipCamera, open_camera
 from control.model.arm import Arm, CanBus, EncoderBoardPort
-from firmware_iface.camera import CameraReceiver
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import ConnectionFailed, LinkError, WrongIdentity
@@ -45,7 +45,7 @@ class Connection:
     """Open links and identified boards. Close it after the drives are off."""
 
     hardware: BoardHardware
-    camera: "TipCamera | None"
+    camera: TipCamera | None
     encoders: tuple[EncoderBoard, ...]
     motors: tuple[MotorBoard, ...]
     others: tuple[tuple[str, str], ...]  # boards of other kinds: where each is, and what it says of itself
@@ -59,21 +59,6 @@ class Connection:
                 encoder.stream(0.0)
         for close in self._closers:
             close()
-
-
-class TipCamera:
-    """The camera for the loop: the newest frame of the tip."""
-
-    def __init__(self, receiver: CameraReceiver) -> None:
-        self._receiver = receiver
-
-    def newest_tip_m(self) -> tuple[float, float, float] | None:
-        """Tip in the base frame from the newest frame since the last call that shows it, or None."""
-        tip = None
-        for frame in self._receiver.receive():
-            if frame.is_visible and frame.source == 0:
-                tip = frame.position_m
-        return tip
 
 
 def with_links(arm: Arm, options: LinkOptions) -> Arm:
@@ -120,12 +105,11 @@ def connect(
     end = _end_boards(arm, motors, period_s, opened)
     motor_boards = max(len(motors), any(not drive.board for drive in arm.drives))
     attempted = len(arm.encoder_boards) + motor_boards + len(arm.boards)
-    camera = None
+    camera: TipCamera | None = None
     if not opened.failures and camera_port is not None:
         with collect(opened.failures):
-            receiver = CameraReceiver(camera_port)
-            opened.closers.append(receiver.close)
-            camera = TipCamera(receiver)
+            camera = open_camera(arm.camera, camera_port, clock)
+            opened.closers.append(camera.close)
     for encoder in encoders if not opened.failures else ():
         with collect(opened.failures):
             start_stream(encoder, period_s)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from control.dynamics.joint_side import JointSide
 from control.dynamics.loads import Loads
@@ -12,6 +11,7 @@ from control.end_effector.outputs import Outputs
 from control.hardware.board_stop import BoardStop
 from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement
+from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.loop.cross_checks import CrossChecks, IndexWatch, MotorCountWatch, SwitchWatch
@@ -29,14 +29,6 @@ from control.servo.servo import Servo
 
 Vector = tuple[float, float, float]
 NOWHERE: Vector = (math.nan, math.nan, math.nan)
-
-
-class Camera(Protocol):
-    """A source of tip measurements."""
-
-    def newest_tip_m(self) -> Vector | None:
-        """Tip in the base frame from the newest frame since the last call, or None."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +69,7 @@ class Parts:
     tools: Mapping[str, ToolParts]  # by name
     tool: ToolParts  # the one that is on
     loads: Loads
-    camera: Camera | None
+    camera: TipCamera | None
     joint_names: tuple[str, ...]
     do_counters_span: bool  # whose counters cover the whole travel of their joints without a wrap
     period_s: float

@@ -94,13 +94,14 @@ class Runtime(ArmState):
         feedback = self.parts.hardware.read()
         if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.counted_at_s):
             set_points.follow_shift(self)
-        self.new_camera_m = NOWHERE
-        if self.parts.camera is not None and (tip := self.parts.camera.newest_tip_m()) is not None:
-            self.new_camera_m = self.camera_m = tip
-            self.camera_at_s = self.now_s
+        camera = self.parts.camera
+        seen = None if camera is None else camera.newest()
+        is_in_base = camera is not None and not camera.has_own_frame
+        self.new_camera_m = seen[0] if seen is not None and is_in_base else NOWHERE
+        if self.new_camera_m is not NOWHERE:
+            self.camera_m, self.camera_at_s = self.new_camera_m, self.now_s
         if self.averaging is not None:
-            seen = None if self.new_camera_m is NOWHERE else self.new_camera_m
-            self.averaging.add(self.now_s, self.parts.measurement, feedback.current_A, seen)
+            self.averaging.add(self.now_s, self.parts.measurement, feedback.current_A, seen, is_in_base)
 
     def _watch(self, missed_in_row: int) -> None:
         for fault in self.drives.follow(self.now_s, self.parts.hardware.feedback):

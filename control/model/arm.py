@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from control.errors import ArmError, MissingModel
 from control.model.board_kinds import KINDS, REFERENCE, BoardKind
+from control.model.camera import Camera as Camera
 from control.model.end_effector import NO_TOOL, Digital, Gripper
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
@@ -25,7 +26,6 @@ from control.model.rules import (
     ANGLE,
     BACKOFF,
     BOARD_SIZE,
-    CAMERA_NOISE,
     CLEARANCE,
     DIRECTION,
     ENCODER_BITS,
@@ -51,8 +51,6 @@ from control.model.rules import (
     STALE,
     TILT,
     TIP_SPEED,
-    TURN_NOISE,
-    UDP_PORT,
     WATCHDOG,
     ZERO_OR_MORE,
 )
@@ -196,20 +194,6 @@ class Table:
     cavities_m: Annotated[
         Mapping[str, Position], "further cavities in the board's frame, `{ name = [x, y, z], ... }`"
     ] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Camera:
-    """The camera that measures the tip (docs/camera.md)."""
-
-    position_noise_m: Annotated[NonNegative, CAMERA_NOISE, "standard deviation per axis"] = 0.0
-    orientation_noise_rad: Annotated[
-        NonNegative,
-        TURN_NOISE,
-        "standard deviation about each axis",
-        "0.002 is assumed",
-    ] = 0.0
-    udp_port: Annotated[int, UDP_PORT, "on which its frames arrive"] = 47_310
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from collections.abc import Hashable, Iterable
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
 from control.model.board_kinds import KINDS, BoardKind
+from control.model.camera import CameraStream
 from control.model.effects import check_effect
 from control.model.end_effector import Gripper
 from control.model.joint_map import JointMap
@@ -35,9 +36,23 @@ def check_arm(arm: Arm) -> None:
         raise Rejected(("limits", "jog_silence_s"), expected, str(arm.limits.jog_silence_s))
     if arm.table is not None:
         _check_table(arm.table)
+    if arm.camera is not None and arm.camera.stream is not None:
+        _check_stream(arm.camera.stream)
     _check_effects(arm)
     _check_maps(arm)
     check_plausible(arm)
+
+
+def _check_stream(stream: CameraStream) -> None:
+    path = ("camera", "stream")
+    if not stream.body:
+        raise Rejected((*path, "body"), "the name of a body", "an empty one")
+    if stream.body == stream.base_body:
+        raise Rejected((*path, "base_body"), "another body than `body`", f'"{stream.base_body}"')
+    if stream.system != "vicon" and not stream.host:
+        raise Rejected(
+            (*path, "host"), f"the computer that {stream.system} streams from: name or address", "none"
+        )
 
 
 def _check_masses(arm: Arm) -> None:

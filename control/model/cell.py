@@ -247,7 +247,7 @@ def _placed(entry: ArmEntry, index: int, can: CanBus | None, cell_file: Path) ->
             arm, encoder_boards=tuple(dataclasses.replace(board, port=port) for board, port in boards)
         )
     if entry.camera_port is not None:
-        camera = dataclasses.replace(arm.camera or Camera(), udp_port=entry.camera_port)
+        camera = (arm.camera or Camera()).with_port(entry.camera_port)
         arm = dataclasses.replace(arm, camera=camera)
     arm = dataclasses.replace(arm, name=entry.name or arm.name, can=can or arm.can)
     w, x, y, z = (value / length for value in entry.orientation)
@@ -293,8 +293,8 @@ def _claims(placed: Placed) -> list[tuple[str, str, object]]:
         nodes += [arm.gripper.motor_node] if arm.gripper is not None and not arm.gripper.board else []
         bus = (can.interface, can.channel)
         claims += [("motor_nodes", f"a motor node (here {node})", ("node", *bus, node)) for node in nodes]
-    if arm.camera is not None:
-        claims.append(("camera_port", "a camera port", ("camera", arm.camera.udp_port)))
+    if arm.camera is not None and arm.camera.listens:
+        claims.append(("camera_port", "a camera port", ("camera", arm.camera.port)))
     return claims
 
 

@@ -107,6 +107,9 @@ BOARD_SIZE: Final = Rule("a length up to 3 m", lambda x: x <= 3.0, *_MM)
 CLEARANCE: Final = Rule("a distance up to 1 m", lambda x: x <= 1.0, *_MM)
 CAMERA_NOISE: Final = Rule("a noise up to 0.05 m", lambda x: x <= 0.05, *_MM)
 TURN_NOISE: Final = Rule("a noise up to 0.05 rad", lambda x: x <= 0.05, *_DEG)
+QUATERNION: Final = Rule(
+    "a unit quaternion w, x, y, z (length 1 within 0.002)", lambda q: abs(math.hypot(*q) - 1.0) <= 2e-3
+)
 TIP_SPEED: Final = Rule("a speed up to 20 m/s", lambda x: x <= 20.0, "", "millimetres per second", 1e-3)
 PAYLOAD: Final = Rule("a mass up to 3000 kg", lambda x: x <= 3000.0, *_GRAMS)
 TOOL_MASS: Final = Rule("a mass up to 100 kg", lambda x: x <= 100.0, *_GRAMS)

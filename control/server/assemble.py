@@ -17,6 +17,7 @@ from control.hardware.board_stop import board_stop
 from control.hardware.gripper_on_board import PlacedOnBoard
 from control.hardware.interface import Hardware, OutputMode
 from control.hardware.measurement import Measurement
+from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.loop.cell import CellRuntime
@@ -30,7 +31,7 @@ from control.loop.cross_checks import (
 )
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
-from control.loop.parts import Camera, Checks, Parts, ToolParts
+from control.loop.parts import Checks, Parts, ToolParts
 from control.loop.punctuality import Strain
 from control.loop.runtime import Runtime
 from control.loop.watch import JointLimits as MeasuredLimits
@@ -75,7 +76,7 @@ def assemble(
     arm: Arm,
     hardware: Hardware,
     period_s: float,
-    camera: Camera | None = None,
+    camera: TipCamera | None = None,
     sink: RowSink | None = None,
     stopwatch_s: Callable[[], float] = time.perf_counter,
     about: Mapping[str, object] | None = None,

@@ -115,6 +115,7 @@ def _angles(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
         "tip_set_m": kinematics.kinematics.tip(*joint_set_rad) if is_homed else None,
         "tip_orientation": quaternion_of(rotation) if is_homed else None,
         "camera_m": runtime.camera_m if sees_tip else None,
+        "camera_problem": runtime.parts.camera.problem() if runtime.parts.camera is not None else "",
     }
 
 

@@ -1,14 +1,20 @@
-"""The mock camera: rate, clock, noise, latency; datagrams of docs/camera.md."""
+"""Mock cameras: rate, clock, latency; and the one whose datagrams are those of docs/camera.md."""
 
 from __future__ import annotations
 
 import random
 import struct
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 Point = tuple[float, float, float]
+TipPose = tuple[Point, tuple[Point, Point, Point]]  # the tip, and the axes x, y, z of the last link
+Transport = Literal[
+    "datagrams", "commands", "connection"
+]  # sent to a port; UDP commands answered; a TCP server
 _FRAME = struct.Struct("<4sBBHIdddd")
 _VISIBLE = 1
 TIP_MARKER = 0
@@ -26,24 +32,27 @@ class CameraSetup:
     seed: int = 0
 
 
-class CameraMock:
+class PictureMock(ABC):
     """Takes an image at the first tick at or after each multiple of its period, stamped with that tick's time."""
+
+    transport: Transport = "datagrams"
+    has_bodies = False
+    is_exchanged = False  # two bodies have each other's name
 
     def __init__(self, setup: CameraSetup) -> None:
         self.setup = setup
-        self._random = random.Random(f"camera {setup.seed}")
-        self._sequence = 0
+        self.random = random.Random(f"camera {setup.seed}")
         self._pictures = 0
         self._rate = 1.0 + setup.clock_ppm * 1e-6
         self._on_its_way: deque[tuple[float, bytes]] = deque()
         self.next_s = 0.0  # nothing to do before this time
 
-    def tick(self, now_s: float, tip_m: Callable[[], Point]) -> list[bytes]:
-        """Datagrams sent now; `tip_m` is called only when an image is due."""
+    def tick(self, now_s: float, tip: Callable[[], TipPose]) -> list[bytes]:
+        """What is sent now; `tip` is called only when an image is due."""
         due_s = self._pictures / self.setup.rate_Hz
         if now_s >= due_s - 1e-9:
             self._pictures = int((now_s + 1e-9) * self.setup.rate_Hz) + 1
-            self._on_its_way.append((now_s + self.setup.latency_s, self._picture(now_s, tip_m())))
+            self._on_its_way.append((now_s + self.setup.latency_s, self.picture(now_s * self._rate, tip())))
         ready = []
         while self._on_its_way and self._on_its_way[0][0] <= now_s + 1e-9:
             ready.append(self._on_its_way.popleft()[1])
@@ -51,15 +60,30 @@ class CameraMock:
         self.next_s = min(self._pictures / self.setup.rate_Hz, arrival_s) - 1e-9
         return ready
 
-    def _picture(self, now_s: float, tip_m: Point) -> bytes:
-        source, noise_m = self._random, self.setup.noise_m
-        seen = [value + source.gauss(0.0, noise_m) for value in tip_m]
+    @abstractmethod
+    def picture(self, time_s: float, tip: TipPose) -> bytes:
+        """The packet of an image at a time of the camera's clock."""
+
+    def answer(self, request: bytes) -> list[bytes]:
+        """Packets that answer one of the host."""
+        return []
+
+
+class CameraMock(PictureMock):
+    """Sees one marker at the tip, in the base frame."""
+
+    def __init__(self, setup: CameraSetup) -> None:
+        super().__init__(setup)
+        self._sequence = 0
+
+    def picture(self, time_s: float, tip: TipPose) -> bytes:
+        """One datagram."""
+        source, noise_m = self.random, self.setup.noise_m
+        seen = [value + source.gauss(0.0, noise_m) for value in tip[0]]
         is_visible = source.random() >= self.setup.dropout
         if not is_visible:
             seen = [0.0, 0.0, 0.0]
         flags = _VISIBLE if is_visible else 0
-        coded = _FRAME.pack(
-            b"AWCM", 1, flags, TIP_MARKER, self._sequence & 0xFFFFFFFF, now_s * self._rate, *seen
-        )
+        coded = _FRAME.pack(b"AWCM", 1, flags, TIP_MARKER, self._sequence & 0xFFFFFFFF, time_s, *seen)
         self._sequence += 1
         return coded

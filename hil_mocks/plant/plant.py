@@ -171,8 +171,21 @@ class Plant:
         self._data.qpos[:] = self._q
         mujoco.mj_kinematics(self._model, self._data)
         self._data.qpos[:] = ahead
-        x, y, z = self._at.standing.in_base(self._data.site_xpos[self._at.tip_site])
+        return self._in_world(self._data.site_xpos[self._at.tip_site])
+
+    def _in_world(self, at_m: Sequence[float]) -> Point:
+        """A point of the physics in the frame of camera and table."""
+        x, y, z = self._at.standing.in_base(at_m)
         return (x, y, z) if self._is_base_nominal else self.effects.base_pose.in_world((x, y, z))
+
+    def tip_pose(self) -> tuple[Point, tuple[Point, Point, Point]]:
+        """True tip as `tip_m` has it, and the x, y and z axis of the last link there."""
+        tip = self.tip_m()
+        site = self._at.tip_site
+        columns = self._data.site_xmat[site].reshape(3, 3).T
+        axes = [self._in_world(self._data.site_xpos[site] + column) for column in columns]
+        x, y, z = ((end[0] - tip[0], end[1] - tip[1], end[2] - tip[2]) for end in axes)
+        return tip, (x, y, z)
 
     def set_payload(self, mass_kg: float) -> None:
         """Replace the point mass at the tip."""

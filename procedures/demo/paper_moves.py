@@ -91,7 +91,7 @@ class Mover:
     ) -> Record:
         wait_for_rest(self._port, STILL_rad, STILL_s, PATIENCE_s, WINDOW_s)
         t_s, mean = self._port.now_s(), self._port.average(AVERAGE_s)
-        seen_m = self._port.measure(AVERAGE_s)[0] if tip_m is None else tip_m
+        seen_m = self._port.measure(AVERAGE_s).tip_m if tip_m is None else tip_m
         record = Record(
             setup, point, repeat, mean.q_rad, mean.q_sd_rad, mean.direction, mean.current_A, t_s, 0.0, seen_m
         )  # fmt: skip

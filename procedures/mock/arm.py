@@ -25,7 +25,7 @@ def wired_to(arm: Arm, rig: MockPorts) -> Arm:
         encoder_boards=boards,
         boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
         can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
-        camera=replace(arm.camera or Camera(), udp_port=rig.camera_port),
+        camera=(arm.camera or Camera()).on_this_machine(rig.camera_port),
         limits=replace(
             arm.limits,
             stale_s=max(arm.limits.stale_s, SHARED_MACHINE_STALE_S),

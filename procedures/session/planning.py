@@ -14,6 +14,7 @@ from calib.session.moves.free_poses import chosen_free_poses, read_free_poses
 from calib.session.plan import (
     FREE,
     Board,
+    PoseFrame,
     SessionPlan,
     Target,
     board_targets,
@@ -21,7 +22,7 @@ from calib.session.plan import (
     free_targets,
 )
 from control.model import table as tables
-from control.model.arm import Arm, Table
+from control.model.arm import Arm, Camera, Table
 
 OPTIONS = ("setups", "points", "repeats", "approaches", "free", "plan", "payload", "seat", "board", "camera")
 MOST_FREE = 500
@@ -44,7 +45,15 @@ def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None
         given.seat or "hand",
         bool(given.camera),
         payload_kg,
+        _pose_frame(arm.camera) if given.camera else "",
     )
+
+
+def _pose_frame(camera: Camera | None) -> PoseFrame:
+    """The frame of full poses; a camera of docs/camera.md sends positions only."""
+    if camera is None or camera.stream is None:
+        return ""
+    return "stream" if camera.has_own_frame else "base"
 
 
 def _board_of(table: Table | None) -> Board:
@@ -53,7 +62,8 @@ def _board_of(table: Table | None) -> Board:
 
 def _from_options(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
     free = _free(given, arm)
-    if arm.table is None and free and given.setups is None and given.points is None:
+    sees_no_board = arm.table is None or (arm.camera is not None and arm.camera.has_own_frame)
+    if sees_no_board and free and given.setups is None and given.points is None:
         return free
     table = tables.table_of(arm)
     setups = _names(given.setups) if given.setups is not None else _setups_of(table)

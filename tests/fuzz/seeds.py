@@ -10,7 +10,13 @@ from control.recording.record import Layout
 from control.recording.rotation import PartFile, begin
 from firmware_iface.camera import CameraFrame
 from firmware_iface.encoder import wire
+from firmware_iface.mocap import qtm_wire
 from firmware_iface.motor import wire as motor_wire
+from hil_mocks.devices.mocap.natnet import NatNetMock
+from hil_mocks.devices.mocap.qtm import QtmMock
+from tests.calib.capture.recordings import both, c3d_bytes, vicon_csv
+from tests.firmware_iface.mocap.test_bodies import VICON
+from tests.firmware_iface.mocap.test_streams import NATNET_3, NATNET_41, QTM, SCENE, SETUP
 from tests.recordings import row_of
 
 ROOT = Path(__file__).parents[2]
@@ -50,7 +56,7 @@ def recording() -> bytes:
 
 def seeds_of(name: str) -> list[bytes]:
     """Good inputs of a target, or near ones."""
-    recorded = recording()
+    recorded, short = recording(), both(1, span_s=4.1)
     arm = (ROOT / "tests/control/model/arms/pendulum.toml").read_bytes()
     known: dict[str, list[bytes]] = {
         "encoder": [b"".join(map(wire.encode, REPORTS)), wire.encode(wire.Ack(1, 2, 3))],
@@ -58,6 +64,13 @@ def seeds_of(name: str) -> list[bytes]:
         "motor": [motor_wire.Command(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
         "slcan": [b"\rz\rt18180F2920D1FFFF0000\rt1812AABB\r", b"T000001812AABB\rt00010\a"],
         "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
+        "vicon": [VICON, VICON.ljust(256, b"\0")],
+        "natnet": [NATNET_3, NATNET_41, *NatNetMock(SETUP, SCENE).answer(bytes((4, 0, 0, 0)))],
+        "qtm": [
+            QTM,
+            *QtmMock(SETUP, SCENE).answer(bytes(8) + b"getparameters 6d"),
+            qtm_wire.command("Version 1.19"),
+        ],
         "socket": [json.dumps(request).encode() for request in REQUESTS],
         "recording frames": [recorded[recorded.index(b"}") + 1 :]],
         "run.armlog": [recorded],
@@ -71,6 +84,11 @@ def seeds_of(name: str) -> list[bytes]:
         "session.json": [b'{"format": "session/1", "arm": "right", "marks": []}'],
         "programme.json": [b'{"format": "rectangle/1", "corners_m": [[0, 0, 0]]}'],
         "tolerances.toml": [(ROOT / "calib/tolerances/right.toml").read_bytes()],
+        "capture.csv": [vicon_csv(short).encode()],
+        "capture.c3d": [
+            c3d_bytes(short.markers_m, kind, is_float)
+            for kind, is_float in ((84, True), (85, True), (86, False))
+        ],
         "places.toml": [b"[places.home]\nq_rad = [0.0, 0.1, 0.2]\n"],
     }
     return known[name]

@@ -6,12 +6,15 @@ Anything else that leaves a target is a finding: a crash, or a broken promise th
 from __future__ import annotations
 
 import contextlib
+import math
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from calib.boards.boards import read_boards
 from calib.boards.markers import read_markers
+from calib.capture.c3d import read_c3d
+from calib.capture.vicon_csv import read_vicon_csv
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle
 from calib.points.points import read_points
@@ -29,6 +32,9 @@ from firmware_iface import camera
 from firmware_iface.encoder import cobs, wire
 from firmware_iface.errors import ArmwrightError, LinkError
 from firmware_iface.memory_link import MemoryBus
+from firmware_iface.mocap import natnet_wire, qtm_wire, vicon
+from firmware_iface.mocap.bodies import BodyFrame
+from firmware_iface.mocap.fields import Malformed
 from firmware_iface.motor import wire as motor_wire
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
@@ -125,6 +131,38 @@ def camera_datagram(content: bytes) -> None:
     assert frame is None or frame.pack() == content
 
 
+def vicon_datagram(content: bytes) -> None:
+    """A packet of the object stream has finite poses, or is refused."""
+    _is_sound(vicon.unpack(content))
+
+
+def natnet_packet(content: bytes) -> None:
+    """What a NatNet server says, as any of its messages and in any version, is read or refused."""
+    payload = (natnet_wire.message_of(content) or (0, content))[1]
+    natnet_wire.unpack_server(payload)
+    for version in ((3, 0), (4, 0), (4, 1), (4, 2)):
+        names = natnet_wire.unpack_models(payload, version)
+        _is_sound(natnet_wire.unpack_frame(payload, version, names or {}))
+
+
+def qtm_stream(content: bytes) -> None:
+    """What QTM sends is cut into packets that are read or refused; a size that no packet has ends it."""
+    _is_sound(qtm_wire.unpack_data(content, [("a", True)]))
+    qtm_wire.unpack_names(content)
+    with contextlib.suppress(Malformed):
+        whole = qtm_wire.Packets().feed(content)
+        pieces = qtm_wire.Packets()
+        assert [packet for k in range(len(content)) for packet in pieces.feed(content[k : k + 1])] == whole
+
+
+def _is_sound(frame: BodyFrame | None) -> None:
+    """Positions within a kilometre, unit quaternions, one body a name."""
+    for body in frame.bodies if frame is not None else ():
+        if body.is_visible:
+            assert max(map(abs, body.pose.position_m)) <= 1000.0
+            assert abs(math.hypot(*body.pose.quaternion) - 1.0) < 1e-6
+
+
 def socket_line(content: bytes) -> None:
     """A line of the socket is a request of a known type, or an ArmError."""
     messages.is_at_once(content)
@@ -158,7 +196,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "arm.toml": load_arm, "points.csv": read_points, "log.csv": read_log, "markers.csv": read_markers,
     "path.csv": read_waypoints, "boards.json": read_boards, "session.json": _session, "run.armlog": _recording,
     "programme.json": read_rectangle, "places.toml": read_places, "scenario.toml": load_scenario,
-    "tolerances.toml": _tolerances,
+    "tolerances.toml": _tolerances, "capture.csv": read_vicon_csv, "capture.c3d": read_c3d,
 }  # fmt: skip
 
 
@@ -174,6 +212,7 @@ def _of_file(name: str) -> Target:
 
 DECODERS: dict[str, Target] = {
     "encoder": encoder_stream, "cobs": cobs_block, "motor": motor_frames, "slcan": slcan_line, "camera": camera_datagram,
+    "vicon": vicon_datagram, "natnet": natnet_packet, "qtm": qtm_stream,
     "socket": socket_line, "recording frames": recording_frames,
 }  # fmt: skip
 TARGETS: dict[str, Target] = {**DECODERS, **{name: _of_file(name) for name in READERS}}

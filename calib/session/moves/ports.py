@@ -63,11 +63,20 @@ class TipSeat(Protocol):
         """The hand is off the arm."""
 
 
-class Camera(Protocol):
-    """A device that measures the tip in the base frame."""
+@dataclass(frozen=True, slots=True)
+class SeenTip:
+    """Mean tip that a camera saw, its standard deviation per axis, and the orientation of its target (w, x, y, z) if measured."""
 
-    def measure(self, duration_s: float) -> tuple[Vector, Vector]:
-        """Mean tip position [m] over duration_s, and its standard deviation per axis [m]."""
+    tip_m: Vector
+    sd_m: Vector
+    orientation: tuple[float, float, float, float] | None = None
+
+
+class Camera(Protocol):
+    """A device that measures the tip, in the base frame or in its own (SessionPlan.pose_frame)."""
+
+    def measure(self, duration_s: float) -> SeenTip:
+        """Mean over duration_s."""
 
 
 class Geometry(Protocol):

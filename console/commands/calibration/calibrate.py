@@ -79,6 +79,11 @@ def _require_no_results(out: Path, forms: list[str]) -> None:
 def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
     """The points of all files, without those that the operator omits."""
     points, warnings = points_for(arm, [Path(name) for name in given.points])
+    if "distance_of" in points.extra:
+        raise CalibrationError(
+            "the points have lengths (column distance_of): calibrate with `armwright calibrate-distances`, which uses measured"
+            " tips, too"
+        )
     left_out = _rows_of(points, given.without or [])
     return points.chosen([k for k in range(len(points)) if k not in left_out]), warnings
 
@@ -145,7 +150,9 @@ def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[s
     inputs = _inputs(given, made.nominal)
     hashes = {entry.name: entry.sha256 for entry in inputs}
     files = {"calibrated arm": out / "arm.toml", "for programs": out / "calibration.json"}
-    write_calibrated_arm(files["calibrated arm"], made.nominal, made.found, hashes, date, program)
+    write_calibrated_arm(
+        files["calibrated arm"], made.nominal, made.found, hashes, date, program, made.points
+    )
     write_calibration_json(
         files["for programs"],
         made.nominal.name,

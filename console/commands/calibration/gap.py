@@ -26,6 +26,7 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
+from procedures.ports import camera_said
 
 if TYPE_CHECKING:
     from calib.gap.plan.plan import RecordingPlan
@@ -158,8 +159,8 @@ def record_on_arm(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", ou
         sees_tip = bool(client.average(CAMERA_LOOK_s).camera_frames)
         if plan.visits and not sees_tip:
             raise ArmError(
-                f"no camera frame within {CAMERA_LOOK_s:g} s: poses away from the board need a camera that sees the"
-                " tip (docs/camera.md); `--only motion` needs no camera"
+                f"no tip from the camera within {CAMERA_LOOK_s:g} s{camera_said(client)}: poses away from the board need"
+                " one (docs/camera.md); `--only motion` needs no camera"
             )
         if any(step.payload_kg for step in plan.steps) and not sys.stdin.isatty():
             raise CalibrationError("--payload is attached by hand: run this in a terminal, or omit it")

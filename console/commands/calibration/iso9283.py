@@ -19,6 +19,7 @@ from control.server.client import ArmClient
 from procedures.folders import require_writable
 from procedures.iso9283 import recording
 from procedures.iso9283.evaluating import evaluate_files
+from procedures.ports import camera_said
 
 FULL = Extent()
 QUICK = Extent(repeats=5, path_cycles=3, speed_shares=(0.5, 1.0), drift_s=30.0, drift_sets=2)
@@ -166,7 +167,7 @@ def _record_real(
         )
     if not client.average(CAMERA_LOOK_S).camera_frames:
         raise ArmError(
-            f"no camera frame within {CAMERA_LOOK_S:g} s: the criteria need a measured tip (docs/camera.md)"
+            f"no tip from the camera within {CAMERA_LOOK_S:g} s{camera_said(client)}: the criteria need one (docs/camera.md)"
         )
     hang = _ask_for_load if sys.stdin.isatty() else None
     if hang is None and any(getattr(step, "payload_kg", 0.0) for step in planned.steps):

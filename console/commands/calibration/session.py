@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from calib.errors import SessionError
+from calib.points.points import STREAM_FRAME
 from calib.session.boards_known import Boards
 from calib.session.conduct import Hand, Station, conduct
 from calib.session.folder import POINTS, SessionFolder
@@ -105,7 +106,8 @@ def _station(
     offset_s: float,
     hand: Hand | None,
 ) -> Station:
-    port, geometry = RuntimePort(client, speed), ArmGeometry(arm)
+    is_unplaced = folder.plan.pose_frame == STREAM_FRAME
+    port, geometry = RuntimePort(client, speed, in_own_frame=is_unplaced), ArmGeometry(arm)
     client.ask("payload", mass_kg=folder.plan.payload_kg)
     return Station(
         arm=port,

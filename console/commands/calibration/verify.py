@@ -19,6 +19,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import free_folder, require_writable
+from procedures.ports import camera_said
 from procedures.verify.models import Model, Pair, active_model, nominal_of
 from procedures.verify.places import places, ways
 from procedures.verify.procedure import Drive, driven, on_recorded, write
@@ -93,7 +94,7 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
             f" correct: start `armwright serve --arm {pair.calibrated.arm.path}`"
         )
     if status["camera_m"] is None:
-        raise ArmError("the camera does not see the tip: verification needs it (docs/camera.md)")
+        raise ArmError(f"no tip from the camera{camera_said(client)}: verification needs it (docs/camera.md)")
     recording = Path(status["recording"])
     if not recording.is_file():
         raise ArmError(

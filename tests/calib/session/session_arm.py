@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, board_points
-from calib.session import ArmGeometry, Sample, table
+from calib.session import ArmGeometry, Sample, SeenTip, table
 from control.errors import ArmError
 from control.model.description import load_arm
 
@@ -76,7 +76,7 @@ class ScriptedArm:
     def measure(self, duration_s: float):
         """The camera: exactly where the tip is."""
         tip = REFERENCE.tips(REFERENCE_DH, np.array([self.q_rad]))[0]
-        return tuple(tip.tolist()), (1e-4, 1e-4, 1e-4)
+        return SeenTip(tuple(tip.tolist()), (1e-4, 1e-4, 1e-4))
 
 
 def board(setup: str, count: int = 4) -> tuple[table.BoardPoint, ...]:

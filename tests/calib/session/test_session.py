@@ -9,7 +9,7 @@ from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles
 from calib.errors import SessionError, UnusablePointsError
 from calib.points.points import read_points
 from calib.points.writer import PointsWriter
-from calib.session import FreePose, SessionSettings, Stage, step_through, table, take_free_poses
+from calib.session import FreePose, SeenTip, SessionSettings, Stage, step_through, table, take_free_poses
 from calib.session.standstill import StandstillWindow, wait_for_rest
 from tests.calib.session.session_arm import SEED, NumericGeometry, ScriptedArm, board
 
@@ -115,7 +115,7 @@ def test_each_setup_is_set_up_once_with_the_arm_lifted(tmp_path: Path) -> None:
 
 class SeeingCamera:
     def measure(self, duration_s: float):
-        return (0.51, 0.02, 0.1), (1e-4, 1e-4, 1e-4)
+        return SeenTip((0.51, 0.02, 0.1), (1e-4, 1e-4, 1e-4))
 
 
 def test_free_poses_are_measured_by_the_camera(tmp_path: Path) -> None:

@@ -193,7 +193,7 @@ def test_an_average_is_over_its_duration_of_cycles_and_of_the_frames_that_came()
         now_s = PERIOD_S * (cycle + 1)
         measured.update([1000 + cycle % 2], [0], [now_s])
         tip_m = (0.5, 0.0, 0.1 + 0.001 * (cycle % 10 == 5)) if cycle % 5 == 0 else None
-        averaging.add(now_s, measured, [2.0], tip_m)
+        averaging.add(now_s, measured, [2.0], None if tip_m is None else (tip_m, None))
     result = averaging.result
     assert result is not None
     assert (result.samples, result.camera_frames, result.t_s) == (50, 10, 0.0)

@@ -1,0 +1,251 @@
+"""The time of a capture on the encoders' clock, from a motion that both have seen.
+
+    t = offset + (1 + rate) tau
+
+First where the speeds of tip and body correlate best, which needs to know neither where the system stands nor where the body is
+on the arm. Then least squares of positions: tip(q(t)) against the body in a frame of unknown place, with the arm's deviations (a
+prior of half the usual bounds) and the body's place on the last link unknown, so that an uncalibrated arm does not shift the
+time. The covariance is that of blocks of time (a sandwich), because residuals of neighbouring frames are alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.frames import cross_matrix, rotation_of
+from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
+from calib.arrays import Array, norms
+from calib.boards.rigid import best_motion
+from calib.capture.motion import Motion
+from calib.capture.tracks import Body, CaptureError, Mask
+from control.model.arm import Arm
+
+STEP_s = 0.01  # of the correlation
+LEAST_OVERLAP_s = 3.0
+LEAST_CORRELATION, RIVAL, LOBE_s = 0.7, 0.9, 1.0
+MOVING_m_s = 0.01
+FRAMES = 1500  # used for the fine step
+RATE_FROM_s = 60.0  # a rate of 10 ppm is 0.6 ms in a minute
+BODY_m, FRAME_m, RATE = 0.1, 10.0, 1e-3  # prior sizes: body on the last link, place of the system, clocks
+STEPS, BLOCKS = 12, 24
+WORST_s = 0.02
+CLIP = 3.0
+FAR_OFF_m = 0.02  # residual that no arm within the bounds leaves
+NOISE_LEAST_m = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """t = offset_s + (1 + rate) tau. rate and rate_sd are 0 if the recording is too short to tell.
+
+    correlation: of the speeds; residual_m: of a coordinate of the positions.
+    """
+
+    offset_s: float
+    offset_sd_s: float
+    rate: float
+    rate_sd: float
+    correlation: float
+    residual_m: float
+
+    def log_time(self, capture_s: Array) -> Array:
+        """Times of the capture on the encoders' clock."""
+        return np.asarray(self.offset_s + (1.0 + self.rate) * capture_s)
+
+    def in_words(self) -> str:
+        """A sentence for the operator."""
+        rate = (
+            f", and runs {1e6 * self.rate:+.1f} ppm (sd {1e6 * self.rate_sd:.1f}) against it"
+            if self.rate_sd
+            else ""
+        )
+        return (
+            f"the capture begins at {self.offset_s:.4f} s (sd {1e3 * self.offset_sd_s:.2f} ms) of the encoders' clock{rate};"
+            f" speeds correlate by {self.correlation:.3f}, positions in motion agree to {1e3 * self.residual_m:.1f} mm"
+        )
+
+
+def align(arm: Arm, motion: Motion, capture_s: Array, body: Body) -> Alignment:
+    """The capture's time on the log's clock. CaptureError if the motion cannot tell."""
+    model = ArmModel(arm)
+    tips = model.tips(arm.dh, motion.q_rad)
+    offset_s, correlation = _coarse(motion, tips, capture_s, body)
+    return _fine(_overlap(model, motion, capture_s, body, offset_s), correlation)
+
+
+def _coarse(motion: Motion, tips: Array, capture_s: Array, body: Body) -> tuple[float, float]:
+    """Offset and correlation of the speeds, by masked normalised cross-correlation (Padfield, 2012)."""
+    ours, begin_s = _gridded(motion.t_s, tips, np.ones(len(tips), dtype=bool))
+    theirs, their_begin_s = _gridded(capture_s, body.position_m, body.is_seen)
+    if not len(theirs) or np.isfinite(theirs).sum() * STEP_s < LEAST_OVERLAP_s:
+        raise CaptureError(
+            f"the body is seen for less than {LEAST_OVERLAP_s:g} s: too little to find the time"
+        )
+    score = _scores(ours, theirs)
+    best = int(np.argmax(score))
+    lag_s = (np.arange(len(score)) - (len(theirs) - 1)) * STEP_s
+    if score[best] < 0.0:
+        raise CaptureError(
+            f"log and capture have no {LEAST_OVERLAP_s:g} s in common in which both tip and body move: is it the body on the last"
+            " link, and the log of this motion?"
+        )
+    if not score[best] >= LEAST_CORRELATION:
+        raise CaptureError(
+            f"the speeds of tip and body agree nowhere (correlation {score[best]:.2f} at best): is it the body on the last link,"
+            " and the log of this motion?"
+        )
+    rivals = np.where(np.abs(lag_s - lag_s[best]) > LOBE_s, score, -1.0)
+    if rivals.max() > RIVAL * score[best] and rivals.max() > LEAST_CORRELATION:
+        raise CaptureError(
+            f"the motion cannot tell the time: shifted by {lag_s[int(np.argmax(rivals))] - lag_s[best]:+.1f} s it fits as well"
+            f" (correlation {rivals.max():.2f} against {score[best]:.2f}); record a motion that does not repeat itself"
+        )
+    return float(lag_s[best] + begin_s - their_begin_s), float(score[best])
+
+
+def _gridded(t_s: Array, places: Array, seen: Mask) -> tuple[Array, float]:
+    """Speeds [m/s] every STEP_s, NaN where unknown, and the time of the first."""
+    known = np.flatnonzero(seen)
+    if len(known) < 2:
+        return np.zeros(0), 0.0
+    grid = np.arange(t_s[0], t_s[-1], STEP_s)
+    half = 2.5 * STEP_s
+    ends = [
+        np.column_stack([np.interp(grid + s, t_s[known], places[known, k]) for k in range(3)])
+        for s in (half, -half)
+    ]
+    speed = norms(ends[0] - ends[1]) / (2.0 * half)
+    after = np.clip(np.searchsorted(t_s[known], grid), 1, len(known) - 1)
+    is_gap = t_s[known][after] - t_s[known][after - 1] > 4.0 * STEP_s
+    return np.where(is_gap, np.nan, speed), float(grid[0])
+
+
+def _scores(ours: Array, theirs: Array) -> Array:
+    """Correlation at every lag of `theirs`, -1 where too little overlaps or too little moves there."""
+    size = 1 << int(np.ceil(np.log2(len(ours) + len(theirs))))
+    seen = [np.isfinite(one).astype(float) for one in (ours, theirs)]
+    a, b = (np.nan_to_num(one) for one in (ours, theirs))
+
+    def crossed(one: Array, other: Array) -> Array:
+        product = np.fft.rfft(one, size) * np.fft.rfft(other[::-1], size)
+        return np.asarray(np.fft.irfft(product, size)[: len(ours) + len(theirs) - 1])
+
+    count = np.maximum(crossed(seen[0], seen[1]), 1e-9)
+    sum_a, sum_b = crossed(a, seen[1]), crossed(seen[0], b)
+    spread_a = crossed(a * a, seen[1]) - sum_a**2 / count
+    spread_b = crossed(seen[0], b * b) - sum_b**2 / count
+    moves = (spread_a > MOVING_m_s**2 * count) & (spread_b > MOVING_m_s**2 * count)
+    enough = (count * STEP_s > LEAST_OVERLAP_s) & (spread_b > 0.5 * spread_b.max()) & moves
+    scale = np.sqrt(np.maximum(spread_a * spread_b, 1e-30))
+    return np.where(enough, (crossed(a, b) - sum_a * sum_b / count) / scale, -1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Overlap:
+    """The frames (m,) that lie in the log at a rough offset: body (m, 3), time, and the middle of the times."""
+
+    model: ArmModel
+    motion: Motion
+    seen_m: Array
+    tau_s: Array
+    offset_s: float
+
+    @property
+    def middle_s(self) -> float:
+        """Of the capture's clock, about which a rate turns."""
+        return float(self.tau_s.mean())
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it tells a rate."""
+        return float(np.ptp(self.tau_s)) >= RATE_FROM_s
+
+
+def _overlap(model: ArmModel, motion: Motion, capture_s: Array, body: Body, offset_s: float) -> _Overlap:
+    rows = np.flatnonzero(body.is_seen & (motion.covers(offset_s + capture_s) > 0.0))
+    rows = rows[:: max(1, len(rows) // FRAMES)]
+    span_s = float(np.ptp(capture_s[rows])) if len(rows) else 0.0
+    if span_s < LEAST_OVERLAP_s:
+        raise CaptureError(
+            f"log and capture overlap by {span_s:.1f} s: {LEAST_OVERLAP_s:g} s are needed at least"
+        )
+    return _Overlap(model, motion, body.position_m[rows], capture_s[rows], offset_s)
+
+
+def _fine(both: _Overlap, correlation: float) -> Alignment:
+    """Least squares, and what the fit says of its own time. CaptureError if that is nothing."""
+    x, spread, noise_m = _solved(both)
+    to_begin = np.array([1.0, -both.middle_s if both.is_long else 0.0])  # x has the offset at the middle
+    sd_s = float(np.sqrt(to_begin @ spread[-2:, -2:] @ to_begin))
+    if noise_m > FAR_OFF_m:
+        raise CaptureError(
+            f"positions of body and tip disagree by {1e3 * noise_m:.0f} mm at the best time: is it the body on the last link,"
+            " and the log of this motion?"
+        )
+    if not sd_s < WORST_s:
+        raise CaptureError(
+            f"the motion cannot tell the time: the offset is known to {1e3 * sd_s:.0f} ms only; record faster motions"
+        )
+    rate, rate_sd = (float(x[-1]), float(np.sqrt(spread[-1, -1]))) if both.is_long else (0.0, 0.0)
+    return Alignment(both.offset_s + float(to_begin @ x[-2:]), sd_s, rate, rate_sd, correlation, noise_m)
+
+
+def _solved(both: _Overlap) -> tuple[Array, Array, float]:
+    """Deviations of the arm, place of the body, (frame,) offset and rate; their covariance; noise: Gauss-Newton."""
+    prior = _prior(both.model, both.is_long)
+    x = np.zeros(len(prior))
+    tips = both.model.tips(both.model.nominal_dh, both.motion.at(both.offset_s + both.tau_s)[0])
+    frame = best_motion(both.seen_m, tips)
+    turn, shift = frame.rotation, frame.shift_m
+    for _ in range(STEPS):
+        residual, jacobian = _linearised(both, x, turn, shift)
+        noise_m, weight = _weights(residual)
+        gram = np.einsum("m,mik,mil->kl", weight, jacobian, jacobian)
+        information = gram / noise_m**2 + np.diag(prior**-2.0)
+        gradient = np.einsum("m,mik,mi->k", weight, jacobian, residual) / noise_m**2 - x / prior**2
+        step = np.linalg.solve(information, gradient)
+        x = x + step
+        turn, shift = rotation_of(step[-5:-2]) @ turn, shift + step[-8:-5]
+        x[-8:-2] = 0.0
+    residual, jacobian = _linearised(both, x, turn, shift)
+    pieces = np.einsum("m,mik,mi->mk", weight, jacobian, residual) / noise_m**2
+    blocks = np.array([piece.sum(axis=0) for piece in np.array_split(pieces, BLOCKS)])
+    inverse = np.linalg.inv(information)
+    return x, inverse @ (blocks.T @ blocks + np.diag(prior**-2.0)) @ inverse, noise_m
+
+
+def _weights(residual: Array) -> tuple[float, Array]:
+    """Noise of a coordinate by the median, and Huber's weights (m,): a frame that is far off says little."""
+    far = norms(residual)
+    noise_m = max(NOISE_LEAST_m, float(np.median(far)) / 1.538)  # of the norm of three standard normals
+    return noise_m, np.minimum(1.0, CLIP * noise_m / np.maximum(far, NOISE_LEAST_m))
+
+
+def _prior(model: ArmModel, is_long: bool) -> Array:
+    """Sizes of the unknowns: DH, body, frame (shift, turn), offset, rate; a rate that a short recording cannot tell is none."""
+    dh = 0.5 * np.tile(
+        [LENGTH_BOUND_m, ANGLE_BOUND_rad, LENGTH_BOUND_m, ANGLE_BOUND_rad], len(model.nominal_dh)
+    )
+    rate = RATE if is_long else 1e-12
+    return np.concatenate((dh, [BODY_m] * 3, [FRAME_m] * 3, [np.pi] * 3, [1.0, rate]))
+
+
+def _linearised(both: _Overlap, x: Array, turn: Array, shift: Array) -> tuple[Array, Array]:
+    """Body in the base frame minus tip (m, 3), and minus its derivatives (m, 3, k)."""
+    model, tau = both.model, both.tau_s
+    size, about_s = model.nominal_dh.size, tau - both.middle_s
+    dh = model.nominal_dh + x[:size].reshape(-1, 4)
+    q, speed = both.motion.at(both.offset_s + x[-2] + tau + x[-1] * about_s)
+    slopes = model.slopes(dh, q, model.nominal_tool_m + x[size : size + 3])
+    velocity = np.einsum("mij,mj->mi", slopes.by_dh[:, :, list(model.theta_places)], speed)
+    turned = both.seen_m @ turn.T
+    jacobian = np.concatenate((slopes.by_dh, slopes.by_tool, np.zeros((len(tau), 3, 8))), axis=2)
+    jacobian[:, :, size + 3 : size + 6] = -np.eye(3)
+    for axis in range(3):
+        jacobian[:, :, size + 6 + axis] = -(turned @ cross_matrix(np.eye(3)[axis]).T)
+    jacobian[:, :, -2] = velocity
+    jacobian[:, :, -1] = velocity * about_s[:, None]
+    return turned + shift - slopes.tips, jacobian

@@ -1,0 +1,215 @@
+"""The whole calibration with lengths: where the devices stand, the arm's parameters, and readings left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.assembly import Choice, POSITION_NOISE_m, problem_of, referenced
+from calib.arm_problem.frames import Frame
+from calib.arm_problem.problem import ArmProblem, Problem, Solution
+from calib.arm_problem.weighted import WeightedProblem, whole_problem
+from calib.arrays import Array, frozen
+from calib.distances.devices import LEAST, Device, Vector, devices_of
+from calib.distances.problem import DistanceProblem
+from calib.distances.readings import Readings, readings_of
+from calib.errors import UnusablePointsError
+from calib.identify.estimates import Uncertainty, uncertainty
+from calib.identify.identification import Identification
+from calib.identify.objective import Huber, LeastSquares, Objective, value_of
+from calib.identify.solver import Minimum, minimise
+from calib.points.points import Points
+from control.model.arm import Arm
+from control.progress import Advance, silent
+
+LEAST_READINGS = 6
+FOLDS = 5
+ONE_SEARCH = 0  # no further starts
+THRESHOLDS, SETTLED = 6, 0.8  # rounds in which Huber's threshold falls to less than this share
+FAR_OFF_m = 0.1  # median error with the nominal arm beyond which the readings are of another one
+
+
+@dataclass(frozen=True, slots=True)
+class DistancePlan:
+    """What to identify: as of a calibration by tips, and whether a wire's zero is unknown, too.
+
+    known_m: fixed points of wires that are known in the base frame, by the wires' names.
+    """
+
+    choice: Choice = field(default_factory=Choice)
+    free_zero: bool = False
+    known_m: Mapping[str, Vector] = field(default_factory=dict)
+    objective: Objective = field(default_factory=Huber)
+
+
+@dataclass(frozen=True, slots=True)
+class DistancesFound:
+    """The result. Errors are measured minus modelled lengths (r,) [m].
+
+    before_m: nominal arm, devices where they fit it; after_m: of the fit; held_m: each reading predicted by the others, empty
+    with too few. places: fixed point of each wire, direction of each gauge, in the base frame; zero_m of each.
+    """
+
+    found: Identification
+    readings: Readings
+    devices: tuple[Device, ...]
+    places: tuple[Array, ...]
+    zero_m: tuple[float, ...]
+    before_m: Array
+    after_m: Array
+    held_m: Array
+    tips: int
+
+
+def calibrate_with_distances(
+    arm: Arm, points: Points, where: Path, plan: DistancePlan, advance: Advance = silent
+) -> DistancesFound:
+    """Identify the arm from the lengths of a file, and from its measured tips if there are any.
+
+    PointsFileError or UnusablePointsError if they are unusable.
+    """
+    readings = readings_of(arm, points, where)
+    if len(readings) < LEAST_READINGS:
+        raise UnusablePointsError(
+            f"{where}: {len(readings)} readings of lengths, {LEAST_READINGS} are needed at least"
+        )
+    advance("where the devices stand", 0.0)
+    tips, problem = _problem(arm, points, readings, plan)
+    before = problem.errors_m(np.zeros(len(problem.parameters)))
+    if float(np.median(np.abs(before))) > FAR_OFF_m:
+        raise UnusablePointsError(
+            f"{where}: with the nominal arm the lengths are off by {1e3 * float(np.median(np.abs(before))):.0f} mm (median)"
+            " wherever the devices stand: expected joint angles in rad, lengths in m, of this arm"
+        )
+    advance("identifying", 0.1)
+    best = _solved(problem, plan.objective)
+    x = best.x
+    held = _held_out(problem, best.objective, advance)
+    advance("done", 1.0)
+    at = [device.at(values) for device, values in zip(problem.devices, problem.device_values(x), strict=True)]
+    return DistancesFound(
+        _identification(problem, tips, best),
+        readings,
+        problem.devices,
+        tuple(frozen(place) for place, _ in at),
+        tuple(zero_m for _, zero_m in at),
+        frozen(before),
+        frozen(problem.errors_m(x)),
+        held,
+        0 if tips is None else len(tips),
+    )
+
+
+def _problem(
+    arm: Arm, points: Points, readings: Readings, plan: DistancePlan
+) -> tuple[ArmProblem | None, DistanceProblem]:
+    """The problem of the measured tips, if there are any, and the whole one."""
+    model, choice = ArmModel(arm), plan.choice
+    seen = points.chosen(np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)))
+    is_tool_free = "tool" in choice.freed or not arm.tool.known
+    tips: ArmProblem | None = None
+    inner: Problem | None = None
+    tool_m = model.nominal_tool_m
+    if len(seen):
+        choice = choice.for_points(arm, seen)
+        tips = problem_of(arm, referenced(arm, seen, choice), choice)
+        inner, tool_m = whole_problem(tips), tips.solution(np.zeros(len(tips.parameters))).tool_m
+    nominal = model.tips(model.nominal_dh, readings.q_rad, tool_m)
+    return tips, DistanceProblem(
+        model,
+        readings,
+        devices_of(readings, nominal, plan.free_zero, plan.known_m),
+        inner,
+        unit_m=_unit_m(arm, readings, inner),
+        tool_m=tool_m,
+        is_tool_free=is_tool_free,
+        bounds=choice.bounds,
+        fixed=choice.fixed,
+    )
+
+
+def _unit_m(arm: Arm, readings: Readings, inner: Problem | None) -> float:
+    """Noise of a coordinate of a tip; without tips, of a usual reading."""
+    if isinstance(inner, WeightedProblem):
+        return inner.unit_m
+    if inner is not None and arm.camera is not None and arm.camera.position_noise_m > 0.0:
+        return arm.camera.position_noise_m
+    stated = readings.sd_m[np.isfinite(readings.sd_m)]
+    return float(np.median(stated)) if inner is None and len(stated) else POSITION_NOISE_m
+
+
+def _solved(problem: DistanceProblem, objective: Objective) -> Minimum:
+    """The minimum near the nominal arm. Huber's threshold begins with least squares and follows the fit, until outliers no longer
+    raise it: a sum of distances, of rows that hold three lengths each, would make some of them zero.
+    """
+    if isinstance(objective, Huber) and objective.threshold_m is None:
+        rough, last_m = minimise(problem, LeastSquares(), ONE_SEARCH), np.inf
+        for _ in range(THRESHOLDS):
+            robust = objective.settled_on(problem.residuals(rough.x))
+            if robust.threshold_m is None or robust.threshold_m > SETTLED * last_m:
+                break
+            last_m, rough = robust.threshold_m, minimise(problem, robust, ONE_SEARCH)
+        objective = robust
+    return minimise(problem, objective, ONE_SEARCH, equal="by noise")
+
+
+def _held_out(problem: DistanceProblem, objective: Objective, advance: Advance) -> Array:
+    """Errors of each reading with the arm and devices that the others give; empty if they are too few."""
+    everything = np.arange(len(problem.readings))
+    held = np.zeros(len(everything))
+    for fold in range(FOLDS):
+        advance("leaving readings out", 0.4 + 0.6 * fold / FOLDS)
+        is_out = everything % FOLDS == fold
+        left = problem.of_readings(everything[~is_out])
+        if not all(len(left.readings.of(device.name)) >= LEAST[device.kind] for device in _placed(problem)):
+            return frozen(np.zeros(0))
+        x = _solved(left, objective).x
+        held[is_out] = problem.errors_m(x)[is_out]
+    return frozen(held)
+
+
+def _placed(problem: DistanceProblem) -> list[Device]:
+    """The devices whose place is unknown."""
+    return [device for device in problem.devices if device.parameters]
+
+
+def _identification(problem: DistanceProblem, tips: ArmProblem | None, best: Minimum) -> Identification:
+    x, zero = best.x, np.zeros(len(best.x))
+    before, after = problem.residuals(zero), problem.residuals(x)
+    found: Uncertainty = uncertainty(problem.parameters, best.objective, x, after, problem.sensitivity(x))
+    dh, tool = problem.arm_at(x)
+    own = 0 if tips is None else len(tips.parameters)
+    frames = (Frame.base(),) if tips is None else tips.solution(x[:own]).frames
+    errors = [_as_vectors(problem.errors_m(at)) for at in (zero, x)]
+    if tips is not None:
+        errors = [
+            np.concatenate((tips.residuals(at[:own]), e)) for at, e in zip((zero, x), errors, strict=True)
+        ]
+    return Identification(
+        objective=best.objective.name,
+        solution=Solution(frozen(dh), frozen(tool), frames, {}),
+        nominal_dh=frozen(problem.model.nominal_dh),
+        estimates=found.estimates,
+        objective_before=value_of(best.objective, before),
+        objective_after=value_of(best.objective, after),
+        error_before_m=frozen(errors[0]),
+        error_after_m=frozen(errors[1]),
+        noise_m=float(np.sqrt(np.sum(after**2) / max(1, after.size - found.known.rank))),
+        rank=found.known.rank,
+        condition_number=found.known.condition_number,
+        singular_values=found.known.singular_values,
+        undetermined=found.known.undetermined,
+        steps_count=best.steps_count,
+        is_converged=best.is_converged,
+        x=frozen(x),
+        noise=found.noise,
+    )
+
+
+def _as_vectors(errors_m: Array) -> Array:
+    """Errors of lengths (r,) as vectors (r, 3) of the same length."""
+    return np.column_stack((errors_m, np.zeros((len(errors_m), 2))))

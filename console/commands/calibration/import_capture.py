@@ -1,0 +1,118 @@
+"""`armwright import-capture`: a recording of a motion capture system as points, on the time of the encoders."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from calib.boards.markers import markers_text
+from calib.capture.alignment import Alignment, align
+from calib.capture.board_markers import board_markers
+from calib.capture.c3d import read_c3d
+from calib.capture.motion import Motion
+from calib.capture.poses import Rested, believed, poses_at_rest
+from calib.capture.tracks import Body, Capture, CaptureError, relative
+from calib.capture.vicon_csv import read_vicon_csv
+from calib.gap.log import read_log
+from calib.points.points import CAMERA_FRAME, STREAM_FRAME
+from calib.points.writer import write_points
+from control.errors import ArmError
+from control.files import write_whole
+from control.model.arm import Arm
+from control.model.description import load_arm
+from procedures.folders import require_writable
+
+
+def run(given: argparse.Namespace) -> int:
+    """Write points of the arm's rests, or markers of the board."""
+    arm, out = load_arm(given.arm), Path(given.out)
+    file = out / ("markers.csv" if given.board_markers else "points.csv")
+    if file.exists():
+        raise ArmError(f"{file} exists already and is never overwritten: choose another --out")
+    require_writable(out)
+    return (_markers if given.board_markers else _points)(given, arm, file)
+
+
+def _markers(given: argparse.Namespace, arm: Arm, file: Path) -> int:
+    """Markers in the board's cavities, in the base frame."""
+    if given.log or given.body or given.run or given.json:
+        raise CaptureError(
+            "--board-markers: the arm need not move: leave --log, --body, --run and --json out"
+        )
+    found = board_markers(arm, _read(Path(given.file)), given.board_markers, given.base_body or "")
+    write_whole(file, markers_text(found))
+    sys.stdout.write(
+        f"{len(found)} markers of setup {given.board_markers}, in the base frame\nwritten: {file}\n"
+    )
+    return 0
+
+
+def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
+    """Read both recordings, align them, write a point for each rest."""
+    if not given.log or not given.body:
+        raise CaptureError(
+            "expected --log, the arm's log.csv, and --body, what is followed; or --board-markers"
+        )
+    log, _ = read_log(Path(given.log), arm.joint_count)
+    motion, of_log = Motion.of(log, given.run)
+    capture = _read(Path(given.file))
+    body, said = _followed(capture, given.body, given.base_body)
+    aligned = align(arm, motion, capture.t_s, body)
+    rested = poses_at_rest(motion, capture.t_s, body, aligned, _frame(arm, given))
+    said = (*of_log, *said)
+    for sentence in (*said, *rested.left_out):
+        sys.stderr.write(f"armwright: warning: {sentence}\n")
+    write_points(file, rested.points)
+    if given.json:
+        sys.stdout.write(json.dumps(_summary(aligned, rested, file, (*said, *rested.left_out))) + "\n")
+    else:
+        sys.stdout.write(f"{_text(aligned, rested, body)}written: {file}\n")
+    return 0
+
+
+def _read(path: Path) -> Capture:
+    ending = path.name.lower().removesuffix(".gz").rpartition(".")[2]
+    readers = {"csv": read_vicon_csv, "c3d": read_c3d}
+    if ending not in readers:
+        raise CaptureError(f"{path}: expected a .csv that Vicon has exported, or a .c3d")
+    return readers[ending](path)
+
+
+def _followed(capture: Capture, name: str, base: str | None) -> tuple[Body, tuple[str, ...]]:
+    """The body, relative to the one on the base if there is one; frames in which one of them had leapt are not used."""
+    wanted = {one: capture.body(one) for one in (name, base) if one is not None}
+    bodies, said = believed(
+        capture, {**{k: v for k, v in capture.bodies.items() if k not in wanted}, **wanted}
+    )
+    return (bodies[name] if base is None else relative(bodies[name], bodies[base])), said
+
+
+def _frame(arm: Arm, given: argparse.Namespace) -> str:
+    """That of the arm's [camera.stream] if the same bodies were followed: a calibration then places it."""
+    stream = arm.camera.stream if arm.camera is not None else None
+    is_stream = stream is not None and (stream.body, stream.base_body) == (given.body, given.base_body or "")
+    return STREAM_FRAME if is_stream else CAMERA_FRAME
+
+
+def _text(aligned: Alignment, rested: Rested, body: Body) -> str:
+    turn = f", {1e3 * rested.noise_rad:.2f} mrad" if body.rotation is not None else ""
+    words = aligned.in_words()
+    return (
+        f"{words[0].upper()}{words[1:]}.\n"
+        f"{len(rested.points)} poses at rest; noise of a frame {1e3 * rested.noise_m:.3f} mm per axis{turn}.\n"
+    )
+
+
+def _summary(aligned: Alignment, rested: Rested, file: Path, said: tuple[str, ...]) -> dict[str, object]:
+    return {
+        "format": "import-capture/1",
+        "offset_s": aligned.offset_s,
+        "offset_sd_s": aligned.offset_sd_s,
+        "rate": aligned.rate,
+        "rate_sd": aligned.rate_sd,
+        "correlation": aligned.correlation,
+        "poses": len(rested.points),
+        "noise_m": rested.noise_m,
+        "said": list(said),
+        "file": str(file),
+    }

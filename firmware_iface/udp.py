@@ -1,0 +1,73 @@
+"""A UDP port that is listened on without blocking: of cameras and motion capture systems."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+
+from firmware_iface.errors import LinkLost, PortMissing
+
+_LONGEST_DATAGRAM = 65536
+
+
+class UdpListener:
+    """Datagrams of a port. `sender`: only those of this computer are passed on; empty: all."""
+
+    def __init__(self, what: str, port: int, sender: str = "", interface: str = "", group: str = "") -> None:
+        """Listen on `port` of the interface with this address (empty: all; a sender on loopback: loopback); 0: any free port.
+
+        group: of multicast, joined where the sender is reached; others may listen, too. PortMissing if the port is taken,
+        the sender's name is unknown, or the group cannot be joined.
+        """
+        self._what, self._socket = what, socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self.sender = socket.gethostbyname(sender) if sender else ""
+            is_local = self.sender.startswith("127.")
+            host = interface or ("127.0.0.1" if is_local and not group else "")
+            if group:
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind((host, port))
+            if group:
+                joined = socket.inet_aton(group) + socket.inet_aton(_own_address_towards(self.sender))
+                self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, joined)
+        except (OSError, OverflowError, UnicodeError) as problem:
+            self._socket.close()
+            raise PortMissing(
+                f"{what}: cannot listen on UDP port {port}{f' of {interface}' if interface else ''}"
+                f"{f' for {sender}' if sender else ''}: {problem}; stop another running armwright, or choose another port"
+            ) from None
+        self.port: int = self._socket.getsockname()[1]
+        self.name = f"udp://{host}:{self.port}"
+
+    def datagrams(self) -> Iterator[bytes]:
+        """All received so far, in order of arrival. LinkLost."""
+        while True:
+            try:
+                datagram, (address, _) = self._socket.recvfrom(_LONGEST_DATAGRAM)
+            except BlockingIOError:
+                return
+            except OSError as problem:
+                raise LinkLost(f"{self._what} on {self.name}: lost: {problem}") from None
+            if not self.sender or address == self.sender:
+                yield datagram
+
+    def send(self, datagram: bytes, port: int) -> None:
+        """Send to a port of the sender. LinkLost."""
+        try:
+            self._socket.sendto(datagram, (self.sender, port))
+        except BlockingIOError:
+            return  # a full buffer loses a datagram, as a network does
+        except OSError as problem:
+            raise LinkLost(f"{self._what}: cannot send to {self.sender}: {problem}") from None
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.close()
+
+
+def _own_address_towards(host: str) -> str:
+    """Address of the interface from which a computer is reached; nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect((host, 9))
+        return str(probe.getsockname()[0])
