@@ -25,7 +25,8 @@ from procedures.doctor.host import judge_lateness, judge_strain, lateness, look_
 from procedures.doctor.judging import clock_drift, judge
 from procedures.doctor.links import judge_can, judge_serial
 from procedures.doctor.sampling import sample
-from tests.cell import RIGHT, scenario, wired_to, with_drive
+from procedures.mock.on_boards import on_boards
+from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
 
 QUICK_S = 0.2
 
@@ -156,6 +157,18 @@ def test_an_arm_without_boards_says_what_to_add() -> None:
         "add [[encoder_board]] to arm.toml, or give --encoder",
         "add [can] to arm.toml, or give --can-interface and --can-channel",
     ]
+
+
+@pytest.mark.parametrize(("mode", "warned"), [("position", 0), ("current", 3)])
+def test_boards_that_would_free_their_motors_without_the_host_are_named(mode: str, warned: int) -> None:
+    arm = on_boards(RIGHT, "odrive")
+    in_mode = with_drives(arm, pid=replace(arm.drives[0].pid, mode=mode))
+    with SteppedRig(in_mode, scenario(None)) as rig:
+        boards = open_boards(wired_to(in_mode, rig), rig.clock, 0.004)
+        boards.close()
+    unwell = [found for found in boards.findings if found.level is not Level.OK]
+    assert len(unwell) == warned
+    assert all("a loaded arm drops" in found.measured for found in unwell)
 
 
 UP = {"flags": ["NOARP", "UP", "LOWER_UP"], "txqlen": 100, "linkinfo": {"info_kind": "can", "info_data": {
