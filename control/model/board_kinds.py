@@ -28,6 +28,7 @@ class BoardKind:
     limits_current: bool = (
         False  # it takes `current_limit_A` from the host; else its own settings alone limit the current
     )
+    needs_fd: bool = False  # it speaks CAN FD alone
     needs_own_bus: bool = False  # takes reference boards' frames for its own, and they take its
     uses_other_encoder: bool = (
         True  # in modes other than position; else it closes its loop on its own in every mode
@@ -121,6 +122,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             usual_rate_Hz=250.0,
             stops_early=False,
             limits_current=True,
+            needs_fd=True,
             may_be_absolute=True,
         ),
         "odrive": BoardKind(

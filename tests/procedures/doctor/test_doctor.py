@@ -177,12 +177,14 @@ UP = {"flags": ["NOARP", "UP", "LOWER_UP"], "txqlen": 100, "linkinfo": {"info_ki
 CAN0 = CanBus("socketcan", "can0")
 
 
-def about_can(can: CanBus, details: Mapping[str, Any] | None, **data: object) -> list[str]:
+def about_can(
+    can: CanBus, details: Mapping[str, Any] | None, needs_fd: bool = False, **data: object
+) -> list[str]:
     """What is not well, with `data` in place of what the kernel says of a good interface."""
     if details is not None and data:
         info = {**details["linkinfo"]["info_data"], **data}
         details = {**details, "linkinfo": {"info_kind": "can", "info_data": info}}
-    found = list(judge_can(can, lambda channel: details))
+    found = list(judge_can(can, lambda channel: details, needs_fd))
     assert all(finding.remedy for finding in found if finding.level is not Level.OK)
     return [f"{f.level.name} {f.what}: {f.measured}" for f in found if f.level is not Level.OK]
 
@@ -198,6 +200,8 @@ def test_the_state_of_a_can_interface_is_read_from_the_kernel() -> None:
     assert about_can(CAN0, UP, bittiming={"bitrate": 500_000}) == [f"BAD {name}: bit rate: 500000"]
     assert about_can(CAN0, UP, restart_ms=0) == [f"WARN {name}: restart after bus-off: never"]
     assert about_can(CAN0, {**UP, "txqlen": 10}) == [f"WARN {name}: transmit queue: 10 frames"]
+    assert about_can(CAN0, UP, needs_fd=True) == [f"BAD {name}: CAN FD: off"]
+    assert about_can(CAN0, UP, needs_fd=True, ctrlmode=["FD"]) == []
     assert about_can(CanBus("socketcan", "can1", 500_000), UP)[0].endswith("bit rate: 1000000")
 
 
