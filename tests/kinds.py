@@ -49,7 +49,6 @@ ON_BOARDS = {
     "beside reference boards": OnBoards(beside_reference_boards(), 0.01, "roboclaw1", "motor3"),
     "mixed": _on("mixed", "roboclaw1", "servo1"),
     "moteus": _on("moteus", "moteus1", "moteus3"),
-    "moteus torque": _in_mode("moteus", "current", "moteus1", "moteus3"),
     "odrive": _on("odrive", "odrive1", "odrive3"),
     "odrive torque": _in_mode("odrive", "current", "odrive1", "odrive3"),
     "roboclaw": _on("roboclaw", "roboclaw1", "roboclaw2"),

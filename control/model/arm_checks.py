@@ -1,6 +1,6 @@
 """Consistency checks between the values of an arm.toml; each error names the key."""
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Sequence
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
 from control.model.board_kinds import KINDS, BoardKind
@@ -143,16 +143,26 @@ def _check_boards(arm: Arm) -> None:
     drives = [(i, drive) for i, drive in enumerate(arm.drives) if drive.board]
     for i, drive in drives:
         _check_drive_board(arm, drive, ("drive", i))
-    if any(KINDS[b.kind].needs_own_bus for _, b in boards) and len(drives) < len(arm.drives):
-        kinds = " and ".join(name for name, kind in KINDS.items() if kind.needs_own_bus)
-        expected = (
-            f"no reference motor board beside {kinds} on [can]: each takes the other's frames for its own"
-        )
-        raise Rejected(("drive",), expected, "both")
+    _check_bus(arm, drives)
     _check_unique(
         ((("drive", i, "board_channel"), (drive.board, drive.board_channel)) for i, drive in drives),
         "one joint per motor of a board (board, channel)",
     )
+
+
+def _check_bus(arm: Arm, drives: Sequence[tuple[int, Drive]]) -> None:
+    """Kinds whose ids are others' too are alone on [can]."""
+    alone = sorted({board.kind for board in arm.boards if KINDS[board.kind].needs_own_bus})
+    if len(alone) > 1:
+        expected = (
+            f"boards of one kind on [can] of {' and '.join(alone)}: each takes the other's frames for its own"
+        )
+        raise Rejected(("board",), expected, "both")
+    if alone and len(drives) < len(arm.drives):
+        expected = (
+            f"no reference motor board beside {alone[0]} on [can]: each takes the other's frames for its own"
+        )
+        raise Rejected(("drive",), expected, "both")
 
 
 def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> None:

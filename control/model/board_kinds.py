@@ -25,6 +25,10 @@ class BoardKind:
     usual_rate_Hz: float  # of the loop
     stops_early: bool  # begins its own stop some cycles after the last command, not only at its watchdog
     limits_force: bool = False  # in position mode, to what the host says: it can drive a gripper
+    limits_current: bool = (
+        False  # it takes `current_limit_A` from the host; else its own settings alone limit the current
+    )
+    needs_fd: bool = False  # it speaks CAN FD alone
     needs_own_bus: bool = False  # takes reference boards' frames for its own, and they take its
     uses_other_encoder: bool = (
         True  # in modes other than position; else it closes its loop on its own in every mode
@@ -47,6 +51,7 @@ REFERENCE: Final = BoardKind(
     can_hold=True,
     usual_rate_Hz=500.0,
     stops_early=True,
+    limits_current=True,
 )
 
 KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
@@ -62,6 +67,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=False,
             usual_rate_Hz=100.0,
             stops_early=False,
+            limits_current=True,
         ),
         "cia402": BoardKind(
             line="can",
@@ -115,6 +121,8 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=True,
             usual_rate_Hz=250.0,
             stops_early=False,
+            limits_current=True,
+            needs_fd=True,
             may_be_absolute=True,
         ),
         "odrive": BoardKind(
@@ -128,6 +136,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=True,
             usual_rate_Hz=250.0,
             stops_early=False,
+            limits_current=True,
             needs_own_bus=True,
             may_be_absolute=True,
             frees_in=("current",),
@@ -144,6 +153,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             can_hold=False,
             usual_rate_Hz=200.0,
             stops_early=False,
+            limits_current=True,
         ),
     }
 )

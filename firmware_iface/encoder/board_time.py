@@ -5,6 +5,9 @@ _HALF_us = 1 << 31
 # A board's time can lead the host's estimate by the drift of the crystals and by how
 # late earlier reports were read, never by a whole second. Late reports may lag by any amount.
 _AHEAD_LIMIT_us = 1_000_000
+# The first reports may have waited for a host that was busy with its start: then the next ones lead by as much.
+_AHEAD_LIMIT_AT_FIRST_us = 60_000_000
+_AT_FIRST_us = 5_000_000
 _DRIFT = 3e-4  # two crystals differ by less; a board whose clock falls back faster sends old counts
 
 
@@ -14,6 +17,7 @@ class BoardTime:
     def __init__(self) -> None:
         self._last_us = 0
         self._host_us = 0
+        self._started_us = 0  # on the host's clock
         self._furthest_ahead_us = 0
         self._prompt_ahead_us = 0.0  # lead over the host's time in a report without delay
         self._has_started = False
@@ -38,7 +42,9 @@ class BoardTime:
         predicted_us = self._last_us + host_us - self._host_us
         now_us = predicted_us + (board_time_us - predicted_us + _HALF_us) % _WRAP_us - _HALF_us
         ahead_us = now_us - host_us
-        if now_us < self._last_us or ahead_us > self._furthest_ahead_us + _AHEAD_LIMIT_us:
+        is_early = host_us - self._started_us < _AT_FIRST_us
+        limit_us = _AHEAD_LIMIT_AT_FIRST_us if is_early else _AHEAD_LIMIT_us
+        if now_us < self._last_us or ahead_us > self._furthest_ahead_us + limit_us:
             self._start(board_time_us, host_us)
             return False
         self._prompt_ahead_us = max(self._prompt_ahead_us - _DRIFT * (host_us - self._host_us), ahead_us)
@@ -49,6 +55,7 @@ class BoardTime:
 
     def _start(self, board_time_us: int, host_us: int) -> None:
         self._last_us, self._host_us = board_time_us, host_us
+        self._started_us = host_us
         self._furthest_ahead_us = board_time_us - host_us
         self._prompt_ahead_us = self._furthest_ahead_us
         self._has_started = True

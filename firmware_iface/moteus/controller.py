@@ -106,6 +106,10 @@ class Moteus:
         frame = wire.ask(self.number) if is_asked_only else self.wanted
         self._asks(frame, lambda: self.at_s > asked_s)
 
+    def await_count(self) -> None:
+        """Wait for a count that is made from now on: with all other values. BoardSilent."""
+        self.await_status()
+
     def reset_fault(self) -> bool:
         """End a fault or time-out; the windings are shorted then. Returns whether it is gone. BoardSilent."""
         self._bus.send(wire.stop(self.number))

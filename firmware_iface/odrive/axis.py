@@ -141,6 +141,12 @@ class OdriveAxis:
             )
             raise BoardSilent(f"{self.where}: not all of its messages within {STATUS_WAIT_s} s: {remedy}")
 
+    def await_count(self) -> None:
+        """Wait for a count that is sent from now on; its other messages may be slower. BoardSilent."""
+        asked_s = self._bus.clock.now_s()
+        if not self._bus.waits(lambda: self.counted_at_s > asked_s, STATUS_WAIT_s):
+            self.await_status()
+
     def clear_errors(self) -> bool:
         """Forget errors whose cause is gone; whether there is none left. BoardSilent."""
         self._bus.send(wire.clear_errors(self.node))

@@ -114,6 +114,10 @@ class Vesc:
                 " in VESC Tool (App Settings, General, CAN)"
             )
 
+    def await_count(self) -> None:
+        """Wait for a count that is sent from now on: with all other values. BoardSilent."""
+        self.await_status()
+
     def is_well_within(self, limit_s: float) -> bool:
         """Ask for the fault code until there is no fault; False if there still is one then. BoardSilent."""
         clock = self._bus.clock

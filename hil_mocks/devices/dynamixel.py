@@ -137,7 +137,7 @@ class DynamixelMock:
         motor = self._motor
         motor.measure(now_s)
         struct.pack_into(
-            "<hiiiiHB", self.table, VALUES, round(current_A / self.setup.current_unit_A),
+            "<hiiiiHB", self.table, VALUES, min(max(round(current_A / self.setup.current_unit_A), -32767), 32767),
             round(motor.speed_turns_s * 60.0 / 0.229), self.position, 0, 0, round(supply_V * 10), 35,
         )  # fmt: skip
         if self.forced_error:

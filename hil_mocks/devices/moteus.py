@@ -16,6 +16,7 @@ from hil_mocks.devices.servo_motor import ServoMotor
 
 STOPPED, FAULT, POSITION, TIMEOUT, ZERO_VELOCITY, BRAKED = 0, 1, 10, 11, 12, 15
 DRIVER_FAULT, OVER_VOLTAGE, OVER_HEATED, SUPPLY_LOW = 33, 34, 38, 40
+LIMITED_SHARE = 0.98  # of the current limit: more is at the limit
 NOP = 0x50
 _HALF = 1 << 31  # of the range of the counter of milliseconds
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
@@ -67,8 +68,11 @@ class MoteusMock:
 
     @property
     def limit_A(self) -> float:
-        """The largest current."""
-        return self.setup.limit_A
+        """The largest current: in position mode, what the command's largest torque allows."""
+        most_Nm = self._command[0x025]
+        if self.mode != POSITION or math.isnan(most_Nm):
+            return self.setup.limit_A
+        return min(self.setup.limit_A, most_Nm / self.setup.torque_constant_Nm_A)
 
     def power_up(self, now_s: float | None) -> None:
         """State after power-up or a restart; it is deaf while it boots."""
@@ -201,11 +205,9 @@ class MoteusMock:
             return self._motor.controlled(supply_V)
         if self.mode != POSITION:
             return OPEN
+        most_A = self.limit_A
         if self._command[0x023]:
-            return self._motor.controlled(supply_V)
-        most_A = self.setup.limit_A
-        if not math.isnan(self._command[0x025]):
-            most_A = min(most_A, self._command[0x025] / self.setup.torque_constant_Nm_A)
+            return self._motor.controlled(supply_V, abs(self._current_A) > LIMITED_SHARE * most_A)
         wanted_A = self._command[0x022] / self.setup.torque_constant_Nm_A
         limited_A = min(max(wanted_A, -most_A), most_A)
         return Output("current", limited_A) if limited_A else OPEN

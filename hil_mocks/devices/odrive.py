@@ -26,6 +26,7 @@ ARM_S = 0.002  # until a state that was asked for is entered
 BOOT_S = 0.15
 LOWEST_SUPPLY_V = 10.5
 SPEED_TOLERANCE = 1.2
+LIMITED_SHARE = 0.98  # of the current limit: more is at the limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ class OdriveMock:
         self.output = OPEN
         self.control = POSITION_CONTROL  # as stored
         self.limit_A, self._limit_turns_s = self.setup.limit_A, math.inf
-        self._torque_Nm = 0.0
+        self._torque_Nm = self._current_A = 0.0
         self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns)
         self._arms_at_s = math.inf
         self._heard_s = start_s
@@ -135,6 +136,7 @@ class OdriveMock:
     def tick(self, now_s: float, current_A: float, supply_V: float) -> None:
         """Run one control period."""
         self._motor.measure(now_s)
+        self._current_A = current_A
         if now_s < self._boots_until_s:
             self._next_s = dict.fromkeys(self._next_s, now_s)
             self._heard_s = now_s
@@ -161,7 +163,7 @@ class OdriveMock:
 
     def _driven(self, supply_V: float) -> Output:
         if self.control == POSITION_CONTROL:
-            return self._motor.controlled(supply_V)
+            return self._motor.controlled(supply_V, abs(self._current_A) > LIMITED_SHARE * self.limit_A)
         wanted_A = self._torque_Nm / self.setup.torque_constant_Nm_A
         limited_A = min(max(wanted_A, -self.limit_A), self.limit_A)
         return Output("current", limited_A) if limited_A else OPEN

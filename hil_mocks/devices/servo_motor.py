@@ -9,6 +9,9 @@ from hil_mocks.devices.motor_inputs import Output
 POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL, SPEED_FILTER_S = 15.0, 0.5, 15.0, 0.003
 
 
+LIMITED_FADE = 0.99  # of the integral, each period
+
+
 class ServoMotor:
     """`read_turns` gives the angle of the output shaft in turns; `goal_turns` is where the loop goes, `goal_turns_s` how fast."""
 
@@ -33,12 +36,14 @@ class ServoMotor:
         """The torque was switched on: the loop begins anew."""
         self._integral_V = 0.0
 
-    def controlled(self, supply_V: float) -> Output:
-        """The output of a control period."""
+    def controlled(self, supply_V: float, is_current_limited: bool = False) -> Output:
+        """The output of a control period. Where the current is limited, the integral fades."""
         wanted = POSITION_RATE * (self.goal_turns - self.turns) + self.goal_turns_s
         error_V = self._volts_per_turn_s * (wanted - self.speed_turns_s)
         wanted_V = self._volts_per_turn_s * wanted + SPEED_GAIN * error_V + self._integral_V
         limited_V = min(max(wanted_V, -supply_V), supply_V)
-        if wanted_V == limited_V:
+        if is_current_limited:
+            self._integral_V *= LIMITED_FADE
+        elif wanted_V == limited_V:
             self._integral_V += SPEED_INTEGRAL * error_V * self._step_s
         return Output("voltage", limited_V)

@@ -7,7 +7,6 @@ does; the board's watchdog brakes when this program stops sending. All other mot
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
@@ -23,6 +22,7 @@ from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import State
 from firmware_iface.motor.wire import Output, Parameter
 from procedures.bringup.operator import Operator, Stopped
+from procedures.bringup.workbench import Channel, DriveLimits, SafetyTrip, Sample
 
 PERIOD_S = 0.004
 CURRENT_MARGIN = 1.3  # of the limit that the board enforces; more means that it does not
@@ -30,40 +30,17 @@ CURRENT_MARGIN_A = 0.2  # noise of the current measurement
 SETTLING_CYCLES = 3  # until the speeds have settled
 SPEED_FILTER_S = 0.004
 JUMP_SHARE = 0.6  # of the allowed speed: a slower joint cannot exceed the limit within one cycle
-Channel = tuple[int, int]
-"""Encoder board and channel on it, both from 0."""
-
-
-class SafetyTrip(ArmError):
-    """A limit of bring-up was exceeded, or a board stopped reporting: the drive was switched off at once."""
-
-
-@dataclass(frozen=True, slots=True)
-class DriveLimits:
-    """Limits of a motor's drive, and of its encoder's speed and travel."""
-
-    current_A: float
-    voltage_V: float
-    speed_count_s: float = math.inf
-    travel_count: float = math.inf
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One cycle: all channels, and the driven motor (board's sign)."""
-
-    t_s: float
-    counts: dict[Channel, int]
-    flags: dict[Channel, int]
-    speed_count_s: dict[Channel, float]
-    volts: float
-    current_A: float
-    is_limited: bool
-    """The board reduced the voltage to one of its limits."""
 
 
 class Bench:
-    """The open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies."""
+    """The open reference boards; meets `procedures.bringup.workbench.Workbench`.
+
+    `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies.
+    """
+
+    look_s = 0.0
+    has_index = True
+    has_volts = limits_current = True
 
     def __init__(self, arm: Arm, clock: Clock, operator: Operator) -> None:
         self.clock = clock
@@ -87,11 +64,6 @@ class Bench:
 
     def _opened(self, arm: Arm) -> tuple[tuple[EncoderBoard, ...], dict[int, MotorBoard], MotorBus]:
         can = arm.can
-        if any(drive.board for drive in arm.drives):
-            raise ArmError(
-                f"arm {arm.name}: bring-up measures with the current and voltage of reference motor boards, and this arm has"
-                " [[board]]s: check each joint by small jogs instead (docs/boards.md)"
-            )
         if can is None or not arm.encoder_boards:
             raise ArmError(
                 f"arm {arm.name}: its ports are not set: add [[encoder_board]] and [can], or give --encoder and"
@@ -113,6 +85,9 @@ class Bench:
         for encoder in encoders:
             start_stream(encoder, PERIOD_S)
         return tuple(encoders), motors, bus
+
+    def prepare(self) -> None:
+        """Nothing: boards that do not drive short their windings."""
 
     def channels(self) -> list[Channel]:
         """All channels of all encoder boards."""
@@ -293,6 +268,15 @@ class Bench:
     def motor_count(self, node: int) -> int:
         """The motor board's own count of its encoder; counts up with positive voltage if both are wired correctly."""
         return self.motors[node].read(Parameter.POSITION_COUNT)
+
+    def counts_per_turn(self, at: Channel) -> int | None:
+        """What the encoder's board says of it."""
+        identity = self.encoders[at[0]].identity
+        return identity.counts_per_turn[at[1]] if identity else None
+
+    def serials(self) -> dict[int, int]:
+        """Serial numbers of the motor boards, by node."""
+        return {node: motor.identity.serial_number for node, motor in self.motors.items() if motor.identity}
 
     def close(self) -> None:
         """Stop the streams and close all links."""

@@ -54,6 +54,14 @@ def diagnose(draft: Drive, wiring: JointWiring, found: Measured, board_counts: i
 
 def rewired(draft: Drive, wiring: JointWiring) -> Drive:
     """The draft's drive with the measured wiring."""
+    if wiring.board:
+        return replace(
+            draft,
+            board=wiring.board,
+            board_channel=wiring.board_channel,
+            motor_direction=wiring.motor_direction,
+            encoder_direction=wiring.encoder_direction,
+        )
     return replace(
         draft,
         motor_node=wiring.node,
@@ -81,7 +89,7 @@ def _slip(result: Diagnosis, found: Measured) -> bool:
         (ways[1], SAME_WAY_SPREAD_RAD),
         (ways[0] + ways[1], EDGE_SPREAD_RAD),
     ):
-        if len(edges) > 1 and max(edges) - min(edges) > limit_rad:
+        if len(edges) > 1 and max(edges) - min(edges) > limit_rad + found.cycle_rad:
             evidence.append(f"the home switch positions differ by {1e3 * (max(edges) - min(edges)):.1f} mrad")
             break
     if found.flags & SIGNAL_LOST:
@@ -109,6 +117,11 @@ def _counts(result: Diagnosis, found: Measured, board_counts: int) -> None:
     """Counts per motor turn, from index to index."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     spacings = found.spacings_count
+    if not found.has_index:
+        result.notes.append(
+            f"{name}: its board knows no index: counts per turn are the draft's, and the gear ratio is that times these"
+        )
+        return
     if not spacings:
         problem = f"{name}: NO INDEX PULSE within {2.6:g} motor turns: check the encoder's Z wire"
         if drive.home is not None:
@@ -206,7 +219,7 @@ def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
 
 def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
     """Fit volts = R I + k w over all passes, w the motor's own speed; only a check of the data sheet's values."""
-    if len(found.passes) < 4:
+    if len(found.passes) < 4 or not found.has_volts:
         return
     per_turn = draft.gear_ratio * draft.encoder_counts_per_rev / result.drive.encoder_counts_per_rev
     rows = [(p.current_A, p.speed_rad_s * per_turn, p.volts) for p in found.passes]

@@ -14,8 +14,8 @@ from itertools import pairwise
 
 from control.model.arm import Drive
 from control.model.joint_map import JointMap
-from procedures.bringup.bench import Bench, Channel, DriveLimits, Sample
 from procedures.bringup.survey import Caution
+from procedures.bringup.workbench import Channel, DriveLimits, Sample, Workbench
 
 INTEGRAL_1_s = 10.0  # crossover of the speed loop, a fifth of the motor's own corner
 STALL_WINDOW_S = 0.15
@@ -55,7 +55,7 @@ class JointDriver:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: Workbench,
         drive: Drive,
         node: int,
         channel: Channel,

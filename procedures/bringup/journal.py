@@ -94,7 +94,7 @@ class Journal:
 def _keys(drive: Drive) -> dict[str, Any]:
     """The keys of a drive that bring-up may change."""
     names = (
-        "motor_node", "motor_direction", "encoder_board", "encoder_channel", "encoder_direction",
+        "motor_node", "motor_direction", "board", "board_channel", "encoder_board", "encoder_channel", "encoder_direction",
         "encoder_counts_per_rev", "gear_ratio", "joint_lower_rad", "joint_upper_rad",
     )  # fmt: skip
     keys: dict[str, Any] = {name: getattr(drive, name) for name in names}

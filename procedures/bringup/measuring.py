@@ -13,6 +13,7 @@ from control.hardware.words import HOME_SWITCH, QUADRATURE_ERROR, SIGNAL_LOST
 from procedures.bringup.driving import End, JointDriver, Run
 from procedures.bringup.operator import Operator, Stopped
 
+SUPPORT_S = 0.3  # in which a joint comes to rest once the links are supported anew
 LATCHES = 5
 INDEX_SPEED_rad_s = 0.12
 SAME_PULSE_counts = 4
@@ -54,6 +55,11 @@ class Measured:
     is_home_active: list[bool] = field(default_factory=list)
     """All observed states of the switch."""
     index_rad: float = math.nan
+    has_index: bool = True
+    """False: the boards latch none; `index_rad` is the edge of the home switch."""
+    has_volts: bool = True
+    cycle_rad: float = 0.0
+    """How far the joint creeps between two looks at its switch, where that is more than a board's own look."""
     flags: int = 0
     stalled_early: bool = False
 
@@ -62,17 +68,22 @@ def measure(
     driver: JointDriver, operator: Operator, speed_rad_s: float, with_stops: bool, joint: int
 ) -> Measured:
     """Take all measurements. Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off."""
-    found = Measured()
+    bench = driver.bench
+    found = Measured(
+        has_index=bench.has_index, has_volts=bench.has_volts, cycle_rad=bench.look_s * abs(speed_rad_s)
+    )
     operator.support(joint)
+    driver.bench.observe(SUPPORT_S)
     try:
         _known_angle(driver, operator, joint, found, KNOWN_ANGLE_RAD if with_stops else LONG_ANGLE_RAD)
         _allow(
             operator,
             joint,
-            "makes a few motor turns to find the index, then moves back and forth to measure friction",
+            f"{'makes a few motor turns to find the index, then ' * found.has_index}moves back and forth to measure friction",
             0.5,
         )
-        measure_index_spacing(driver, found)
+        if found.has_index:
+            measure_index_spacing(driver, found)
         _friction(driver, found)
         if with_stops:
             _allow(operator, joint, "creeps to both end stops; its whole range must be clear", None)
@@ -224,7 +235,9 @@ def _creep(driver: JointDriver, found: Measured, distance_rad: float, speed_rad_
         found.edges.append((edge_rad, direction, is_active))
         home = driver.drive.home
         forth = 1 if home is None or home.index_rad >= home.switch_rad else -1
-        if is_active and direction == forth and math.isnan(found.index_rad):
+        if not found.has_index and is_active and direction == forth:
+            found.index_rad = edge_rad
+        elif is_active and direction == forth and math.isnan(found.index_rad):
             left_rad -= _index_behind(driver, found, direction)
         if left_rad <= 0.0:
             return run

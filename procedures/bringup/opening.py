@@ -1,7 +1,7 @@
 """Opens the arm of a command: on its own ports or as a mock arm, with the matching clock."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,6 +11,9 @@ from control.hardware.connect import with_links
 from control.model.arm import Arm
 from control.model.description import load_arm
 from firmware_iface.clock import Clock, MonotonicClock
+from procedures.bringup.bench import Bench
+from procedures.bringup.operator import Operator
+from procedures.bringup.workbench import Workbench
 from procedures.link_options import link_options
 
 if TYPE_CHECKING:
@@ -27,6 +30,27 @@ class Setting:
     """The arm with the links of the command line or the mock."""
     clock: Clock
     rig: "SteppedRig | None" = None
+
+
+@contextmanager
+def open_bench(
+    arm: Arm, clock: Clock, operator: Operator, currents_A: Mapping[int, float]
+) -> Iterator[Workbench]:
+    """The boards of an arm, whose drives get at most `currents_A` by joint. ArmError where not all are of one sort."""
+    bought = [drive.board for drive in arm.drives if drive.board]
+    if bought and len(bought) < len(arm.drives):
+        raise ArmError(
+            f"arm {arm.name}: bring-up takes reference motor boards or [[board]]s, not both: bring up two drafts, each with the"
+            " joints of one sort"
+        )
+    if bought:
+        from procedures.bringup.bought_bench import BoughtBench
+
+        with BoughtBench(arm, clock, operator, currents_A) as boards:
+            yield boards
+        return
+    with Bench(arm, clock, operator) as bench:
+        yield bench
 
 
 @contextmanager

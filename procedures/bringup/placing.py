@@ -70,7 +70,8 @@ def _place_index(result: Diagnosis, found: Measured, home: Home, offset_rad: flo
                 f"{name}: HOME SWITCH MOVED: its index comes {scale * (found.index_rad - fmean(edges)):.4f} rad"
                 f" behind it, draft {home.index_rad - home.switch_rad:.4f} rad: switch_rad = {round(switch_rad, 4):g}"
             )
-        _warn_of_far_index(result, turn_rad, scale * (found.index_rad - fmean(edges)))
+        if found.has_index:
+            _warn_of_far_index(result, turn_rad, scale * (found.index_rad - fmean(edges)))
     result.drive = replace(
         result.drive, home=replace(home, index_rad=index_rad, switch_rad=round(switch_rad, 7))
     )

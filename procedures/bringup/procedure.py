@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
 from control.model.arm import Arm, Drive
-from procedures.bringup.bench import Bench, SafetyTrip
 from procedures.bringup.diagnosis import diagnose
 from procedures.bringup.driving import JointDriver
 from procedures.bringup.findings import Diagnosis
@@ -18,6 +17,7 @@ from procedures.bringup.measuring import measure
 from procedures.bringup.operator import Operator
 from procedures.bringup.survey import Caution, pulse
 from procedures.bringup.wiring import JointWiring, WiringFound, wiring_of
+from procedures.bringup.workbench import SafetyTrip, Workbench, named
 
 SURVEY_SPEED_rad_s = 0.3
 PASS_SPEED_rad_s = 0.45  # of the fastest friction pass
@@ -46,10 +46,21 @@ class Outcome:
 
 
 def bring_up(
-    arm: Arm, bench: Bench, operator: Operator, journal: Journal, options: Options, say: Callable[[str], None]
+    arm: Arm,
+    bench: Workbench,
+    operator: Operator,
+    journal: Journal,
+    options: Options,
+    say: Callable[[str], None],
 ) -> Outcome:
     """Pulse, then measure the joints that have not passed yet. Raises Stopped and board errors; all drives are then off."""
     outcome = Outcome()
+    if options.with_stops and not bench.limits_current:
+        say(
+            "These boards do not take a current limit from armwright (docs/boards.md): end stops are left out, and so are home"
+            " switches."
+        )
+        options = replace(options, with_stops=False)
     currents = {drive.joint: caution_of(arm, drive, options) for drive in arm.drives}
     say("Motor survey: a short pulse on each motor board.")
     pulses = []
@@ -57,7 +68,7 @@ def bring_up(
         try:
             pulses.append(pulse(bench, operator, drive, currents[drive.joint], arm.joint_count))
         except SafetyTrip as trip:
-            outcome.problems.append(f"motor board {drive.motor_node}: {trip}")
+            outcome.problems.append(f"{named(drive)}: {trip}")
     journal.note_pulses(pulses)
     outcome.wiring = wiring_of(pulses, arm.drives)
     outcome.problems += outcome.wiring.problems
@@ -72,7 +83,7 @@ def bring_up(
 
 
 def measure_joint(
-    arm: Arm, bench: Bench, operator: Operator, journal: Journal, options: Options, outcome: Outcome,
+    arm: Arm, bench: Workbench, operator: Operator, journal: Journal, options: Options, outcome: Outcome,
     wiring: JointWiring, caution: Caution, say: Callable[[str], None],
 ) -> None:  # fmt: skip
     drive = arm.drive(wiring.joint)
@@ -86,8 +97,7 @@ def measure_joint(
         outcome.problems.append(f"joint {wiring.joint}: {trip}")
         say(f"  BAD   joint {wiring.joint}: {trip}")
         return
-    identity = bench.encoders[wiring.channel[0]].identity
-    board_counts = identity.counts_per_turn[wiring.channel[1]] if identity else drive.encoder_counts_per_rev
+    board_counts = bench.counts_per_turn(wiring.channel) or drive.encoder_counts_per_rev
     result = diagnose(drive, wiring, found, board_counts)
     outcome.diagnoses[wiring.joint] = result
     outcome.problems += result.problems
@@ -130,8 +140,3 @@ def _gravity_Nm(arm: Arm, joint: int) -> float:
         return max(abs(dynamics.inverse(pose.tolist(), still, still)[joint - 1]) for pose in poses)
     except MissingModel:
         return 0.0
-
-
-def serial_numbers(bench: Bench) -> dict[int, int]:
-    """Of the motor boards, by node."""
-    return {node: motor.identity.serial_number for node, motor in bench.motors.items() if motor.identity}

@@ -4,13 +4,13 @@ Only the rough motor constants of the draft (resistance, constant, gear) are tru
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from control.hardware.words import SIGNAL_LOST
 from control.model.arm import Drive
 from control.model.joint_map import JointMap
-from procedures.bringup.bench import Bench, Channel, DriveLimits, Sample
 from procedures.bringup.operator import Operator, Stopped
+from procedures.bringup.workbench import Channel, DriveLimits, Sample, Workbench, named, node_of
 
 PULSE_RAD = 0.05  # joint travel of a pulse: visible, but harmless
 BLIND_RAD = 0.12  # largest travel of a pulse if nothing is counted, by voltage over back-EMF
@@ -63,44 +63,46 @@ class Pulse:
         return asdict(self)
 
 
-def pulse(bench: Bench, operator: Operator, drive: Drive, caution: Caution, joint_count: int) -> Pulse:
+def pulse(bench: Workbench, operator: Operator, drive: Drive, caution: Caution, joint_count: int) -> Pulse:
     """Ramp the voltage of the draft's motor board for `drive` until something moves, ask what moved, and go back.
 
     Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off.
     """
-    volts = caution.voltage_V(drive)
+    volts, name, node = caution.voltage_V(drive), named(drive), node_of(drive)
     per_rad = abs(JointMap(drive).counts_per_radian)
     if not operator.allow(
-        f"Motor board {drive.motor_node} (joint {drive.joint} in the draft): a pulse of at most"
+        f"{name[:1].upper()}{name[1:]} (joint {drive.joint} in the draft): a pulse of at most"
         f" {caution.current_A:.2f} A and {volts:.2f} V. One joint should turn by about {math.degrees(PULSE_RAD):.0f}"
         f" deg, at most {math.degrees(BLIND_RAD):.0f} deg."
     ):
         raise Stopped("the operator did not confirm the pulse")
-    before_count = bench.motor_count(drive.motor_node)
+    bench.prepare()
+    before_count = bench.motor_count(node)
     sinking = _drift(bench)
     limits = DriveLimits(caution.current_A, volts, travel_count=TRAVEL * PULSE_RAD * per_rad)
     forth = _ramp(bench, drive, limits, per_rad, 1.0)
     rest = bench.observe(SETTLE_S)
     moved = _moved(forth[0], rest, sinking)
-    motor_board_count = bench.motor_count(drive.motor_node) - before_count
+    motor_board_count = bench.motor_count(node) - before_count
     seen = operator.what_moved(joint_count)
     returned: dict[Channel, int] = {}
     if any(abs(count) > MOVED_RAD * per_rad for count in moved.values()) or seen:
         back = _ramp(bench, drive, limits, per_rad, -1.0, -_largest(moved))
         rest = bench.observe(SETTLE_S)
         returned = _moved(back[0], rest, sinking)
-    return _judged(drive, forth, moved, returned, seen, per_rad, motor_board_count)
+    judged = _judged(drive, forth, moved, returned, seen, per_rad, motor_board_count)
+    return judged if bench.has_volts else replace(judged, peak_volts=math.nan, stall_ohm=math.nan)
 
 
 def _ramp(
-    bench: Bench, drive: Drive, limits: DriveLimits, per_rad: float, sign: float, wanted: int = 0
+    bench: Workbench, drive: Drive, limits: DriveLimits, per_rad: float, sign: float, wanted: int = 0
 ) -> list[Sample]:
     """Raise the voltage until the largest channel has moved by the pulse (or by `wanted` counts); returns all cycles."""
     samples: list[Sample] = []
     blind_rad, time_s = 0.0, 0.0
     goal = abs(wanted) or PULSE_RAD * per_rad
     constant = drive.gear_ratio * drive.torque_constant_Nm_A
-    with bench.driving(drive.motor_node, limits):
+    with bench.driving(node_of(drive), limits):
         first = bench.cycle(0.0)
         samples.append(first)
         while time_s < RAMP_S + HOLD_S and blind_rad < BLIND_RAD:
@@ -116,7 +118,7 @@ def _ramp(
     return samples
 
 
-def _drift(bench: Bench) -> dict[Channel, float]:
+def _drift(bench: Workbench) -> dict[Channel, float]:
     """Counts per second of joints that sink with shorted windings, before anything is driven."""
     first = bench.observe(0.02)
     last = bench.observe(SETTLE_S)
@@ -151,7 +153,7 @@ def _judged(
     still = [s for s in forth if all(abs(s.counts[at] - forth[0].counts[at]) < 5 for at in s.counts)]
     vi, ii = sum(s.volts * s.current_A for s in still), sum(s.current_A**2 for s in still)
     return Pulse(
-        node=drive.motor_node,
+        node=node_of(drive),
         joint=seen[0] if seen else 0,
         direction=seen[1] if seen else 0,
         channel=channel,

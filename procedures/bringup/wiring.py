@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from control.model.arm import Drive
-from procedures.bringup.bench import Channel
 from procedures.bringup.survey import Pulse
+from procedures.bringup.workbench import Channel, channel_of, named, node_of
 
 NO_CURRENT = 0.1  # of the current that the voltage would drive through the windings at rest
 NO_CURRENT_A = 0.06  # more is not noise; friction of a small gear needs it
@@ -23,6 +23,8 @@ class JointWiring:
     channel: Channel
     encoder_direction: int
     board_holds: bool
+    board: str = ""  # of a bought board, and its output
+    board_channel: int = 1
 
 
 @dataclass(slots=True)
@@ -37,7 +39,7 @@ class WiringFound:
 def wiring_of(pulses: Sequence[Pulse], drives: Sequence[Drive]) -> WiringFound:
     """Combine the pulses of all motor boards."""
     found = WiringFound()
-    draft = {drive.motor_node: drive for drive in drives}
+    draft = {node_of(drive): drive for drive in drives}
     for pulse in pulses:
         drive = draft[pulse.node]
         problem = _problem_of(pulse, drive)
@@ -53,17 +55,16 @@ def wiring_of(pulses: Sequence[Pulse], drives: Sequence[Drive]) -> WiringFound:
 
 def _problem_of(pulse: Pulse, drive: Drive) -> str:
     """Why a pulse does not identify a joint, or ""."""
-    name = f"motor board {pulse.node} (joint {drive.joint} in the draft)"
+    name = f"{named(drive)} (joint {drive.joint} in the draft)"
     is_counted, is_seen = pulse.channel is not None, pulse.joint > 0
-    wanted_A = pulse.peak_volts / drive.resistance_ohm
-    flowed = f"{pulse.peak_current_A:.2f} A at {pulse.peak_volts:.2f} V"
+    flowed = f"{pulse.peak_current_A:.2f} A"
+    least_A = NO_CURRENT_A
+    if math.isfinite(pulse.peak_volts):
+        flowed += f" at {pulse.peak_volts:.2f} V"
+        least_A = min(NO_CURRENT * pulse.peak_volts / drive.resistance_ohm, NO_CURRENT_A)
     # A gear without friction hardly needs current either, but it follows the voltage in both directions.
     follows = pulse.moved_count * pulse.returned_count < 0
-    if (
-        pulse.peak_current_A < min(NO_CURRENT * wanted_A, NO_CURRENT_A)
-        and not follows
-        and is_counted >= is_seen
-    ):
+    if pulse.peak_current_A < least_A and not follows and is_counted >= is_seen:
         moved = "the motion came from gravity" if is_counted else "nothing moves or counts"
         return (
             f"{name}: DEAD MOTOR: no current flows ({flowed}), {moved}: check the motor's cable, plug and brushes,"
@@ -96,6 +97,12 @@ def _problem_of(pulse: Pulse, drive: Drive) -> str:
 def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
     if pulse.channel is None:
         return
+    if drive.board and pulse.channel != channel_of(drive):
+        found.problems.append(
+            f"{named(drive)} moved joint {pulse.joint}, but the encoder of joint {pulse.channel[1] + 1} in the draft counted:"
+            " SWAPPED ENCODER: swap the encoders' plugs"
+        )
+        return
     if pulse.joint in found.joints:
         found.problems.append(
             f"motor boards {found.joints[pulse.joint].node} and {pulse.node} both moved joint {pulse.joint}: two"
@@ -109,9 +116,11 @@ def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
             " or a joint is not supported"
         )
     encoder_direction = pulse.direction * (1 if pulse.moved_count > 0 else -1)
+    holds = drive.board_holds if drive.board else _can_board_hold(pulse)
     found.joints[pulse.joint] = JointWiring(
-        pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction, _can_board_hold(pulse)
-    )
+        pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction, holds,
+        drive.board, drive.board_channel,
+    )  # fmt: skip
     _compare_motor_board(found, pulse, drive)
 
 
@@ -124,7 +133,7 @@ def _can_board_hold(pulse: Pulse) -> bool:
 def _compare_motor_board(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
     """The motor board's own counter of the same encoder: needed in position mode, and to hold when the loop is gone."""
     counted = pulse.motor_board_count
-    name = f"joint {pulse.joint}: motor board {pulse.node}"
+    name = f"joint {pulse.joint}: {named(drive)}"
     is_position = drive.pid.mode == "position"
     if counted < -10:
         text = (
@@ -163,11 +172,16 @@ def _changes(found: JointWiring, drive: Drive) -> list[str]:
     """Differences of the wiring from the draft; each is corrected in the new file."""
     changes = []
     name = f"joint {found.joint}"
-    if found.node != drive.motor_node:
+    if found.board and found.node != node_of(drive):
+        changes.append(
+            f'{name}: SWAPPED MOTOR: board "{found.board}" (output {found.board_channel}) moves it, draft {named(drive)}:'
+            " board and board_channel corrected"
+        )
+    elif found.node != node_of(drive):
         changes.append(
             f"{name}: SWAPPED MOTOR: motor board {found.node} moves it, draft {drive.motor_node}: motor_node corrected"
         )
-    if found.channel != (drive.encoder_board, drive.encoder_channel):
+    if not found.board and found.channel != channel_of(drive):
         draft = _named((drive.encoder_board, drive.encoder_channel))
         changes.append(
             f"{name}: SWAPPED ENCODER: channel {_named(found.channel)} counts it, draft {draft}: encoder_channel"

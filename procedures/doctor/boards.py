@@ -98,6 +98,15 @@ def open_boards(arm: Arm, clock: Clock, period_s: float) -> Boards:
 
 def _open_bought(boards: Boards, arm: Arm, clock: Clock, period_s: float) -> None:
     """Open the [[board]]s, and time how fast they answer."""
+    for drive in arm.drives:
+        if drive.pid.mode in arm.kind_of(drive).frees_in:
+            boards.note(
+                Level.WARN,
+                f"joint {drive.joint}: without the host",
+                f'frees its motor in mode "{drive.pid.mode}": nothing stops the joint, and a loaded arm drops',
+                "held or braked",
+                'take mode = "position", or fit a brake',
+            )
     opened = Opened()
     open_kinds(arm, clock, period_s, opened)
     boards.closers += opened.closers

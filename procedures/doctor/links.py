@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from control.model.arm import Arm, CanBus
+from control.model.board_kinds import KINDS
 from firmware_iface.can_adapters import INTERFACES
 from firmware_iface.link import LATENCY_ms, PortHere, can_buses, latency_file, lower_latency, serial_ports
 from procedures.doctor.finding import Finding, Level
@@ -39,7 +40,8 @@ def look_at_links(arm: Arm) -> list[Finding]:
     if arm.can is not None:
         if arm.can.interface == "slcan":
             findings += judge_serial("CAN bus", arm.can.channel, here, Path("/"))
-        findings += judge_can(arm.can, kernel_details)
+        needs_fd = any(KINDS[board.kind].needs_fd for board in arm.boards)
+        findings += judge_can(arm.can, kernel_details, needs_fd)
     return findings
 
 
@@ -65,7 +67,7 @@ def judge_serial(what: str, path: str, here: list[PortHere], root: Path) -> Iter
         )  # fmt: skip
 
 
-def judge_can(can: CanBus, details: Details) -> Iterator[Finding]:
+def judge_can(can: CanBus, details: Details, needs_fd: bool = False) -> Iterator[Finding]:
     """Whether the interface is known and its driver here; on SocketCAN, its state, bit rate and settings."""
     what = f"CAN interface {can.interface}:{can.channel}"
     known = INTERFACES.get(can.interface)
@@ -76,12 +78,15 @@ def judge_can(can: CanBus, details: Details) -> Iterator[Finding]:
     elif can.interface == "gs_usb":
         yield Finding(Level.WARN, GROUP, what, "waits 1 ms in each cycle", "SocketCAN", known.remedy)
     elif can.interface == "socketcan":
-        yield from _judge_socketcan(what, can, details(can.channel))
+        yield from _judge_socketcan(what, can, details(can.channel), needs_fd)
 
 
-def _judge_socketcan(what: str, can: CanBus, found: Mapping[str, Any] | None) -> Iterator[Finding]:
+def _judge_socketcan(
+    what: str, can: CanBus, found: Mapping[str, Any] | None, needs_fd: bool
+) -> Iterator[Finding]:
     """`found` is what `ip -details -json link show` says of it; None where the machine has no such interface or no ip."""
-    up = f"ip link set {can.channel} up type can bitrate {can.bitrate} restart-ms 100"
+    data_phase = "dbitrate 5000000 fd on " if needs_fd else ""
+    up = f"ip link set {can.channel} up type can bitrate {can.bitrate} {data_phase}restart-ms 100"
     if found is None:
         remedy = f"plug the adapter in; `ip -br link show type can` lists what is here; then `{up}`"
         yield Finding(Level.BAD, GROUP, what, "there is no such interface", can.channel, remedy)
@@ -102,6 +107,8 @@ def _judge_socketcan(what: str, can: CanBus, found: Mapping[str, Any] | None) ->
         yield Finding(Level.OK, GROUP, what, measured)
     if bitrate is not None and bitrate != can.bitrate:
         yield Finding(Level.BAD, GROUP, f"{what}: bit rate", str(bitrate), str(can.bitrate), again)
+    if needs_fd and data and "FD" not in data.get("ctrlmode", []):
+        yield Finding(Level.BAD, GROUP, f"{what}: CAN FD", "off", "on, for boards of this arm", again)
     if data and not data.get("restart_ms"):
         remedy = f"it stays off the bus after a short circuit: {again}"
         yield Finding(Level.WARN, GROUP, f"{what}: restart after bus-off", "never", "100 ms", remedy)

@@ -33,6 +33,14 @@ def test_reports_that_waited_in_a_buffer_are_no_restart() -> None:
     assert time.seconds == pytest.approx(10.0)
 
 
+def test_first_reports_that_waited_for_a_host_that_was_busy_with_its_start_are_no_restart() -> None:
+    time = BoardTime()
+    for number in range(150):
+        assert time.advance(number * 1000, 50.0)  # the oldest, read 3 s late
+    assert time.advance(3_010_000, 50.01)  # a tty that was full has dropped those between
+    assert time.advance(3_011_000, 50.011)
+
+
 @pytest.mark.parametrize("ran_s", [1.0, 100.0, 2500.0, 3000.0, WRAP_s + 3000.0])
 @pytest.mark.parametrize("off_s", [0.1, 0.5, 5.0])
 def test_a_restart_is_told_however_long_it_ran(ran_s: float, off_s: float) -> None:

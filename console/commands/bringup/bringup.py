@@ -8,19 +8,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from control.errors import ArmError
-from control.model.arm import Arm
+from control.model.arm import Arm, Drive
 from control.model.description import save_arm
-from procedures.bringup.bench import Bench
 from procedures.bringup.findings import Diagnosis
 from procedures.bringup.journal import Journal, brought_up
-from procedures.bringup.opening import Setting, opened
+from procedures.bringup.opening import Setting, open_bench, opened
 from procedures.bringup.operator import Operator, Stopped
-from procedures.bringup.procedure import Options, Outcome, bring_up, serial_numbers
+from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
 from procedures.bringup.terminal import TerminalOperator
 from procedures.folders import require_writable
 
 FASTEST_rad_s = 1.0
-PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all others stay off, with shorted windings.
+PREFACE = """Bring-up of arm {name}. One motor at a time gets a low current; all others stay off, with shorted windings,
+or are held by their boards.
 Keep the emergency stop in hand and the range of every joint clear. Put the arm near an upright pose and support its links.
 """
 
@@ -84,11 +84,14 @@ def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: O
             f"From {journal.path}: joints {', '.join(map(str, journal.passed()))} have already passed."
         )
     try:
-        with Bench(setting.arm, setting.clock, operator) as bench:
+        currents_A = {
+            drive.joint: caution_of(setting.arm, drive, options).current_A for drive in setting.arm.drives
+        }
+        with open_bench(setting.arm, setting.clock, operator, currents_A) as bench:
             outcome = Outcome()
             if options.joints:
                 outcome = bring_up(setting.arm, bench, operator, journal, options, operator.say)
-            serials = serial_numbers(bench)
+            serials = bench.serials()
     except Stopped as stopped:
         sys.stderr.write(
             f"armwright: {stopped}; the drives are off. The same command continues from {journal.path}\n"
@@ -115,13 +118,18 @@ def _say_problems(outcome: Outcome, journal: Journal, out: Path) -> None:
     )
 
 
+def _wired(drive: Drive) -> str:
+    """Where its motor and its encoder are, with their signs."""
+    motor, encoder = f"({drive.motor_direction:+d})", f"({drive.encoder_direction:+d})"
+    if drive.board:
+        return f'board "{drive.board}", output {drive.board_channel} {motor}, encoder {encoder}'
+    return f"node {drive.motor_node} {motor}, channel {drive.encoder_channel} {encoder}"
+
+
 def figures_in_words(joint: int, result: Diagnosis) -> str:
     """One line of measured values."""
     figures, drive = result.figures, result.drive
-    parts = [
-        f"joint {joint}: node {drive.motor_node} ({drive.motor_direction:+d}), channel {drive.encoder_channel}"
-        f" ({drive.encoder_direction:+d})"
-    ]
+    parts = [f"joint {joint}: {_wired(drive)}"]
     for keys, text, scale in SHOWN:
         values = [scale * figures.get(key, math.nan) for key in keys]
         if all(map(math.isfinite, values)):

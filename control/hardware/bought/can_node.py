@@ -38,7 +38,7 @@ class CanNode(Protocol):
     def at_s(self) -> float: ...
     @property
     def is_known(self) -> bool: ...
-    def await_status(self) -> None: ...
+    def await_count(self) -> None: ...
 
 
 class BusLine:
@@ -76,7 +76,7 @@ class NodeEncoder(AskedEncoders):
 
     def fresh_count(self, joint: int) -> int:
         """A count that is sent from now on. BoardSilent if there is none."""
-        self._board.await_status()
+        self._board.await_count()
         return self._board.count + self.offset
 
     def arm_index(self, joint: int) -> None:

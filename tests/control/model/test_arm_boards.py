@@ -31,6 +31,11 @@ def _beside_a_reference_board(arm: Arm) -> Arm:
     return replace(arm, drives=(*arm.drives[:2], RIGHT.drives[2]), encoder_boards=RIGHT.encoder_boards)
 
 
+def _beside_a_cia402_drive(arm: Arm) -> Arm:
+    other = on_boards(RIGHT, "cia402")
+    return replace(arm, boards=(*arm.boards[:2], other.boards[2]), drives=(*arm.drives[:2], other.drives[2]))
+
+
 @pytest.mark.parametrize(
     ("kind", "change", "said"),
     [
@@ -54,7 +59,8 @@ def _beside_a_reference_board(arm: Arm) -> Arm:
             _counted_elsewhere,
             r"encoder_board of \[\[drive\]\] 1: expected none: such a drive closes its own loop",
         ),
-        ("odrive", _beside_a_reference_board, "no reference motor board beside cia402 and odrive"),
+        ("odrive", _beside_a_cia402_drive, "boards of one kind on .can. of cia402 and odrive"),
+        ("odrive", _beside_a_reference_board, "no reference motor board beside odrive"),
     ],
 )
 def test_what_a_kind_of_board_cannot_do_is_refused_with_the_place(

@@ -23,13 +23,14 @@ from firmware_iface.motor.cia402 import State
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
 from procedures.bringup import measuring
-from procedures.bringup.bench import Bench, DriveLimits, SafetyTrip
+from procedures.bringup.bench import Bench
 from procedures.bringup.diagnosis import rewired
 from procedures.bringup.journal import Journal, brought_up
 from procedures.bringup.measuring import Measured
 from procedures.bringup.mock_operator import MockOperator
 from procedures.bringup.operator import Stopped
 from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
+from procedures.bringup.workbench import DriveLimits, SafetyTrip
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 from tests.places import RIGHT_TOML
 
@@ -39,7 +40,7 @@ SURVEY = Options((), None, 0.3, False)
 
 
 @pytest.fixture(autouse=True)
-def _short_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_ways(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer index pulses and passes than a real arm gets: a test waits for every second of them."""
     monkeypatch.setattr(measuring, "LATCHES", 3)
     monkeypatch.setattr(measuring, "INDEX_SPEED_rad_s", 0.25)

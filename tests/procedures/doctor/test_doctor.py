@@ -25,7 +25,8 @@ from procedures.doctor.host import judge_lateness, judge_strain, lateness, look_
 from procedures.doctor.judging import clock_drift, judge
 from procedures.doctor.links import judge_can, judge_serial
 from procedures.doctor.sampling import sample
-from tests.cell import RIGHT, scenario, wired_to, with_drive
+from procedures.mock.on_boards import on_boards
+from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
 
 QUICK_S = 0.2
 
@@ -158,18 +159,32 @@ def test_an_arm_without_boards_says_what_to_add() -> None:
     ]
 
 
+@pytest.mark.parametrize(("mode", "warned"), [("position", 0), ("current", 3)])
+def test_boards_that_would_free_their_motors_without_the_host_are_named(mode: str, warned: int) -> None:
+    arm = on_boards(RIGHT, "odrive")
+    in_mode = with_drives(arm, pid=replace(arm.drives[0].pid, mode=mode))
+    with SteppedRig(in_mode, scenario(None)) as rig:
+        boards = open_boards(wired_to(in_mode, rig), rig.clock, 0.004)
+        boards.close()
+    unwell = [found for found in boards.findings if found.level is not Level.OK]
+    assert len(unwell) == warned
+    assert all("a loaded arm drops" in found.measured for found in unwell)
+
+
 UP = {"flags": ["NOARP", "UP", "LOWER_UP"], "txqlen": 100, "linkinfo": {"info_kind": "can", "info_data": {
     "state": "ERROR-ACTIVE", "restart_ms": 100, "bittiming": {"bitrate": 1_000_000},
 }}}  # fmt: skip
 CAN0 = CanBus("socketcan", "can0")
 
 
-def about_can(can: CanBus, details: Mapping[str, Any] | None, **data: object) -> list[str]:
+def about_can(
+    can: CanBus, details: Mapping[str, Any] | None, needs_fd: bool = False, **data: object
+) -> list[str]:
     """What is not well, with `data` in place of what the kernel says of a good interface."""
     if details is not None and data:
         info = {**details["linkinfo"]["info_data"], **data}
         details = {**details, "linkinfo": {"info_kind": "can", "info_data": info}}
-    found = list(judge_can(can, lambda channel: details))
+    found = list(judge_can(can, lambda channel: details, needs_fd))
     assert all(finding.remedy for finding in found if finding.level is not Level.OK)
     return [f"{f.level.name} {f.what}: {f.measured}" for f in found if f.level is not Level.OK]
 
@@ -185,6 +200,8 @@ def test_the_state_of_a_can_interface_is_read_from_the_kernel() -> None:
     assert about_can(CAN0, UP, bittiming={"bitrate": 500_000}) == [f"BAD {name}: bit rate: 500000"]
     assert about_can(CAN0, UP, restart_ms=0) == [f"WARN {name}: restart after bus-off: never"]
     assert about_can(CAN0, {**UP, "txqlen": 10}) == [f"WARN {name}: transmit queue: 10 frames"]
+    assert about_can(CAN0, UP, needs_fd=True) == [f"BAD {name}: CAN FD: off"]
+    assert about_can(CAN0, UP, needs_fd=True, ctrlmode=["FD"]) == []
     assert about_can(CanBus("socketcan", "can1", 500_000), UP)[0].endswith("bit rate: 1000000")
 
 

@@ -1,0 +1,79 @@
+"""Bring-up of arms on bought boards: signs and outputs that are wired wrongly, end stops, and what a kind of board cannot do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from control.errors import ArmError
+from control.model.arm import Arm
+from hil_mocks.rig import SteppedRig
+from hil_mocks.scenario import FaultTable
+from procedures.bringup.journal import Journal, brought_up
+from procedures.bringup.mock_operator import MockOperator
+from procedures.bringup.opening import open_bench
+from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
+from procedures.mock.on_boards import on_boards
+from tests.cell import RIGHT, scenario, wired_to, with_drive
+from tests.procedures.bringup.test_bringup import said_of, short
+from tests.procedures.bringup.test_bringup import short_ways as short_ways
+
+SURVEY = Options((), None, 0.3, False)
+LAST = Options((3,), None, 0.6, True)
+
+
+def brought(
+    tmp_path: Path, draft: Arm, options: Options, *faults: FaultTable, real: Arm | None = None
+) -> tuple[Outcome, Arm]:
+    """What was found, and the new arm."""
+    with SteppedRig(real or draft, scenario(None, homed=False, base="demo", fault=faults)) as rig:
+        arm, operator = wired_to(draft, rig), MockOperator(rig, is_silent=True)
+        journal = Journal(tmp_path / "journal.json", draft)
+        currents_A = {drive.joint: caution_of(arm, drive, options).current_A for drive in arm.drives}
+        with open_bench(arm, rig.clock, operator, currents_A) as bench:
+            outcome = bring_up(arm, bench, operator, journal, options, lambda text: None)
+    return outcome, brought_up(draft, journal, {})
+
+
+def test_a_joint_on_boards_that_limit_the_current_is_measured_to_its_end_stops_and_its_switch(
+    tmp_path: Path,
+) -> None:
+    draft = on_boards(short(), "moteus")
+    outcome, arm = brought(tmp_path, draft, LAST)
+    assert (outcome.problems, outcome.diagnoses[3].changes) == ([], [])
+    figures = outcome.diagnoses[3].figures
+    assert figures["coulomb_Nm"] == pytest.approx(0.7, rel=0.05)
+    assert figures["lower_stop_rad"] == pytest.approx(0.50, abs=5e-3)
+    assert figures["upper_stop_rad"] == pytest.approx(1.00, abs=5e-3)
+    assert "counts per turn are the draft's" in said_of(outcome)
+    assert arm.drives == draft.drives
+
+
+def test_a_survey_finds_boards_that_changed_places_signs_and_a_joint_that_is_stuck(tmp_path: Path) -> None:
+    draft = on_boards(RIGHT, "vesc")
+    first, second, *rest = draft.boards
+    swapped = (replace(first, address=second.address), replace(second, address=first.address), *rest)
+    real = with_drive(replace(draft, boards=swapped), 2, encoder_direction=-1, motor_direction=-1)
+    outcome, _ = brought(tmp_path, draft, SURVEY, FaultTable("stuck_joint", "vesc3"), real=real)
+    assert [
+        (joint, found.board, found.motor_direction, found.encoder_direction)
+        for joint, found in sorted(outcome.wiring.joints.items())
+    ] == [(1, "vesc2", 1, 1), (2, "vesc1", -1, -1)]
+    said = said_of(outcome)
+    assert 'joint 1: SWAPPED MOTOR: board "vesc2" (output 1) moves it, draft board "vesc1" (output 1)' in said
+    assert "joint 2: REVERSED MOTOR" in said
+    assert "joint 2: REVERSED ENCODER" in said
+    assert 'board "vesc3" (output 1) (joint 3 in the draft): STUCK JOINT' in said
+
+
+def test_mixed_boards_are_refused_before_anything_moves(tmp_path: Path) -> None:
+    with pytest.raises(ArmError, match=r"all take a voltage, or all close the position loop"):
+        brought(tmp_path, on_boards(RIGHT, "mixed"), SURVEY)
+    claws = on_boards(RIGHT, "roboclaw")
+    beside = replace(
+        claws, drives=(*claws.drives[:2], RIGHT.drives[2]), encoder_boards=RIGHT.encoder_boards, can=RIGHT.can
+    )
+    with pytest.raises(ArmError, match=r"takes reference motor boards or \[\[board\]\]s, not both"):
+        brought(tmp_path, beside, SURVEY)
