@@ -96,11 +96,23 @@ def test_a_fault_ends_an_episode_and_costs_all_steps_that_were_left(tmp_path: Pa
     while not terminated:
         _, reward, terminated, truncated, info = environment.step([0.1, 0.1, 0.1])
         steps += 1
+    *_, after = environment.step([0.1, 0.1, 0.1])
     environment.close()
+    assert "the arm is FAULT" in after["limited"]
     assert steps < 10
     assert not truncated
     assert "joint 2: its drive sent no reply" in info["faults"][0]
     assert reward == pytest.approx(-info["distance_m"] * (100 - steps + 1))
+
+
+def test_the_reward_counts_the_true_tip_and_the_observation_has_the_measured_one() -> None:
+    environment = ReachEnvironment(scenario="paper")  # 27 mm of hidden geometry
+    observation, info = environment.reset(seed=1)
+    true_m = np.linalg.norm(environment.mock.true_tip_m() - observation["target_m"])
+    seen_m = np.linalg.norm(observation["tip_m"] - observation["target_m"])
+    environment.close()
+    assert info["distance_m"] == pytest.approx(true_m)
+    assert abs(seen_m - true_m) > 0.002
 
 
 @pytest.mark.parametrize(

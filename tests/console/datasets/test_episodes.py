@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,12 @@ def test_a_sample_is_state_currents_set_point_and_tip_of_one_cycle(tmp_path: Pat
     np.testing.assert_array_equal(episode.joint_rad, series.joint_rad[rows])
     np.testing.assert_array_equal(episode.current_A, series.current_A[rows])
     np.testing.assert_allclose(episode.tip_m, Kinematics(ARM).tips(series.joint_rad[rows]), atol=1e-12)
+
+
+def test_without_modes_an_episode_is_a_whole_run(tmp_path: Path) -> None:
+    series = replace(series_of(tmp_path, 40), mode=np.full(40, -1), modes=())
+    before, after = episodes_of(series, 500)
+    assert (len(before), len(after)) == (10, 30)
 
 
 def test_cycles_that_begin_late_do_not_shift_samples(tmp_path: Path) -> None:
