@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import stat
 import tempfile
 from collections.abc import Callable
@@ -104,6 +105,20 @@ def make_whole(path: Path, write: Callable[[Path], T]) -> T:
         with contextlib.suppress(OSError):  # the original error matters more
             beside.unlink(missing_ok=True)
     return result
+
+
+def make_whole_folder(path: Path, write: Callable[[Path], object]) -> None:
+    """As `make_whole`, for a new folder: `write` fills a temporary one beside it, which is then renamed."""
+    beside = _beside(path)
+    shutil.rmtree(beside, ignore_errors=True)  # of a program that was killed
+    try:
+        beside.mkdir(parents=True)
+        write(beside)
+        beside.rename(path)
+    except OSError as error:
+        raise NotWritten.of(error, path) from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

@@ -18,10 +18,13 @@ MODEL = (
 FILES = (
     CommandSpec(
         "export",
-        "convert a recording to log.csv.gz and MCAP, or that of a cell to one table",
+        "convert a recording to log.csv.gz and MCAP, that of a cell to one table, or several to a LeRobot dataset",
         (
             option(
-                "recording", metavar="LOG", help="a .armlog file, or the folder of a cell's run: cell.csv.gz"
+                "recording",
+                metavar="LOG",
+                nargs="+",
+                help="a .armlog file, or the folder of a cell's run: cell.csv.gz; several files with --lerobot",
             ),
             OUT,
             option("--every", type=int, default=1, metavar="K", help="keep every k-th cycle (default: 1)"),
@@ -30,6 +33,13 @@ FILES = (
                 metavar="A",
                 help="the arm for Foxglove's 3-D panel (default: the recorded one)",
             ),
+            option(
+                "--lerobot",
+                action="store_true",
+                help="write a LeRobot dataset instead, an episode per run; needs the extra `lerobot` (docs/extras.md)",
+            ),
+            option("--fps", type=int, metavar="N", help="samples per second of the dataset (default: 50)"),
+            option("--task", metavar="TEXT", help="what the arm does in the dataset, in words"),
             JSON,
         ),
         module="recordings.export",

@@ -65,6 +65,13 @@ VISUALISATION = (
                 metavar="FILE.rrd",
                 help="send to a Rerun viewer or write a file; needs the extra `rerun` (docs/visualisation.md)",
             ),
+            option(
+                "--foxglove",
+                nargs="?",
+                const="",
+                metavar="[HOST:]PORT",
+                help="serve the live arm to Foxglove (default: 127.0.0.1:8765); needs the extra `foxglove`",
+            ),
         ),
         "Moves nothing: the live view only asks the runtime for its status. docs/visualisation.md.",
         module="recordings.view",

@@ -20,6 +20,7 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.model.table import cavities
+from control.motion.jog_limits import reach_m
 
 Colour = tuple[float, float, float, float]
 COMMANDED: Final[Colour] = (0.835, 0.369, 0.0, 1.0)  # Okabe and Ito
@@ -134,8 +135,7 @@ def scene_of(shown: Arm | Cell) -> Scene:
 
 def _reach_m(arm: Arm) -> float:
     """Approximate largest distance of the tip from the base."""
-    links = sum(math.hypot(link.d_m, link.L_m) for link in arm.links)
-    return max(0.1, links + math.hypot(*arm.tool.position_m))
+    return max(0.1, reach_m(arm))
 
 
 def _spec(arm: Arm) -> Any:

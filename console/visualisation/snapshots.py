@@ -75,9 +75,14 @@ def _angles(measured: Array, wanted: Array) -> tuple[tuple[float, ...], tuple[fl
 
 def live(source: StatusSource, clock: Clock, period_s: float) -> Iterator[Snapshot]:
     """Yield a snapshot every `period_s`. RuntimeGone when the runtime ends."""
+    return map(snapshot_of, live_statuses(source, clock, period_s))
+
+
+def live_statuses(source: StatusSource, clock: Clock, period_s: float) -> Iterator[Message]:
+    """Yield a status every `period_s`. RuntimeGone when the runtime ends."""
     next_s = clock.now_s()
     while True:
-        yield snapshot_of(source.status())
+        yield source.status()
         next_s = max(next_s + period_s, clock.now_s())
         clock.wait_until_s(next_s)
 

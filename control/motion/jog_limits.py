@@ -54,10 +54,21 @@ class JogLimits:
 
 def reaches_m(arm: Arm) -> tuple[float, ...]:
     """For each joint, an upper bound of the tip's distance from its axis: the sum of the link lengths beyond it."""
-    lengths = [math.hypot(link.d_m, link.L_m) for link in arm.links]
-    lengths[-1] += math.hypot(*arm.tool.position_m)
+    lengths = _lengths_m(arm)
     first = [i for i, turns in enumerate(arm.joints) if turns]
     return tuple(max(sum(lengths[i:]), 1e-3) for i in first)
+
+
+def reach_m(arm: Arm) -> float:
+    """An upper bound of the tip's distance from the base frame's origin: the sum of all link lengths."""
+    return sum(_lengths_m(arm))
+
+
+def _lengths_m(arm: Arm) -> list[float]:
+    """The length of each link, with the tool's as part of the last."""
+    lengths = [math.hypot(link.d_m, link.L_m) for link in arm.links]
+    lengths[-1] += math.hypot(*arm.tool.position_m)
+    return lengths
 
 
 def _with_speed(limits: JointLimits, speed_rad_s: tuple[float, ...]) -> JointLimits:

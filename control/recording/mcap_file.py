@@ -24,22 +24,13 @@ from control.model.arm import Arm
 from control.model.description import parse_arm
 from control.recording import mcap_scene as scene
 from control.recording.mcap_events import Events, mode_name
-from control.recording.mcap_schemas import CAMERA, ERROR, FOXGLOVE, LOOP, TOPICS, columns_of, own_schemas
+from control.recording.mcap_schemas import CAMERA, ERROR, LOOP, TOPICS, columns_of, schemas_of
 from control.recording.reading import Recording
 
 Row = tuple[float, ...]
 Point = tuple[float, float, float]
 SCENE_PERIOD_s: Final = 0.02  # the refresh rate of a screen
 PATH_POINTS_MOST: Final = 4000  # points per run, so that a long path can still be drawn
-WELL_KNOWN: Final = {
-    "/tf": "foxglove.FrameTransforms",
-    "/scene": "foxglove.SceneUpdate",
-    "/tip/measured": "foxglove.PoseInFrame",
-    "/tip/set_point": "foxglove.PoseInFrame",
-    "/tip/camera": "foxglove.PoseInFrame",
-    "/joint_states": "foxglove.JointStates",
-    "/log": "foxglove.Log",
-}
 
 
 def to_mcap(
@@ -110,17 +101,16 @@ class _Export:
         self._paths = _commanded_paths(recording, self._columns, self._kinematics) if self._kinematics else {}
 
     def _registered(self, joint_count: int) -> dict[str, int]:
-        own = own_schemas(joint_count)
-        known = {topic: FOXGLOVE[title] for topic, title in WELL_KNOWN.items()}
+        schemas = schemas_of(joint_count)
         ids = {
             schema["title"]: self._writer.register_schema(
                 schema["title"], "jsonschema", json.dumps(schema).encode()
             )
-            for schema in (*own.values(), *known.values())
+            for schema in schemas.values()
         }
         return {
             topic: int(self._writer.register_channel(topic, "json", ids[schema["title"]]))
-            for topic, schema in {**own, **known}.items()
+            for topic, schema in schemas.items()
         }
 
     def add(self, row: Row) -> None:
@@ -173,8 +163,7 @@ class _Export:
         for level, text in self._events.look(
             row[at["t_s"]], int(row[at["mode"]]), run, int(row[at["missed"]]), faults
         ):
-            entry = {"timestamp": scene.stamp(time_ns), "level": level, "message": text}
-            self._write("/log", {**entry, "name": "armwright", "file": "", "line": 0}, time_ns)
+            self._write("/log", scene.log_entry(level, text, time_ns), time_ns)
         if points := self._paths.pop(run, None):
             self._write("/scene", scene.path(points, time_ns), time_ns)
 
@@ -185,16 +174,8 @@ class _Export:
         self._write("/joint_states", states, time_ns)
         if self._arm is None or self._kinematics is None:
             return
-        frames = []
-        for which, angles, topic in (
-            (scene.MEASURED, joint_rad, "/tip/measured"),
-            (scene.SET_POINT, wanted_rad, "/tip/set_point"),
-        ):
-            if all(map(math.isfinite, angles)):
-                frames += scene.transforms(self._arm, which, angles, time_ns)
-                self._write(topic, scene.pose_in_base(self._kinematics.tip(*angles), time_ns), time_ns)
-        if frames:
-            self._write("/tf", {"transforms": frames}, time_ns)
+        for topic, message in scene.posed(self._arm, self._kinematics, joint_rad, wanted_rad, time_ns):
+            self._write(topic, message, time_ns)
 
     def finish(self, written: int, every: int) -> None:
         """Attach the arm, write the metadata and close."""

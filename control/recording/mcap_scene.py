@@ -7,9 +7,10 @@ the previous one by Tz(d) Rz(theta + q) Tx(L) Rx(alpha) (standard) or Rx(alpha) 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
+from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Link
 
 Message = dict[str, Any]
@@ -77,6 +78,25 @@ def pose(position_m: Point, turn: Turn = NO_TURN) -> Message:
 def pose_in_base(position_m: Point, time_ns: int) -> Message:
     """Foxglove's PoseInFrame of a point in the base frame; with the identity as orientation."""
     return {"timestamp": stamp(time_ns), "frame_id": BASE, "pose": pose(position_m)}
+
+
+def posed(
+    arm: Arm, kinematics: Kinematics, joint_rad: Sequence[float], joint_set_rad: Sequence[float], time_ns: int
+) -> Iterator[tuple[str, Message]]:
+    """Topic and message of the frames and tips of both arms, as far as their angles are known."""
+    frames = []
+    for which, angles in ((MEASURED, joint_rad), (SET_POINT, joint_set_rad)):
+        if all(map(math.isfinite, angles)):
+            frames += transforms(arm, which, angles, time_ns)
+            yield f"/tip/{which}", pose_in_base(kinematics.tip(*angles), time_ns)
+    if frames:
+        yield "/tf", {"transforms": frames}
+
+
+def log_entry(level: int, text: str, time_ns: int) -> Message:
+    """Foxglove's Log."""
+    entry = {"timestamp": stamp(time_ns), "level": level, "message": text}
+    return {**entry, "name": "armwright", "file": "", "line": 0}
 
 
 def joint_states(q_rad: Sequence[float], speed_rad_s: Sequence[float], time_ns: int) -> Message:

@@ -74,7 +74,12 @@ MODE_NAME: Final = Field("mode_name", "1", "mode of the arm: OFF, BRAKED, HOLDIN
 FOLLOWING_ERROR: Final = Field("following_error{}_rad", "rad", "set-point minus angle")
 
 
-def own_schemas(joint_count: int) -> dict[str, Schema]:
+def schemas_of(joint_count: int) -> dict[str, Schema]:
+    """Topic -> JSON schema of all messages, for this number of joints."""
+    return {**_own_schemas(joint_count), **{topic: FOXGLOVE[title] for topic, title in WELL_KNOWN.items()}}
+
+
+def _own_schemas(joint_count: int) -> dict[str, Schema]:
     """Topic -> JSON schema of our own messages, for this number of joints."""
     fields = {**TOPICS, ERROR: (FOLLOWING_ERROR,)}
     found = {topic: _own(topic, topic_fields, joint_count) for topic, topic_fields in fields.items()}
@@ -208,3 +213,12 @@ FOXGLOVE: Final[dict[str, Schema]] = {
         ),
     )
 }  # fmt: skip
+WELL_KNOWN: Final = {
+    "/tf": "foxglove.FrameTransforms",
+    "/scene": "foxglove.SceneUpdate",
+    "/tip/measured": "foxglove.PoseInFrame",
+    "/tip/set_point": "foxglove.PoseInFrame",
+    "/tip/camera": "foxglove.PoseInFrame",
+    "/joint_states": "foxglove.JointStates",
+    "/log": "foxglove.Log",
+}

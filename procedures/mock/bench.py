@@ -20,6 +20,7 @@ from control.server.in_process import InProcessChannel
 from firmware_iface.installation import command
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.rig import MockArm, SteppedRig
+from hil_mocks.scenario import Scenario
 from procedures.child_process import ends_with_parent
 from procedures.mock.arm import wired_to
 
@@ -59,7 +60,9 @@ class SteppedBench:
 
     speed = 1.0
 
-    def __init__(self, arm: Arm, scenario: Path, log_folder: Path, through_kernel: bool = False) -> None:
+    def __init__(
+        self, arm: Arm, scenario: Scenario | Path, log_folder: Path, through_kernel: bool = False
+    ) -> None:
         self.rig: MockArm = SteppedRig(arm, scenario, through_kernel)
         self._log_folder = log_folder
         self._period_s = 1.0 / arm.usual_rate_Hz
@@ -107,12 +110,18 @@ class SteppedBench:
         self._client.off(quit_runtime=True)
         while self._channel is not None and self._channel.is_running:
             self._channel.wait(self._period_s)
-        self._connection.close()
-        self._sink.close()
+        self._disconnect()
         return self._recordings[-1]
 
+    def _disconnect(self) -> None:
+        if self._connection is not None and self._sink is not None:
+            self._connection.close()
+            self._sink.close()
+        self._connection = self._sink = None
+
     def close(self) -> None:
-        """End the mock arm."""
+        """End the runtime, if it still runs, and the mock arm."""
+        self._disconnect()
         self.rig.close()
 
 

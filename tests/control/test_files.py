@@ -10,7 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from control.files import NotWritten, append_whole, make_whole, require_writable, write_new, write_whole
+from control.files import (
+    NotWritten,
+    append_whole,
+    make_whole,
+    make_whole_folder,
+    require_writable,
+    write_new,
+    write_whole,
+)
 from control.model.description import load_arm, save_arm
 
 
@@ -79,6 +87,19 @@ def test_an_arm_that_finds_no_room_is_no_half_arm(tmp_path: Path) -> None:
     with files_up_to(100), pytest.raises(NotWritten, match=r"arm\.toml"):
         save_arm(load_arm("right"), tmp_path / "arm.toml")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_finds_no_room_is_no_half_folder(tmp_path: Path) -> None:
+    def write(folder: Path) -> None:
+        (folder / "small").write_bytes(b"1")
+        (folder / "large").write_bytes(bytes(200))
+
+    (tmp_path / ".partial-new" / "of a program that was killed").mkdir(parents=True)
+    with files_up_to(100), pytest.raises(NotWritten, match="new"):
+        make_whole_folder(tmp_path / "new", write)
+    assert not list(tmp_path.iterdir())
+    make_whole_folder(tmp_path / "new", write)
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["large", "small"]
 
 
 def test_trying_a_place_leaves_no_trace(tmp_path: Path) -> None:

@@ -1,13 +1,18 @@
-"""`armwright export`: a recording as log.csv.gz and MCAP, or that of a cell as one table."""
+"""`armwright export`: a recording as log.csv.gz and MCAP, that of a cell as one table, or several as a LeRobot dataset."""
 
 import argparse
 import json
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from console.commands.progress import Bar
+from console.datasets.episodes import Episode, episodes_of
+from console.datasets.lerobot import write_dataset
+from console.visualisation.reading import read_series
 from control.errors import ArmError
 from control.files import make_whole
+from control.model.arm import Arm
 from control.model.description import load_arm
 from control.recording.cell_folder import recordings_in
 from control.recording.export import export
@@ -15,10 +20,20 @@ from control.recording.joined import FILE_NAME, join
 from control.recording.reading import Recording
 from control.recording.recorded_arm import recorded_arm
 
+DATASET_RATE_Hz = 50  # usual for imitation learning; a recording has 500
+
 
 def run(given: argparse.Namespace) -> int:
-    """Export and print the written files."""
-    recording, out = _existing(given.recording), Path(given.out)
+    """Export and print what was written."""
+    if given.lerobot:
+        return _dataset(given)
+    if given.fps is not None or given.task is not None:
+        raise ArmError("--fps and --task are of a dataset: give --lerobot too")
+    if len(given.recording) > 1:
+        raise ArmError(
+            f"expected one recording, got {len(given.recording)}: several make a dataset with --lerobot"
+        )
+    recording, out = _existing(given.recording[0]), Path(given.out)
     written = _joined(recording, out, given) if recording.is_dir() else _exported(given, recording, out)
     if given.json:
         files = {name: {"file": str(out / name), "cycles": rows} for name, rows in written.items()}
@@ -26,6 +41,37 @@ def run(given: argparse.Namespace) -> int:
     else:
         sys.stdout.write("".join(f"{out / name}: {rows} cycles\n" for name, rows in written.items()))
     return 0
+
+
+def _dataset(given: argparse.Namespace) -> int:
+    """A LeRobot dataset of all recordings, an episode a run."""
+    rate_Hz, out = DATASET_RATE_Hz if given.fps is None else given.fps, Path(given.out)
+    if given.every != 1:
+        raise ArmError("--lerobot: not together with --every; --fps sets the rate")
+    if rate_Hz < 1:
+        raise ArmError(f"--fps: expected 1 or more samples per second, got {rate_Hz}")
+    if not (given.task or "").strip():
+        raise ArmError(
+            "--lerobot: say in words what the arm does, which policies may read: --task 'draw a square'"
+        )
+    recordings = [_existing(one) for one in given.recording]
+    arm = load_arm(given.arm) if given.arm else None
+    episodes, frames = write_dataset(_episodes(recordings, arm, rate_Hz), rate_Hz, given.task, out)
+    if given.json:
+        made = {"folder": str(out), "episodes": episodes, "frames": frames, "fps": rate_Hz}
+        sys.stdout.write(json.dumps(made, indent=2) + "\n")
+    else:
+        sys.stdout.write(f"{out}: {episodes} episodes, {frames} frames at {rate_Hz} Hz\n")
+    return 0
+
+
+def _episodes(recordings: Sequence[Path], arm: Arm | None, rate_Hz: int) -> Iterator[Episode]:
+    with Bar("read") as bar:
+        for number, recording in enumerate(recordings):
+            series = read_series(recording, arm)
+            sys.stderr.writelines(f"armwright: warning: {note}\n" for note in series.notes)
+            yield from episodes_of(series, rate_Hz)
+            bar.advance("read", (number + 1) / len(recordings))
 
 
 def _existing(text: str) -> Path:

@@ -1,4 +1,4 @@
-"""`armwright view [LOG]`: shows a recording or the live arm in MuJoCo's viewer, as pictures, or in Rerun."""
+"""`armwright view [LOG]`: shows a recording or the live arm in MuJoCo's viewer, as pictures, in Rerun or Foxglove."""
 
 import argparse
 import contextlib
@@ -12,13 +12,21 @@ from console.commands.progress import Bar
 from console.visualisation.reading_cell import read_log
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
-from console.visualisation.snapshots import CellSource, Snapshot, live, recorded, snapshot_at, snapshot_of
+from console.visualisation.snapshots import (
+    CellSource,
+    Snapshot,
+    live,
+    live_statuses,
+    recorded,
+    snapshot_at,
+    snapshot_of,
+)
 from console.visualisation.traces import TipPath, Traces, tips_in, traces_of
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.cell import Cell, load_cell
 from control.model.description import load_arm
-from control.server.client import RuntimeGone
+from control.server.client import ArmClient, RuntimeGone
 from firmware_iface.clock import MonotonicClock
 
 LIVE_PERIOD_s = 1.0 / 30.0  # the loop serves at most one request per cycle; this is negligible
@@ -33,8 +41,17 @@ def run(given: argparse.Namespace) -> int:
         raise ArmError(f"--fps: expected above 0 and at most 100 frames per second, got {given.fps:g}")
     if given.rerun:
         _file(given.rerun)
-    if given.render and given.rerun is not None:
-        raise ArmError("--render and --rerun contradict each other: give one")
+    if sum(one is not None for one in (given.render, given.rerun, given.foxglove)) > 1:
+        raise ArmError("--render, --rerun and --foxglove contradict each other: give one")
+    if given.foxglove is not None and (given.log is not None or given.cell is not None):
+        raise ArmError(
+            "--foxglove: shows one live arm; not together with a LOG or --cell. For a recording, open the log.mcap of"
+            " `armwright export`"
+        )
+    if given.foxglove:
+        from console.visualisation.foxglove_stream import address_of
+
+        address_of(given.foxglove)
     if given.cell is not None:
         return _cell(given)
     return _live(given) if given.log is None else _recorded(given)
@@ -156,6 +173,8 @@ def _live(given: argparse.Namespace) -> int:
     arm, client = load_arm(given.arm), connected(given)
     if given.render:
         return _snapshot(given, arm, snapshot_of(client.status()))
+    if given.foxglove is not None:
+        return _serve(given, arm, client)
     snapshots = live(client, MonotonicClock(), LIVE_PERIOD_s)
     with contextlib.closing(client), _until_the_runtime_ends():
         if given.rerun is not None:
@@ -168,6 +187,21 @@ def _live(given: argparse.Namespace) -> int:
 
             follow(ArmScene(arm), snapshots, open_window)
     return 0
+
+
+def _serve(given: argparse.Namespace, arm: Arm, client: ArmClient) -> int:
+    """Serve the live arm to Foxglove until Ctrl-C, or until the runtime ends."""
+    from console.visualisation.foxglove_stream import address_of, serve
+
+    statuses = live_statuses(client, MonotonicClock(), LIVE_PERIOD_s)
+    with contextlib.closing(client), _until_the_runtime_ends(), contextlib.suppress(KeyboardInterrupt):
+        serve(arm, statuses, address_of(given.foxglove), _announce)
+    return 0
+
+
+def _announce(url: str) -> None:
+    sys.stdout.write(f"In Foxglove: Open connection, Foxglove WebSocket, {url}; Ctrl-C ends it\n")
+    sys.stdout.flush()
 
 
 def _snapshot(given: argparse.Namespace, arm: Arm, snapshot: Snapshot) -> int:
