@@ -21,6 +21,7 @@ from calib.errors import UnusablePointsError
 from calib.identify.estimates import Uncertainty, uncertainty
 from calib.identify.identification import Identification
 from calib.identify.objective import Huber, LeastSquares, Objective, value_of
+from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import Minimum, minimise
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -180,7 +181,9 @@ def _placed(problem: DistanceProblem) -> list[Device]:
 def _identification(problem: DistanceProblem, tips: ArmProblem | None, best: Minimum) -> Identification:
     x, zero = best.x, np.zeros(len(best.x))
     before, after = problem.residuals(zero), problem.residuals(x)
-    found: Uncertainty = uncertainty(problem.parameters, best.objective, x, after, problem.sensitivity(x))
+    found: Uncertainty = uncertainty(
+        problem.parameters, best.objective, x, after, Sensitivity.of(problem.sensitivity(x))
+    )
     dh, tool = problem.arm_at(x)
     own = 0 if tips is None else len(tips.parameters)
     frames = (Frame.base(),) if tips is None else tips.solution(x[:own]).frames

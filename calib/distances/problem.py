@@ -109,12 +109,12 @@ class DistanceProblem:
             return WithRows(None, 0, *self.residuals_and_jacobian(x, rows))
         return WithRows(self._inner.expanded(x[: self._count]), self._count, *self._added(x))
 
-    def sensitivity(self, x: Array) -> Array:
-        """The Jacobian for zero residuals: that of a length does not depend on its residual."""
+    def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
+        """The Jacobian (rows, 3, k) for zero residuals: that of a length does not depend on its residual."""
         slopes = self._added(x)[1]
-        if self._inner is None:
-            return slopes
-        return np.concatenate((self._widened(self._inner.sensitivity(x[: self._count])), slopes))
+        if self._inner is not None:
+            slopes = np.concatenate((self._widened(self._inner.sensitivity(x[: self._count])), slopes))
+        return slopes[rows]
 
     def _spread(self, x: Array) -> Array:
         """All deviations of DH, tool and devices, in their own units."""
