@@ -43,7 +43,7 @@ OWN_EXTRAS = re.compile(
 CAMERA_FRAME = (
     "camera"  # in the column `frame`: positions and orientations are in a camera's frame of unknown place
 )
-POINTS_MOST = 1_000_000  # poses, which take 1 GB to calibrate; calibrations have hundreds
+POINTS_MOST = 1_000_000  # poses, which take 1.5 GB to calibrate; calibrations have hundreds
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.arm_problem.link_bending import known_bending_m
+from calib.arm_problem.link_bending import known_bending
 from calib.arrays import Array, norms
 from calib.iso9283.criteria import pose
 from calib.iso9283.evaluate_poses import is_pose_setup
@@ -50,8 +50,8 @@ def pose_figures(
             continue
         rows = [k for k, key in enumerate(keys) if key == (group.setup, group.point)]
         some = points.chosen(rows)
-        bent = known_bending_m(arm, some.q_rad, some.payload_kg)
-        wanted = group.commanded_m - (0.0 if bent is None else bent)
+        bent = known_bending(arm, some.q_rad, some.payload_kg)
+        wanted = group.commanded_m - (0.0 if bent is None else bent.shift)
         off = _drawn(predictor, Conditions.recorded(arm, some), wanted, seed)
         attained, n = group.attained_m, len(group.attained_m)
         found.append(
