@@ -43,7 +43,7 @@ OWN_EXTRAS = re.compile(
 # In the column `frame`: positions and orientations are in a frame of unknown place, of a camera (files of
 # `armwright camera`), or of the arm's [camera.stream], which a calibration then places.
 CAMERA_FRAME, STREAM_FRAME = OWN_FRAMES = ("camera", "stream")
-POINTS_MOST = 1_000_000  # poses, which take 1 GB to calibrate; calibrations have hundreds
+POINTS_MOST = 1_000_000  # poses, which take 1.5 GB to calibrate; calibrations have hundreds
 
 
 @dataclass(frozen=True, slots=True)
