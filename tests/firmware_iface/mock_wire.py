@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from tests.firmware_iface.test_canopen import Wire
+from tests.firmware_iface.bought.test_canopen import Wire
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 Frame = tuple[int, bytes]

@@ -21,9 +21,8 @@ from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.report import write_report
-from console.commands.calibration.boards_option import board_frames
 from console.commands.calibration.history_option import record_of
-from console.commands.calibration.options import bounds_of, names_in
+from console.commands.calibration.options import board_frames, bounds_of, names_in
 from console.commands.progress import Bar
 from console.quantities import orientation_noise_rad, quantity
 from control.errors import ArmError

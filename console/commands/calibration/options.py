@@ -1,6 +1,10 @@
-"""Options that several commands of calibration share: lists of names, bounds of parameters."""
+"""Options that several commands of calibration share: lists of names, bounds of parameters, measured boards."""
 
+from pathlib import Path
+
+from calib.arm_problem.frames import Frame
 from calib.arm_problem.parameters import Bounds
+from calib.boards.boards import read_boards
 from calib.errors import CalibrationError
 from console.quantities import quantity, unit_of
 
@@ -28,3 +32,13 @@ def bounds_of(texts: list[str]) -> Bounds:
         else:
             own[name] = quantity(value, unit_of(name), f"--bound {name}")
     return Bounds(own=own, **general)
+
+
+def board_frames(file: str | None) -> dict[str, Frame]:
+    """Board poses by setup from boards.json of `armwright register`; none without a file."""
+    if file is None:
+        return {}
+    return {
+        setup: Frame(f"table_{setup}", board.rotation, board.origin_m)
+        for setup, board in read_boards(Path(file)).items()
+    }

@@ -21,7 +21,7 @@ from calib.trust.prediction import Predictor
 from calib.trust.task import Path as TaskPath
 from calib.trust.task import Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
-from console.commands.calibration.boards_option import board_frames
+from console.commands.calibration.options import board_frames
 from console.commands.progress import Bar
 from console.quantities import tolerance_m
 from control.model.description import load_arm

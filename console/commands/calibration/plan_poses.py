@@ -12,7 +12,7 @@ from calib.design.words import known_to
 from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
-from console.commands.calibration.boards_option import board_frames
+from console.commands.calibration.options import board_frames
 from console.quantities import orientation_noise_rad
 from control.model.arm import Arm
 from control.model.description import load_arm

@@ -20,7 +20,7 @@ from calib.trust.task import Reliability, planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in
 from calib.trust.words import as_text
 from console.commands.calibration import trust_design
-from console.commands.calibration.boards_option import board_frames
+from console.commands.calibration.options import board_frames
 from console.commands.progress import Bar
 from console.quantities import tolerance_m
 from control.model.arm import Arm

@@ -9,9 +9,9 @@ from firmware_iface.vesc import wire
 from firmware_iface.vesc.controller import Vesc, VescBus
 from firmware_iface.vesc.wire import COUNTS_PER_TURN, Packet
 from hil_mocks.devices.vesc import TURN, VescMock, VescSetup
-from tests.firmware_iface.test_canopen import Wire
+from tests.firmware_iface.bought.test_canopen import Wire
 
-GOLDEN = Path(__file__).parent.parent / "golden" / "vesc.txt"
+GOLDEN = Path(__file__).parents[2] / "golden" / "vesc.txt"
 SETUP = VescSetup(5, 0.2, 8.0)
 
 

@@ -13,7 +13,7 @@ from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoS
 
 GOLDEN = {
     line.split("|")[0].strip(): bytes.fromhex(line.split("|")[1])
-    for line in (Path(__file__).parent.parent / "golden" / "dynamixel.txt").read_text().splitlines()
+    for line in (Path(__file__).parents[2] / "golden" / "dynamixel.txt").read_text().splitlines()
     if not line.startswith("#")
 }
 

@@ -16,7 +16,7 @@ from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
 from hil_mocks.devices.motor_states import State as MockState
 
 NODE = 5
-GOLDEN = Path(__file__).parent.parent / "golden" / "canopen.txt"
+GOLDEN = Path(__file__).parents[2] / "golden" / "canopen.txt"
 
 
 def golden(name: str) -> tuple[int, bytes]:

@@ -12,7 +12,7 @@ from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 
 GOLDEN = {
     line.split(" | ")[0]: bytes.fromhex(line.split(" | ")[1])
-    for line in (Path(__file__).parent.parent / "golden" / "feetech.txt").read_text().splitlines()
+    for line in (Path(__file__).parents[2] / "golden" / "feetech.txt").read_text().splitlines()
     if not line.startswith("#")
 }
 

@@ -12,7 +12,7 @@ from firmware_iface.roboclaw.line import ANSWER_TIMEOUT_s, PacketLine
 from firmware_iface.roboclaw.wire import Command
 from hil_mocks.devices.roboclaw import RoboClawLineMock, RoboClawMock
 
-GOLDEN = Path(__file__).parent.parent / "golden" / "roboclaw.txt"
+GOLDEN = Path(__file__).parents[2] / "golden" / "roboclaw.txt"
 ROWS = [
     [cell.strip() for cell in line.split("|")]
     for line in GOLDEN.read_text().splitlines()
