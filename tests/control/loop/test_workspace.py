@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath, plan_path
@@ -93,7 +94,7 @@ def test_a_jog_step_into_the_table_does_not_get_there(low: Cell) -> None:
 def test_a_motion_that_no_check_saw_is_stopped_at_the_floor(low: Cell) -> None:
     """As a plan that dips between two checked poses would be."""
     heights = lowest_tip_m(low)
-    motion = JointMove(LOW, (0.6, -1.4, -0.6), low.assembly.requests._limits.scaled(0.15))
+    motion = JointMove(LOW, (0.6, -1.4, -0.6), JointLimits.of(RIGHT).scaled(0.15))
     low.client.move_joints(LOW)
     low.runtime.start(motion)
     low.until_fault(5.0)
