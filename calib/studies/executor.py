@@ -69,7 +69,7 @@ class ProcessPool(AbstractContextManager["ProcessPool"]):
     def results(self, work: Work[S, T], shared: S, numbers: Sequence[int]) -> Iterator[tuple[int, T]]:
         """At most AHEAD tasks a worker are handed out, so that results do not pile up."""
         try:
-            yield from _as_they_come(
+            yield from as_they_come(
                 lambda number: self._pool.submit(work, shared, number), AHEAD * self.workers, numbers
             )
         except BrokenProcessPool:
@@ -85,14 +85,15 @@ class ProcessPool(AbstractContextManager["ProcessPool"]):
         self._pool.shutdown(cancel_futures=True)
 
 
-def _as_they_come(
+def as_they_come(
     submit: Callable[[int], Future[T]], limit: int, numbers: Sequence[int]
 ) -> Iterator[tuple[int, T]]:
-    """Results of futures, with at most `limit` of them unfinished or unread."""
+    """Results of futures, with at most `limit` of them unfinished or unread; what is finished comes before what failed."""
     waiting = iter(numbers)
     running = {submit(number): number for number in itertools.islice(waiting, limit)}
     while running:
-        for one in wait(running, return_when=FIRST_COMPLETED).done:
+        done = wait(running, return_when=FIRST_COMPLETED).done
+        for one in sorted(done, key=lambda future: future.exception() is not None):
             yield running.pop(one), one.result()
             for number in itertools.islice(waiting, 1):
                 running[submit(number)] = number

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import pytest
 
 from calib.errors import CalibrationError
 from calib.studies.chunks import ChunkStore, run_study
-from calib.studies.executor import Executor, InProcess, ProcessPool, Results, S, T, Work
+from calib.studies.executor import Executor, InProcess, ProcessPool, Results, S, T, Work, as_they_come
 from calib.studies.figures import proportion, quantile
 from calib.studies.opening import executor
 from tests.calib.studies.tasks import dies, drawn
@@ -81,6 +83,16 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path) -> None:
     studied(tmp_path / "whole", InProcess())
     assert again.asked == [3, 4, 5, 6]
     assert bytes_of(tmp_path / "stopped") == bytes_of(tmp_path / "whole")
+
+
+def test_what_is_finished_comes_before_what_failed_at_the_same_moment() -> None:
+    futures: dict[int, Future[int]] = {number: Future() for number in range(8)}
+    for number, one in futures.items():
+        one.set_result(number) if number % 2 else one.set_exception(BrokenProcessPool())
+    came = as_they_come(futures.__getitem__, 8, range(8))
+    assert sorted(next(came)[1] for _ in range(4)) == [1, 3, 5, 7]
+    with pytest.raises(BrokenProcessPool):
+        next(came)
 
 
 def test_a_killed_process_is_one_sentence_and_loses_no_finished_task(tmp_path: Path) -> None:

@@ -77,6 +77,7 @@ class QuasiStaticBench:
             "q_rad": tuple(self._motor_rad.tolist()),
             "mode": self.mode,
             "temperature_C": [None] * len(self._last),
+            "camera_problem": "",
         }
 
     def move_joints(self, q_rad: Sequence[float], speed: float = 1.0, as_encoders: bool = False) -> None:
