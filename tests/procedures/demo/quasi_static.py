@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from control.dynamics.dynamics import Dynamics
+from control.hardware.averaging import Average, Target
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
-from control.server.client import Average
 
 FRICTION_Nm = np.array([1.3, 1.5, 0.9])
 LINK_SHARE = 0.5
@@ -104,10 +104,10 @@ class QuasiStaticBench:
         current = (gravity + self._held_Nm) / self._per_A + noise(0.0, CURRENT_NOISE_A, len(gravity))
         q = self._motor_rad + noise(0.0, ENCODER_NOISE_rad, len(gravity))
         tip = self._tip_m() + noise(0.0, self._camera_m / np.sqrt(100.0 * duration_s), 3)
+        seen = Target(10, (float(tip[0]), float(tip[1]), float(tip[2])), (self._camera_m,) * 3, None)
         return Average(
             duration_s, 50, tuple(q.tolist()), (ENCODER_NOISE_rad,) * len(gravity), tuple(current.tolist()),
-            tuple(int(d) for d in self._last), 10, (float(tip[0]), float(tip[1]), float(tip[2])),
-            (self._camera_m,) * 3, 0.0, self._t_s,
+            tuple(int(d) for d in self._last), seen.frames, seen.position_m, seen.std_m, 0.0, self._t_s, seen,
         )  # fmt: skip
 
     # MockHand
