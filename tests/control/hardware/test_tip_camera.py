@@ -24,6 +24,7 @@ from procedures import ports
 from tests.cell import RIGHT, Cell, open_cell, scenario
 
 SYSTEMS = tuple(MOCAP)
+LIMIT_S = 30.0  # of the simulation's time; a busy machine's kernel is late
 
 
 @contextmanager
@@ -36,11 +37,18 @@ def seen_by(system: str, **stream: Any) -> Iterator[Cell]:
     with open_cell(msgspec.structs.replace(hidden, camera=table), arm) as cell:
         cell.client.enable()
         cell.run(0.15)  # the drives take the arm up, and it is at rest
+        # The kernel sets up a connection in its own time, which is none of the simulation's.
+        cell.until(lambda: target(cell) is not None, LIMIT_S)
         yield cell
 
 
 def target(cell: Cell) -> Target | None:
     return cell.client.average(0.03).target
+
+
+def says(cell: Cell, words: str) -> None:
+    """The camera's problem has these words before long."""
+    cell.until(lambda: words in cell.client.status()["camera_problem"], LIMIT_S)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
@@ -62,9 +70,8 @@ def test_a_system_measures_the_tip_and_says_which_bodies_are_hidden_or_exchanged
         assert "no known place" in status["camera_problem"]
 
         cell.inject("exchanged_bodies", "camera")
-        cell.run(0.02)
+        says(cell, "tool and wand exchanged their names")
         assert target(cell) is None
-        assert "tool and wand exchanged their names" in cell.client.status()["camera_problem"]
         cell.rig.clear_faults()
         cell.run(0.02)
         assert ports.RuntimePort(cell.client, in_own_frame=True).measure(0.03).orientation is not None
@@ -74,9 +81,8 @@ def test_a_system_measures_the_tip_and_says_which_bodies_are_hidden_or_exchanged
 
         camera = cell.rig.robot.camera
         camera.setup = replace(camera.setup, dropout=1.0)
-        cell.run(0.02)
+        says(cell, "body tool is")
         assert target(cell) is None
-        assert "body tool is" in cell.client.status()["camera_problem"]
 
 
 def test_a_frame_of_known_place_gives_the_tip_in_the_base_frame_and_a_wrong_name_those_there_are(
