@@ -142,33 +142,35 @@ def next_towards_off(mode: Mode, is_still: bool, is_held_fault: bool = False) ->
 
 
 def as_markdown() -> str:
-    """The table as docs/state_machine.md: modes, events, and a row per event with the next mode per mode."""
+    """The table as docs/state_machine.md: modes, and a row per event with the next mode of each mode."""
     lines = [
         "# Modes of the arm",
-        "What the drives do in each mode, and the next mode for each event (`control.safety.table.as_markdown()`). An event",
-        "without an entry for the present mode raises `IllegalTransition` and changes nothing.",
+        "What the drives do in each mode, and the next mode for each event. An event without an entry for the present mode",
+        "raises `IllegalTransition` and changes nothing (`control.safety.table`).",
         "",
         "| mode | drives |",
         "| --- | --- |",
         *(f"| {mode.name} | {mode.value} |" for mode in Mode),
         "",
-        "| event | raised when |",
-        "| --- | --- |",
-        *(f"| {event.name} | {event.value} |" for event in Event),
-        "",
-        "| event | " + " | ".join(mode.name for mode in Mode) + " |",
-        "| --- |" + " --- |" * len(Mode),
-        *(_markdown_row(event) for event in Event),
+        "| event | raised when | modes → next mode |",
+        "| --- | --- | --- |",
+        *(f"| {event.name} | {event.value} | {_transitions_in_words(event)} |" for event in Event),
         "",
         *_NOTES,
     ]
     return "\n".join(lines) + "\n"
 
 
-def _markdown_row(event: Event) -> str:
-    """One line of the matrix: the next mode for each present mode, empty where illegal."""
-    following = (TRANSITIONS.get((mode, event)) for mode in Mode)
-    return f"| {event.name} | " + " | ".join(mode.name if mode else "" for mode in following) + " |"
+def _transitions_in_words(event: Event) -> str:
+    """`A, B → C; D → E`: the modes in which an event is legal, by the mode that follows."""
+    origins: dict[Mode, list[str]] = {}
+    for mode in Mode:
+        if following := TRANSITIONS.get((mode, event)):
+            origins.setdefault(following, []).append(mode.name)
+    return "; ".join(
+        f"{'all' if len(names) == len(Mode) else ', '.join(names)} → {following.name}"
+        for following, names in origins.items()
+    )
 
 
 _NOTES: Final = (
