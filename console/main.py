@@ -18,9 +18,24 @@ from console.specs.table import COMMANDS
 from control.plain_text import prepare_streams
 
 
+class _CommandLine(argparse.ArgumentParser):
+    """Answers an unknown command with those that are spelt like it, not with all sixty."""
+
+    def _check_value(self, action: argparse.Action, value: str) -> None:
+        if isinstance(action, argparse._SubParsersAction) and value not in action.choices:
+            from difflib import get_close_matches
+
+            near = " or ".join(get_close_matches(value, action.choices, 2))
+            meant = f" (did you mean {near}?)" if near else ""
+            raise argparse.ArgumentError(
+                action, f"no command {value!r}{meant}; `armwright --help` lists them"
+            )
+        super()._check_value(action, value)
+
+
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    top = argparse.ArgumentParser(
+    top = _CommandLine(
         prog="armwright",
         description="Control runtime, mock robot and calibration for a self-built robot arm.",
         epilog="`armwright demo` shows the full workflow on a mock arm. Every command has its own --help.",

@@ -86,7 +86,7 @@ BRINGUP = (
                 "--current",
                 type=finite,
                 metavar="A",
-                help="largest motor current (default: gravity load of the draft, with a margin for friction)",
+                help="largest motor current in A (default: gravity load of the draft, with a margin for friction)",
             ),
             option(
                 "--speed",

@@ -173,7 +173,7 @@ CALIBRATING = (
             option(
                 "--points",
                 required=True,
-                metavar="FILE",
+                metavar="P",
                 help="points.csv with the columns distance_of and distance_m (docs/distances.md)",
             ),
             OUT,

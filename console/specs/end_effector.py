@@ -24,7 +24,9 @@ END_EFFECTOR = (
             SOCKET,
             option("action", choices=("open", "close", "stop"), nargs="?", help="default: print its state"),
             option("--to", type=finite, metavar="M", help="an opening in m, 0 is closed"),
-            option("--force", type=finite, metavar="N", help="in N (default: force_N of arm.toml)"),
+            option(
+                "--force", type=finite, metavar="N", help="gripping force in N (default: force_N of arm.toml)"
+            ),
             option("--must-hold", action="store_true", help="exit status 1 if it holds nothing at the end"),
             JSON,
         ),

@@ -36,12 +36,13 @@ TRYING = (
             option(
                 "--seed",
                 type=int,
+                metavar="N",
                 help="seed of the mock arm's hidden errors (default: the scenario's)",
             ),
             option(
                 "--scenario",
                 metavar="S",
-                help="a scenario file or a shipped name (default: demo, or paper)",
+                help="scenario of the mock arm: a file or a supplied name (default: demo, or paper)",
             ),
             option(
                 "--effect", metavar="NAME", help="demo gap: the hidden effect (default: drawn by the seed)"
@@ -83,7 +84,7 @@ TRYING = (
                 "--scenario",
                 default="demo",
                 metavar="S",
-                help="a scenario file or a shipped name",
+                help="scenario of the mock: a file or a supplied name (default: demo); docs/mock_robot.md",
             ),
             FIRMWARE,
         ),
