@@ -9,25 +9,17 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_mocks.plant.geometry import DH_KEYS, Convention, rotation_z, true_frame
+from hil_mocks.plant.geometry import DH_KEYS, Convention, DhLink, rotation_z, true_frame
 from hil_mocks.webcam import Grey, Sheet, Webcam
 
 Array = NDArray[np.float64]
 
 
-class Link(Protocol):
+class Link(DhLink, Protocol):
     """A link of arm.toml."""
 
     @property
     def joint(self) -> str: ...
-    @property
-    def d_m(self) -> float: ...
-    @property
-    def theta_rad(self) -> float: ...
-    @property
-    def L_m(self) -> float: ...
-    @property
-    def alpha_rad(self) -> float: ...
 
 
 @dataclass(frozen=True, slots=True)

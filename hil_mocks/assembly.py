@@ -13,9 +13,10 @@ from hil_mocks.devices.mocap.scene import MocapMock, SceneSetup
 from hil_mocks.devices.mocap.vicon import ViconMock
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
 from hil_mocks.firmware.choice import encoder_board_class, motor_board_class
+from hil_mocks.plant.build import PlantOptions
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, deviations, gather
 from hil_mocks.plant.parts import parts_of
-from hil_mocks.plant.plant import Plant, PlantOptions
+from hil_mocks.plant.plant import Plant
 from hil_mocks.scenario import EveryJoint, Scenario
 from hil_mocks.wiring import ENCODER_BOARD_SERIAL, JointWiring
 

@@ -24,7 +24,8 @@ from hil_mocks.in_process.line import Line
 from hil_mocks.miswiring import as_built
 from hil_mocks.plant.build import Standing
 from hil_mocks.plant.parts import parts_of
-from hil_mocks.plant.plant import PlacedPlant, plants_of, step_together
+from hil_mocks.plant.plant import step_together
+from hil_mocks.plant.world import PlacedPlant, plants_of
 from hil_mocks.rig import ArmPorts, SteppedClock
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import Scenario, load_scenario

@@ -17,11 +17,12 @@ from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_b
 from hil_mocks.bought import Bought
 from hil_mocks.bought_can import Seen
 from hil_mocks.devices.board_faults import switch_encoder_board, switch_motor_board
-from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Frame, Output
+from hil_mocks.devices.motor_inputs import BRAKE, Frame, Output
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import CanOut, FaultPlan, Frames, Line, check_fault
 from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
 from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
+from hil_mocks.motor_wires import MotorWires
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import tool_parts
 from hil_mocks.plant.plant import Plant
@@ -42,7 +43,6 @@ class MockRobot:
         self.now_s = 0.0  # time since power-up
         arm = as_built(arm, scenario)
         self._tools = {tool.name: tool_parts(tool) for tool in arm.tools}
-        self._dead: set[int] = set()  # joints whose motor has a broken wire
         self._loose: dict[int, LooseCoupling] = {}
         self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
         self.plant = plant or build_plant(arm, scenario)
@@ -85,12 +85,10 @@ class MockRobot:
 
     def _wire_up(self, arm: Arm) -> None:
         """What the motors are driven with, and what is on its way to the host."""
-        self._directions = [w.motor_direction for w in self._wiring]
+        directions = [w.motor_direction for w in self._wiring]
         if arm.gripper is not None and not arm.gripper.board:
-            self._directions.append(arm.gripper.motor_direction)
-        self._polarity = list(self._directions)
-        self._applied: list[Output] = [OPEN for _ in self._directions]
-        self._limits_A = [math.inf for _ in self._directions]
+            directions.append(arm.gripper.motor_direction)
+        self._motors = MotorWires(self.plant, self.gripper, directions)
         self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
         self._can_out = {carried: CanOut() for carried in CanFormat}
         self.outgoing = {carried: out.outgoing for carried, out in self._can_out.items()}
@@ -100,7 +98,7 @@ class MockRobot:
     @property
     def outputs(self) -> tuple[Output, ...]:
         """What each joint's bridge puts out."""
-        return tuple(self._applied)
+        return tuple(self._motors.applied)
 
     @property
     def can_formats(self) -> set[CanFormat]:
@@ -187,7 +185,7 @@ class MockRobot:
         self._reading_rad = self.plant.encoder_angles_rad()
         if now_s >= self._plan.next_change_s:
             self._change_faults(now_s)
-        bridges, polarity = self.plant.bridges, self._polarity
+        bridges, motors, polarity = self.plant.bridges, self._motors, self._motors.polarity
         currents_A, supply_V, is_clamped = bridges.currents_A(), bridges.supply_V, bridges.is_clamped
         if (gripper := self.gripper) is not None:
             gripper.step(self._steps)
@@ -197,8 +195,8 @@ class MockRobot:
             frames = board.tick(now_s, polarity[j] * currents_A[j], supply_V[j], is_clamped[j])
             if frames:
                 self._send_can(self._motor_names[at], frames)
-            if board.output is not self._applied[j]:
-                self._apply(j, board.output, board.current_limit_A)
+            if board.output is not motors.applied[j]:
+                motors.apply(j, board.output, board.current_limit_A)
         self.pins.tick()
         for out in self._can_out.values():
             out.release(now_s)
@@ -207,7 +205,7 @@ class MockRobot:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
             turned_rad = joint_rad if gripper is None else (*joint_rad, gripper.motor_rad())
             for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, turned_rad)):
-                self._apply(*driven)
+                motors.apply(*driven)
             self._gather_bought()
         for i, encoder in enumerate(self.encoder_boards):
             encoder.tick(now_s, *self._channels[i].seen(encoder_rad, joint_rad))
@@ -262,9 +260,9 @@ class MockRobot:
         supply_V = [*self.plant.bridges.supply_V, self.gripper.supply_V if self.gripper else 0.0]
         for at, (j, board) in enumerate(zip(self._motor_joints, self.motor_boards, strict=True)):
             self._send_can(self._motor_names[at], board.tick(0.0, 0.0, supply_V[j], False))
-            self._apply(j, board.output, board.current_limit_A)
+            self._motors.apply(j, board.output, board.current_limit_A)
         for j in self.bought.joints:
-            self._apply(j, BRAKE, math.inf)
+            self._motors.apply(j, BRAKE, math.inf)
 
     def _motor_count(self, j: int) -> int:
         reading_rad = self._reading_rad[j]
@@ -298,30 +296,9 @@ class MockRobot:
         frames = board.receive(can_id, payload, self.now_s)
         if frames:
             self._send_can(self._motor_names[at], frames)
-        if board.output is not self._applied[j] or board.current_limit_A != self._limits_A[j]:
-            self._apply(j, board.output, board.current_limit_A)
-
-    def _drive(self, j: int) -> None:
-        """Apply the last output anew: the wiring has changed."""
-        self._apply(j, self._applied[j], self._limits_A[j])
-
-    def _apply(self, j: int, output: Output, limit_A: float) -> None:
-        """Apply a board's output to the motor of a joint, or of the gripper."""
-        plant = self.plant
-        self._limits_A[j] = limit_A
-        kind, value = self._applied[j] = output
-        if j == plant.joints and self.gripper is not None:
-            self.gripper.drive("open" if j in self._dead else kind, self._polarity[j] * value, limit_A)
-            return
-        plant.bridges.limit_current(j, limit_A)
-        if j in self._dead:
-            plant.drive_open(j)
-        elif kind == "voltage":
-            plant.drive_voltage(j, self._polarity[j] * value)
-        elif kind == "current":
-            plant.drive_current(j, self._polarity[j] * value)
-        else:
-            plant.drive_open(j)
+        motors = self._motors
+        if board.output is not motors.applied[j] or board.current_limit_A != motors.limits_A[j]:
+            motors.apply(j, board.output, board.current_limit_A)
 
     def _to_bought(self, can_id: int, payload: bytes, carried: CanFormat) -> None:
         for boards in self.bought.on_can:
@@ -378,44 +355,16 @@ class MockRobot:
             self._switch_motor(fault, self._motor_names.index(fault.board), is_on)
         elif fault.board in self.bought.names:
             joint = self.bought.joint(fault)
-            if joint is None or not self._switch_wiring(fault, joint, is_on):
+            if joint is None or not self._motors.switch(fault, joint, is_on):
                 self.bought.switch(fault, is_on, self.now_s)
         elif fault.board == "camera" and fault.kind == "exchanged_bodies":
             self.camera.is_exchanged = is_on
         elif fault.board in self._encoder_names:
             self._switch_encoder(fault, self._encoder_names.index(fault.board), is_on)
 
-    def _switch_wiring(self, fault: FaultTable, j: int, is_on: bool) -> bool:
-        """Begin or end a fault between any board and its motor; False if it is another sort."""
-        if fault.kind == "swapped_polarity":
-            self._polarity[j] = self._directions[j] * (-1 if is_on else 1)
-            self._drive(j)
-        elif fault.kind == "dead_motor":
-            (self._dead.add if is_on else self._dead.discard)(j)
-            self._drive(j)
-        elif fault.kind == "stuck_joint":
-            self._jam(j, is_on)
-        elif fault.kind == "supply":
-            self._supply(j, fault.value if is_on else None)
-        else:
-            return False
-        return True
-
     def _switch_motor(self, fault: FaultTable, at: int, is_on: bool) -> None:
-        if not self._switch_wiring(fault, self._motor_joints[at], is_on):
+        if not self._motors.switch(fault, self._motor_joints[at], is_on):
             switch_motor_board(self.motor_boards[at], fault, is_on)
-
-    def _jam(self, j: int, is_on: bool) -> None:
-        if j == self.plant.joints and self.gripper is not None:
-            self.gripper.is_jammed = is_on
-        else:
-            self.plant.block(j, is_on)
-
-    def _supply(self, j: int, supply_V: float | None) -> None:
-        if j == self.plant.joints and self.gripper is not None:
-            self.gripper.set_supply(supply_V)
-        else:
-            self.plant.bridges.set_supply(j, supply_V)
 
     def _switch_encoder(self, fault: FaultTable, i: int, is_on: bool) -> None:
         if fault.kind == "loose_encoder":

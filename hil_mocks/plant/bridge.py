@@ -11,6 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from hil_mocks.plant.effects import PlantEffects
+from hil_mocks.plant.parts import ArmParts
+
 _SOURCE_OHM = 1e6  # back-EMF of some V makes some uA
 _OPEN_OHM = 1e12
 CURRENT_LAG_S = 5e-4  # first-order lag of a current controller of 2 kHz bandwidth
@@ -26,6 +29,19 @@ class Winding:
     resistance_ohm: float
     inductance_H: float
     supply_V: float
+
+
+def windings_of(arm: ArmParts, effects: PlantEffects) -> list[Winding]:
+    """Return the motors' windings as the joints see them."""
+    return [
+        Winding(
+            K_V_s_rad=drive.gear_ratio * drive.torque_constant_Nm_A * effect.torque_constant_scale,
+            resistance_ohm=drive.resistance_ohm,
+            inductance_H=drive.inductance_H,
+            supply_V=drive.supply_V,
+        )
+        for drive, effect in zip(arm.drives, effects.joints, strict=True)
+    ]
 
 
 class Bridges:

@@ -24,6 +24,20 @@ _LEAST_KG = 1e-6  # of half a link without mass
 
 
 @dataclass(frozen=True, slots=True)
+class PlantOptions:
+    """Options of the simulation, independent of the arm."""
+
+    timestep_s: float = (
+        5e-4  # a tenth of the motors' mechanical time constant; 0.25 ms moves a path by 3e-6 rad
+    )
+    link_share: float = 0.5  # of a joint's friction that acts on the link side of the gear
+    end_stop_margin_rad: float = 0.05  # from a joint limit to the hard stop behind it
+    hand_speed_m_s: float = 0.3
+    seating_noise_m: float = 0.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Standing:
     """An arm in a world: its name there, and the pose of its base frame (quaternion w, x, y, z)."""
 
@@ -292,3 +306,10 @@ def _quaternion(rotation: Matrix) -> Matrix:
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
     return quaternion
+
+
+def to_build(arm: ArmParts, effects: PlantEffects, options: PlantOptions, standing: Standing) -> ArmToBuild:
+    """Return what `build` makes of an arm with these options."""
+    return ArmToBuild(
+        arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad, standing
+    )

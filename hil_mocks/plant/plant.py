@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 
 from hil_mocks.errors import MockError
-from hil_mocks.plant.bridge import CURRENT, OPEN, VOLTAGE, Bridges, Winding
-from hil_mocks.plant.build import ArmToBuild, PlantModel, Standing, build
+from hil_mocks.plant.bridge import CURRENT, OPEN, VOLTAGE, Bridges, windings_of
+from hil_mocks.plant.build import PlantModel, PlantOptions, Standing, build, to_build
 from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import ArmParts, ToolParts
@@ -22,20 +21,6 @@ _FALL_rad_s = 0.5  # of a link that an operator lets down by hand
 _JAMMED_Nm_s_rad = 1e6  # a jammed gear creeps by a microradian per second under the full motor torque
 
 _BENDING_ROUNDS = 3  # gravity's torque on a bent link differs from that on a straight one by some 1e-3
-
-
-@dataclass(frozen=True, slots=True)
-class PlantOptions:
-    """Options of the simulation, independent of the arm."""
-
-    timestep_s: float = (
-        5e-4  # a tenth of the motors' mechanical time constant; 0.25 ms moves a path by 3e-6 rad
-    )
-    link_share: float = 0.5  # of a joint's friction that acts on the link side of the gear
-    end_stop_margin_rad: float = 0.05  # from a joint limit to the hard stop behind it
-    hand_speed_m_s: float = 0.3
-    seating_noise_m: float = 0.0
-    seed: int = 0
 
 
 class Plant:
@@ -56,7 +41,7 @@ class Plant:
         self.effects = effects
         self._is_base_nominal = effects.base_pose.is_nominal
         if world is None:
-            (at,) = build([_to_build(arm, effects, options, Standing())])
+            (at,) = build([to_build(arm, effects, options, Standing())])
             world = at, mujoco.MjData(at.model)
         self._at, self._data = world
         self._model: Any = self._at.model
@@ -65,7 +50,7 @@ class Plant:
         self._pose(arm, start_rad)
         self._bend()
         self.bridges = Bridges(
-            self._model, self._data, _windings(arm, effects), self._at.bridge, effects.supply_resistance_ohm
+            self._model, self._data, windings_of(arm, effects), self._at.bridge, effects.supply_resistance_ohm
         )
         self.hand = self._free_hand(options)
         self._steps = 0
@@ -136,10 +121,6 @@ class Plant:
     def motor_rad(self, j: int) -> float:
         """Angle of motor j in joint angles."""
         return self._q[self._at.motor_hinge[j]]
-
-    def motor_speed_rad_s(self, j: int) -> float:
-        """Speed of motor j in joint angles."""
-        return self._v[self._at.motor_hinge[j]]
 
     def encoder_rad(self, j: int) -> float:
         """Encoder angle of motor j in joint angles, before quantisation."""
@@ -358,42 +339,3 @@ def step_together(plants: Sequence[Plant], steps: int) -> None:
         for plant in plants:
             plant.passed(until - done)
         done = until
-
-
-@dataclass(frozen=True, slots=True)
-class PlacedPlant:
-    """What `plants_of` builds the plant of one arm from."""
-
-    arm: ArmParts
-    effects: PlantEffects
-    start_rad: Sequence[float]
-    options: PlantOptions
-    standing: Standing
-
-
-def plants_of(placed: Sequence[PlacedPlant]) -> list[Plant]:
-    """Plants of several arms in one world; `step_together` advances them."""
-    models = build([_to_build(one.arm, one.effects, one.options, one.standing) for one in placed])
-    state = mujoco.MjData(models[0].model)
-    return [
-        Plant(one.arm, one.effects, one.start_rad, one.options, (at, state))
-        for one, at in zip(placed, models, strict=True)
-    ]
-
-
-def _to_build(arm: ArmParts, effects: PlantEffects, options: PlantOptions, standing: Standing) -> ArmToBuild:
-    return ArmToBuild(
-        arm, effects, options.timestep_s, options.link_share, options.end_stop_margin_rad, standing
-    )
-
-
-def _windings(arm: ArmParts, effects: PlantEffects) -> list[Winding]:
-    return [
-        Winding(
-            K_V_s_rad=drive.gear_ratio * drive.torque_constant_Nm_A * effect.torque_constant_scale,
-            resistance_ohm=drive.resistance_ohm,
-            inductance_H=drive.inductance_H,
-            supply_V=drive.supply_V,
-        )
-        for drive, effect in zip(arm.drives, effects.joints, strict=True)
-    ]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from hil_mocks.plant.build import PlantOptions
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, gather
 from hil_mocks.plant.parts import ArmParts, DriveParts, LinkParts, ToolParts, Vector
-from hil_mocks.plant.plant import Plant, PlantOptions
+from hil_mocks.plant.plant import Plant
 
 MASS_KG, COM_M, LENGTH_M, INERTIA_kg_m2 = 1.2, 0.3, 0.5, 0.01
 ROTOR_kg_m2, RATIO, KT_Nm_A, R_OHM, L_H, SUPPLY_V = 1.42e-5, 100.0, 0.0302, 0.299, 8.2e-5, 24.0

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
+from hil_mocks.plant.build import PlantOptions
 from hil_mocks.plant.hand import Point
-from hil_mocks.plant.plant import Plant, PlantOptions
+from hil_mocks.plant.plant import Plant
 from tests.hil_mocks.pendulum import (
     COM_M,
     LENGTH_M,

@@ -128,7 +128,7 @@ def test_a_start_outside_the_joint_limits_is_refused() -> None:
 
 
 def test_steps_twice_as_long_give_the_same_motion() -> None:
-    from hil_mocks.plant.plant import PlantOptions
+    from hil_mocks.plant.build import PlantOptions
 
     def end(timestep_s: float) -> tuple[float, ...]:
         options = PlantOptions(timestep_s=timestep_s)

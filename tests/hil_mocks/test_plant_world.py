@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from control.model.description import load_arm
 from hil_mocks.errors import MockError
 from hil_mocks.plant.base_pose import BasePose
-from hil_mocks.plant.build import ArmToBuild, build
+from hil_mocks.plant.build import ArmToBuild, PlantOptions, build
 from hil_mocks.plant.effects import EffectEntry, gather
 from hil_mocks.plant.parts import ArmParts, LinkParts, ToolParts, parts_of
 from hil_mocks.plant.plant import Plant
@@ -157,11 +157,11 @@ def test_a_hand_at_the_tip_steadies_the_links_that_its_grip_leaves_free() -> Non
         subject.drive_open(joint)
 
     def fastest_rad_s(steps: int) -> float:
-        speeds = []
+        places_rad = []
         for _ in range(steps):
             subject.step(1)
-            speeds.append(max(abs(subject.motor_speed_rad_s(j)) for j in range(3)))
-        return max(speeds)
+            places_rad.append([subject.motor_rad(j) for j in range(3)])
+        return float(np.abs(np.diff(places_rad, axis=0)).max()) / PlantOptions().timestep_s
 
     subject.hand.seat(subject.tip_m())
     held_rad_s = fastest_rad_s(4000)

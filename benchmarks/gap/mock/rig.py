@@ -15,9 +15,10 @@ from calib.arrays import Array
 from control.dynamics.feedforward import torque_model
 from control.dynamics.gains import gains_of
 from control.model.arm import Arm
+from hil_mocks.plant.build import PlantOptions
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, gather
 from hil_mocks.plant.parts import parts_of
-from hil_mocks.plant.plant import Plant, PlantOptions
+from hil_mocks.plant.plant import Plant
 
 CONTROL_Hz = 500.0
 STEP_S = 2.5e-4  # of the physics
