@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from control.model.arm import Arm
     from control.model.description import arm_names, load_arm, save_arm
     from control.motion.errors import PathError
-    from control.server.client import ArmFaulted, MotionStopped, RequestRefused, RuntimeGone
+    from control.server.channel import RuntimeGone
+    from control.server.client import ArmFaulted, MotionStopped, RequestRefused
     from firmware_iface.errors import ArmwrightError, LinkError
     from hil_mocks.errors import MockError
 

@@ -15,7 +15,8 @@ from control.hardware.averaging import Average
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.server.client import ArmClient, ArmFaulted, SocketChannel, fault_text
+from control.server.channel import SocketChannel
+from control.server.client import ArmClient, ArmFaulted, fault_text
 from control.server.server import default_path
 
 Array = NDArray[np.float64]

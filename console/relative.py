@@ -7,7 +7,8 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.cell import load_cell
 from control.motion.waypoints import Waypoints
-from control.server.client import ArmClient, SocketChannel
+from control.server.channel import SocketChannel
+from control.server.client import ArmClient
 from control.server.sockets import default_path
 
 AT_REST = ("HOLDING", "OFF", "BRAKED")

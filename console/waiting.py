@@ -6,7 +6,8 @@ import sys
 import time
 from collections.abc import Iterator
 
-from control.server.client import ArmClient, Message
+from control.server.channel import Message
+from control.server.client import ArmClient
 
 QUIET_S = 1.0  # most commands are done by then
 QUARTERS = 4  # of a motion, without a terminal

@@ -24,7 +24,8 @@ from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.gap.plan.plan import GENTLE, PlanRequest, recording_plan
 from calib.planning.path import Freedom, WayOfPath, planned_path
 from calib.planning.stops import WayOfStops, planned_stops
-from calib.points.points import Points, read_points
+from calib.points.points import Points
+from calib.points.reading import read_points
 from calib.studies.opening import executor
 from calib.trust.trust import MapRequest, trust_in
 from control.model.arm import Arm, Vector3

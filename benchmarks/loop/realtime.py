@@ -21,7 +21,8 @@ from control.errors import ArmError
 from control.model.description import save_arm
 from control.recording.reading import Recording
 from control.recording.record import Layout
-from control.server.client import ArmClient, RuntimeGone, SocketChannel
+from control.server.channel import RuntimeGone, SocketChannel
+from control.server.client import ArmClient
 from hil_mocks.realtime import RealTimeRig
 from procedures.mock.arm import wired_to
 

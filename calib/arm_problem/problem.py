@@ -11,7 +11,6 @@ import copy
 import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,55 +20,15 @@ from calib.arm_problem.expansion import Expansion
 from calib.arm_problem.frames import AXIS_UNITS, Frame, cross_matrix, left_jacobian, rotation_of
 from calib.arm_problem.observations import Observations
 from calib.arm_problem.parameters import Bounds, Parameter, dh_parameters, require_known_names
+from calib.arm_problem.protocol import ALL
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from control.kinematics.rotation import exponentials
 
-ALL = slice(None)
 TOOL_NAMES = ("tool_x", "tool_y", "tool_z")
 SEATING_STEPS = 3  # Newton's, from millimetres to nanometres
 SEATING_LIMIT_rad = 0.1  # of one such step
 REACHABLE = 1e-2  # share of the strongest direction of the tip that joints must have to move it
-
-
-class Expanded(Protocol):
-    """Residuals around one x, to second order."""
-
-    @property
-    def residuals(self) -> Array:
-        """(m, 3) [m]."""
-
-    def sums(self, pull: Array, bend: Array | None) -> tuple[Array, Array]:
-        """Sums of pull . d residual / dx (k,) and of (d residual / dx)' bend (d residual / dx) (k, k)."""
-
-    def curvature(self, pull: Array) -> Array:
-        """Sum of pull . d2 residual / dx2, (k, k)."""
-
-
-class Problem(Protocol):
-    """The problem for the solver: unknowns x (k,) within +-limits, and residuals reference minus modelled [m].
-
-    The Jacobian (m, 3, k) is a view of a contiguous (k, 3, m) array: jacobian.transpose(2, 1, 0) costs nothing.
-    """
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The k unknowns, in the order of x."""
-
-    def __len__(self) -> int:
-        """Number of poses, m."""
-
-    def residuals(self, x: Array, rows: slice = ALL) -> Array:
-        """(m, 3) [m], of all poses or a slice of them."""
-
-    def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
-        """(m, 3) [m] and the derivative of the residuals (m, 3, k) [m per scaled unknown]."""
-
-    def expanded(self, x: Array, rows: slice = ALL) -> Expanded:
-        """The residuals, and sums of their derivatives for Newton's steps."""
-
-    def sensitivity(self, x: Array, rows: slice = ALL) -> Array:
-        """(m, 3, k), of all poses or a slice of them: the Jacobian for zero residuals, which shows what the points determine."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ import numpy as np
 
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.posed import PosedProblem
-from calib.arm_problem.problem import ALL, ArmProblem, Expanded, Problem
+from calib.arm_problem.problem import ArmProblem
+from calib.arm_problem.protocol import ALL, Expanded, Problem
 from calib.arrays import Array
 
 

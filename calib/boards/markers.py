@@ -18,7 +18,8 @@ import numpy as np
 from calib.arrays import Array, frozen
 from calib.errors import PointsFileError
 from calib.points.covariance import COVARIANCE
-from calib.points.points import ORIENTATION, opened_text, require_commas
+from calib.points.points import ORIENTATION
+from calib.points.reading import opened_text, require_commas
 
 REQUIRED = ("setup", "marker", "x_m", "y_m", "z_m")
 

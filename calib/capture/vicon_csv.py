@@ -19,7 +19,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.capture.tracks import FRAMES_MOST, Body, Capture, CaptureError
 from calib.errors import PointsFileError
-from calib.points.points import opened_text
+from calib.points.reading import opened_text
 from control.kinematics.rotation import exponentials, matrices
 
 OF_BODIES, OF_MARKERS = ("Objects", "Segments"), ("Trajectories",)

@@ -19,7 +19,8 @@ import numpy.typing as npt
 from calib.arm_problem.joint_effects import known_corrections
 from calib.arrays import Array, frozen
 from calib.errors import PointsFileError, UnusablePointsError
-from calib.points.points import Points, make_points, read_points
+from calib.points.points import Points, make_points
+from calib.points.reading import read_points
 from control.model.arm import Arm
 
 DISTANCE, JOINED = "distance_m", "joined"

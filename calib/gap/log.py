@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, PointsFileError
-from calib.points.points import opened_text, require_commas
+from calib.points.reading import opened_text, require_commas
 
 REQUIRED = ("run", "t_s")
 TIP = ("x_m", "y_m", "z_m")

@@ -22,7 +22,8 @@ from calib.arm_problem.frames import mean_rotation
 from calib.arrays import Array, frozen
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.files import SET, TIP
-from calib.points.points import Points, make_points, require_commas
+from calib.points.points import Points, make_points
+from calib.points.reading import require_commas
 from control.files import open_file, parsed_json, read_text
 from control.kinematics.kinematics import Kinematics
 from control.kinematics.rotation import logarithms, matrices

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.errors import UnusablePointsError
-from calib.points.points import OWN_FRAMES, Points, joined, read_points
+from calib.points.points import OWN_FRAMES, Points, joined
+from calib.points.reading import read_points
 from control.files import parsed_json, read_text
 from control.model.arm import Arm
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from calib.errors import SessionError
 from calib.points.covariance import COVARIANCE
-from calib.points.points import ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points, read_points
+from calib.points.points import ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points
+from calib.points.reading import read_points
 from control.files import append_whole, read_bytes, write_whole
 
 Key = tuple[str, str, int]

@@ -62,11 +62,6 @@ def _box(section: Section) -> str:
     return f"<section><h2>{escaped(section.title)}</h2>{section.html}</section>\n"
 
 
-def text_section(title: str, *paragraphs: str) -> Section:
-    """A section of plain text."""
-    return Section(title, "".join(paragraph(text) for text in paragraphs))
-
-
 def list_section(title: str, lines: Iterable[str]) -> Section:
     """A section of plain sentences, one bullet each."""
     return Section(title, bullets(lines))

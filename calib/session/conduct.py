@@ -26,7 +26,8 @@ from calib.session.plan import Target
 from calib.session.residual_watch import ResidualWatch
 from calib.session.take import SessionSettings, take
 from control.errors import ArmError
-from control.server.client import ArmFaulted, RuntimeGone
+from control.server.channel import RuntimeGone
+from control.server.client import ArmFaulted
 
 Talk = Generator[Saying, Command, None]
 Answer = Generator[Saying, Command, bool]

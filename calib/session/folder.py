@@ -20,7 +20,8 @@ from types import TracebackType
 from typing import Self
 
 from calib.errors import SessionError
-from calib.points.points import Points, read_points
+from calib.points.points import Points
+from calib.points.reading import read_points
 from calib.points.writer import Key, PointsWriter, Record, replace_file
 from calib.session.journal import Entry, Journal
 from calib.session.plan import SessionPlan, from_json, require_same, to_json

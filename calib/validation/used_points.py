@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import CalibrationError
 from calib.inputs import input_file
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from control.model.arm import Arm
 
 SAME_POSE_rad = (

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.errors import VisionError
-from calib.points.points import opened_text, require_commas
+from calib.points.reading import opened_text, require_commas
 from calib.vision.edges import refined_square
 from calib.vision.opencv import Picture, opencv
 from control.errors import BadTarget

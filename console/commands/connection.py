@@ -6,7 +6,8 @@ from pathlib import Path
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.server.client import ArmClient, SocketChannel
+from control.server.channel import SocketChannel
+from control.server.client import ArmClient
 from control.server.sockets import default_path
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from console.commands.connection import connected
 from console.commands.end_effector import gripper_text, pin_text
 from control.recording.recorder_state import RecorderState
-from control.server.client import Message
+from control.server.channel import Message
 
 STALE = " *"
 

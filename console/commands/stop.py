@@ -11,7 +11,8 @@ from functools import partial
 from pathlib import Path
 
 from control.errors import ArmError
-from control.server.client import ArmClient, ArmFaulted, NoRuntime, SocketChannel
+from control.server.channel import NoRuntime, SocketChannel
+from control.server.client import ArmClient, ArmFaulted
 from control.server.sockets import find_sockets, foreign_folders
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from control.server.client import CONTROL_KEY
+from control.server.channel import CONTROL_KEY
 from control.server.sockets import ForeignRuntime, require_own_runtime
 
 Message = dict[str, Any]

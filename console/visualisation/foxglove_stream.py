@@ -21,7 +21,7 @@ from control.recording.mcap_events import ERROR as ERROR_LEVEL
 from control.recording.mcap_events import Events
 from control.recording.mcap_schemas import CAMERA, DRIVES, ERROR, JOINTS, LOOP, SET_POINT, schemas_of
 from control.safety.table import Mode
-from control.server.client import Message
+from control.server.channel import Message
 
 LOOPBACK, PORT = "127.0.0.1", 8765  # Foxglove's usual port
 SHAPES_EVERY_s: Final = 1.0  # a viewer gets nothing that was sent before it came

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from console.visualisation.series import Array, Series
-from control.server.client import Message
+from control.server.channel import Message
 from firmware_iface.clock import Clock
 
 Point = tuple[float, float, float]

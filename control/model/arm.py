@@ -18,49 +18,34 @@ from numpy.typing import ArrayLike, NDArray
 from control.errors import ArmError, MissingModel
 from control.model.board_kinds import KINDS, REFERENCE, BoardKind
 from control.model.camera import Camera as Camera
+from control.model.drive import ENCODER_CHANNELS as ENCODER_CHANNELS
+from control.model.drive import Drive as Drive
+from control.model.drive import DrivePid as DrivePid
+from control.model.drive import Home as Home
+from control.model.drive import NonNegative, Positive
 from control.model.end_effector import NO_TOOL, Digital, Gripper
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
+from control.model.limits import USUAL_LIMITS, USUAL_RECORDING
+from control.model.limits import Limits as Limits
+from control.model.limits import RecordingPolicy as RecordingPolicy
 from control.model.maps import CorrectionMap
 from control.model.rules import (
     ANGLE,
-    BACKOFF,
     BOARD_SIZE,
-    CLEARANCE,
-    DIRECTION,
-    ENCODER_BITS,
-    FOLLOWING,
     GRAVITY,
-    HEIGHT,
-    JOINT_SPEED,
     KIND,
-    LAG,
     LENGTH,
     LIMIT,
     NAME,
-    NODE,
-    NOT_NEGATIVE,
     ONE_OR_MORE,
-    PAYLOAD,
     POSITION,
-    POSITIVE,
-    ROTATE_BYTES,
-    ROTOR,
-    SHARE_ABOVE_1,
-    SHARE_BELOW_1,
-    STALE,
     TILT,
-    TIP_SPEED,
-    WATCHDOG,
     ZERO_OR_MORE,
 )
 
 Convention = Literal["standard", "modified"]
 Position = Annotated[Vector3, POSITION]
-Direction = Annotated[int, DIRECTION]
-NonNegative = Annotated[float, NOT_NEGATIVE]
-Positive = Annotated[float, POSITIVE]
-ENCODER_CHANNELS = 3  # an encoder board reads three encoders
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,97 +69,6 @@ class Link:
         NonNegative,
         "of its body, for floor, table and own base; 0: a line. The tip is a point",
     ] = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class DrivePid:
-    """A joint's position control; missing gains are derived from the model.
-
-    In voltage and position mode kp is in V/rad, ki in V/(rad s), kd in V s/rad, all at the joint; in current
-    mode the same with amperes.
-    """
-
-    mode: Annotated[
-        Literal["voltage", "current", "position"],
-        'what is sent to the motor board; "position": the PID runs on the board',
-    ] = "voltage"
-    kp: Annotated[NonNegative | None, "V/rad or A/rad", "from the model"] = None
-    ki: Annotated[NonNegative | None, "V/(rad s) or A/(rad s)", "from the model"] = None
-    kd: Annotated[NonNegative | None, "V s/rad or A s/rad", "from the model"] = None
-    derivative_filter_s: Annotated[NonNegative | None, "time constant of the speed's filter", "0.001"] = None
-
-
-@dataclass(frozen=True, slots=True)
-class Home:
-    """How a joint homes: its switch, the index pulse after it, and the speed.
-
-    The switch is active on the side of `index_rad`; homing moves from `switch_rad` towards `index_rad`.
-    """
-
-    switch_rad: Annotated[float, "where the home switch changes"]
-    index_rad: Annotated[float, "the index pulse after it, best half a motor turn further"]
-    speed_rad_s: Annotated[Positive, JOINT_SPEED, "towards the switch"] = 0.2
-    backoff_rad: Annotated[Positive, BACKOFF, "how far it moves back off an active switch"] = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A joint's motor, gear and encoder; a missing limit is infinite."""
-
-    joint: Annotated[int, ONE_OR_MORE, "which joint, counted from 1 at the base"]
-    gear_ratio: Annotated[Positive, "motor turns per joint turn, belts included"]
-    encoder_counts_per_rev: Annotated[int, ONE_OR_MORE, "per motor turn, after quadrature decoding"]
-    torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
-    resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
-    supply_V: Annotated[Positive, "of the motor board"]
-    encoder_bits: Annotated[int, ENCODER_BITS, "width of the counter"] = 32
-    inductance_H: Annotated[NonNegative, "of the winding"] = 0.0
-    rotor_inertia_kg_m2: Annotated[
-        NonNegative, ROTOR, "of the rotor; counts gear_ratio^2 times at the joint"
-    ] = 0.0
-    current_limit_A: Annotated[Positive, "largest motor current"] = math.inf
-    joint_lower_rad: Annotated[float, LIMIT, "lower end of the joint's range"] = -math.inf
-    joint_upper_rad: Annotated[float, LIMIT, "upper end"] = math.inf
-    joint_speed_limit_rad_s: Annotated[Positive, JOINT_SPEED, "of plans and set-points"] = math.inf
-    joint_acceleration_limit_rad_s2: Annotated[Positive, "of plans and set-points"] = math.inf
-    joint_jerk_limit_rad_s3: Annotated[Positive, "of plans"] = math.inf
-    encoder_board: Annotated[
-        int, ZERO_OR_MORE, "which [[encoder_board]], from 0", "joints fill the boards in order, three each"
-    ] = -1
-    encoder_channel: Annotated[int, ZERO_OR_MORE, "its channel, 0 to 2", "in order"] = -1
-    encoder_direction: Annotated[
-        Direction, "-1: counts down while the joint turns in its positive direction"
-    ] = 1
-    motor_node: Annotated[int, NODE, "CAN node of the motor board", "the joint's number"] = -1
-    motor_direction: Annotated[Direction, "-1: a positive voltage turns the joint backwards"] = 1
-    motor_serial_number: Annotated[
-        Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"
-    ] = None
-    zero_count: Annotated[int, "the encoder's count at joint angle 0"] = 0
-    board: Annotated[
-        str, "name of the [[board]] that drives it; else a motor board of docs/motor_board.md"
-    ] = ""
-    board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
-    board_holds: Annotated[
-        bool,
-        "the motor board's own encoder counts up with positive voltage; false: without the loop the"
-        " board brakes and cannot hold; `bringup` finds out",
-    ] = True
-    pid: Annotated[DrivePid, ""] = DrivePid()
-    home: Annotated[Home | None, "absent: the joint cannot be homed; its zero is set on the board"] = None
-
-    def __post_init__(self) -> None:
-        """Fill in the default wiring from the joint's number; a drive with a `board` has none."""
-        if self.board and self.encoder_board < 0:
-            return
-        board, channel = divmod(self.joint - 1, ENCODER_CHANNELS)
-        for name, default in (
-            ("encoder_board", board),
-            ("encoder_channel", channel),
-            ("motor_node", self.joint),
-        ):
-            if getattr(self, name) < 0:
-                object.__setattr__(self, name, default)
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,65 +146,6 @@ class Rest:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """Limits that the loop enforces (docs/safety.md)."""
-
-    tip_speed_m_s: Annotated[Positive, TIP_SPEED, "of the tip, in plans"] = 1.0
-    tip_turn_speed_rad_s: Annotated[Positive, JOINT_SPEED, "of the tip's orientation, in plans"] = 2.0
-    tip_turn_acceleration_rad_s2: Annotated[Positive, "of the tip's orientation, in plans"] = 20.0
-    following_error_rad: Annotated[float, FOLLOWING, "largest error of a joint at rest"] = 0.05
-    following_error_per_speed_s: Annotated[
-        float, LAG, "this much more with every rad/s of set-point speed"
-    ] = 0.05
-    floor_z_m: Annotated[float, HEIGHT, "height in the base frame that the arm stays above"] = 0.0
-    floor_clearance_m: Annotated[NonNegative, CLEARANCE, "distance kept from the floor"] = 0.0
-    floor_tolerance_m: Annotated[
-        NonNegative, CLEARANCE, "by which the model may be wrong before calibration"
-    ] = 0.01
-    base_radius_m: Annotated[
-        NonNegative, BOARD_SIZE, "of the arm's own base about axis 1, up to joint 2; 0: not checked"
-    ] = 0.0
-    watchdog_s: Annotated[
-        float,
-        WATCHDOG,
-        "a board without commands for this long goes to FAULT; hosts pause for 40 to 170 ms",
-    ] = 0.2
-    stale_s: Annotated[float, STALE, "an older value is a fault"] = 0.02
-    jog_tip_speed_m_s: Annotated[
-        Positive, TIP_SPEED, "reduced speed for people beside the arm (ISO 10218-1)"
-    ] = 0.25
-    payload_limit_kg: Annotated[NonNegative, PAYLOAD, "largest mass that a client may state"] = 5.0
-    jog_silence_s: Annotated[
-        Positive, "a jog that is not renewed for this long comes to rest; at most 0.5"
-    ] = 0.2
-    speed_contradiction_rad_s: Annotated[
-        Positive, JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md)"
-    ] = 0.02
-    unexplained_torque: Annotated[Positive, "share of the torque at the current limit (docs/safety.md)"] = 0.3
-    supply_low: Annotated[float, SHARE_BELOW_1, "of the drive's supply_V"] = 0.75
-    supply_high: Annotated[float, SHARE_ABOVE_1, "of the drive's supply_V"] = 1.4
-    temperature_degC: Annotated[Positive, "of a power stage; boards also trip at their own rating"] = 95.0
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingPolicy:
-    """Size of recordings, and what happens while the disk takes none."""
-
-    rotate_bytes: Annotated[int, ROTATE_BYTES, "size at which a new file begins"] = 500_000_000
-    keep_bytes: Annotated[
-        int,
-        ZERO_OR_MORE,
-        "above this total the oldest recordings of this arm are removed; 0: none is ever removed; at least"
-        " twice rotate_bytes",
-    ] = 0
-    unrecorded: Annotated[
-        Literal["refuse", "allow"],
-        'while the disk takes no rows: "refuse": no motion begins, one that runs is stopped, jogs and hand guiding are'
-        ' free; "allow": motions go on',
-    ] = "refuse"
-
-
-@dataclass(frozen=True, slots=True)
 class Calibration:
     """Origin of a calibrated arm, written by `calibrate` and `gap`."""
 
@@ -350,8 +185,8 @@ class Arm:
     )
     can: Annotated[CanBus | None, ""] = None
     rest: Annotated[Rest | None, ""] = None
-    limits: Annotated[Limits, ""] = Limits()
-    recording: Annotated[RecordingPolicy, ""] = RecordingPolicy()
+    limits: Annotated[Limits, ""] = USUAL_LIMITS
+    recording: Annotated[RecordingPolicy, ""] = USUAL_RECORDING
     calibration: Annotated[Calibration | None, ""] = None
     spare_tools: tuple[Tool, ...] = field(default=(), metadata={"key": ""})  # the other [[tool]]s of the file
     path: Path | None = field(default=None, compare=False, metadata={"key": ""})

@@ -5,20 +5,15 @@ socket (another process) and with a runtime in the same process on a stepped clo
 docs/socket.md lists every request.
 """
 
-import os
-import socket
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
 from control.errors import ArmError
 from control.hardware.averaging import Average
-from control.server.sockets import ForeignRuntime, require_own_runtime
+from control.server.channel import Channel, Message, RuntimeGone
 
-Message = dict[str, Any]
-CONTROL_KEY = "ARMWRIGHT_CONTROL_KEY"  # environment: clients with the same key count as one
 RELAPSE_S = 0.1  # a fault whose cause persists is detected again within some cycles
 AVERAGE_LIMIT_S = 2.0  # an average takes its own time; this much more is a host that was paused
 SETTLE_LIMIT_S = 2.0  # drives that do not enable are a fault after half of this time
@@ -39,86 +34,6 @@ class MotionStopped(ArmError):
 
 class ArmLate(ArmError):
     """The arm did not reach its goal within the expected time."""
-
-
-class RuntimeGone(ArmError):
-    """No runtime answers on the socket."""
-
-
-class NoRuntime(RuntimeGone):
-    """No runtime listens at the socket."""
-
-
-class Channel(Protocol):
-    """Carries a request to the runtime and its answer back."""
-
-    def request(self, message: Message) -> Message: ...
-
-    def wait(self, duration_s: float) -> None:
-        """Let time pass on the runtime's clock."""
-        ...
-
-    def close(self) -> None: ...
-
-
-class SocketChannel:
-    """A channel over the runtime's local socket: one JSON object a line, both ways."""
-
-    def __init__(self, path: Path, timeout_s: float = 2.0) -> None:
-        self._path = path
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(timeout_s)
-        try:
-            self._socket.connect(str(path))
-        except OSError as error:
-            self._socket.close()
-            is_none = isinstance(error, FileNotFoundError | ConnectionRefusedError)
-            raise (NoRuntime if is_none else RuntimeGone)(
-                f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`"
-            ) from error
-        try:
-            require_own_runtime(self._socket, path)
-        except ForeignRuntime as error:
-            self._socket.close()
-            raise RuntimeGone(str(error)) from None
-        self._lines = self._socket.makefile("rb")
-        self._asked_count = 0
-        if key := os.environ.get(CONTROL_KEY):  # of the console that started this command
-            self.request({"do": "control", "key": key})
-
-    def request(self, message: Message) -> Message:
-        """Send and wait for the answer. RuntimeGone if the runtime ended or does not answer in time.
-
-        The answer to an earlier request that was interrupted is skipped: it must not be taken
-        for this one.
-        """
-        self._asked_count += 1
-        try:
-            self._socket.sendall(msgspec.json.encode({**message, "id": self._asked_count}) + b"\n")
-            while True:
-                answer = self._answer()
-                if answer.get("id", self._asked_count) == self._asked_count:
-                    return answer
-        except OSError as error:
-            raise RuntimeGone(f"the runtime at {self._path} does not answer ({error})") from error
-
-    def _answer(self) -> Message:
-        line = self._lines.readline()
-        if not line:
-            raise RuntimeGone(f"the runtime at {self._path} closed the connection")
-        answer: Message = msgspec.json.decode(line)
-        return answer
-
-    def wait(self, duration_s: float) -> None:
-        """Wait on the host's clock."""
-        import time
-
-        time.sleep(duration_s)
-
-    def close(self) -> None:
-        """Close the connection. The runtime stops a motion that this connection started."""
-        self._lines.close()
-        self._socket.close()
 
 
 class ArmClient:

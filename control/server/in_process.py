@@ -6,7 +6,7 @@ import msgspec
 
 from control.hardware.attended_clock import AttendedClock
 from control.loop.cell import Looped
-from control.server.client import Message
+from control.server.channel import Message
 from control.server.messages import Asked, asked
 from control.server.periodic import PeriodicTimer
 from control.server.server import encoded

@@ -8,8 +8,6 @@ from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
 from firmware_iface.motor.wire import DigitalCommand, DigitalReply, Parameter
 
-PINS_MOST = 8
-
 
 class DigitalPins:
     """Asks for levels and sets outputs; the bus delivers the replies. `reply` is the last one, None before the first."""

@@ -14,7 +14,8 @@ from calib.arrays import norms
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.identify.identification import Identification, identify
 from calib.inputs import InputFile, input_file
-from calib.points.points import Points, read_points
+from calib.points.points import Points
+from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.report.report import write_report
 from calib.report.report_data import ReportData

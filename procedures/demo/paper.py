@@ -18,7 +18,8 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, norms
 from calib.calibration.outcome import write_calibrated_arm
 from calib.inputs import input_file
-from calib.points.points import Points, read_points
+from calib.points.points import Points
+from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.session.table import board_points
 from control.files import write_whole

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from control.server.client import ArmClient, RequestRefused, RuntimeGone
+from control.server.channel import RuntimeGone
+from control.server.client import ArmClient, RequestRefused
 from procedures.drills.promise import Outcome, Promise, length_m, stood_s
 from procedures.drills.stage import off_way_m
 from procedures.mock.bench import RealTimeBench

@@ -19,7 +19,8 @@ from control.model.description import load_arm
 from control.model.end_effector import Gripper
 from control.safety.table import Mode
 from control.server.assemble import Assembly, assemble
-from control.server.client import ArmClient, Message
+from control.server.channel import Message
+from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point

@@ -15,7 +15,8 @@ from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.cell import Placed
 from control.motion.jog_limits import JogLimits
-from control.server.client import ArmClient, ArmFaulted, Message, MotionStopped, RequestRefused, fault_text
+from control.server.channel import Message
+from control.server.client import ArmClient, ArmFaulted, MotionStopped, RequestRefused, fault_text
 
 PERIOD_S = 0.02  # of the requests; a jog must be renewed at 10 Hz
 GAIN_per_s = 6.0  # of the distance: it is halved in 0.12 s

@@ -12,7 +12,7 @@ from calib.iso9283.page import write_page
 from calib.iso9283.recorded import PoseGroup, Run, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import Evaluation, write_document
 from calib.points.arm_points import require_recorded_of
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from control.model.arm import Arm
 
 

@@ -15,7 +15,8 @@ from control.model.description import arm_text, save_arm
 from control.recording.layout import about_columns, layout_of
 from control.recording.record import FileSink
 from control.server.assemble import assemble
-from control.server.client import ArmClient, RuntimeGone, SocketChannel
+from control.server.channel import RuntimeGone, SocketChannel
+from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.installation import command
 from hil_mocks.realtime import RealTimeRig

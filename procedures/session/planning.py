@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from calib.errors import SessionError
-from calib.points.points import opened_text
+from calib.points.reading import opened_text
 from calib.session.moves.free_poses import chosen_free_poses, read_free_poses
 from calib.session.plan import (
     FREE,

@@ -15,7 +15,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Vector3
 from control.model.description import arm_names, load_arm
-from control.server.client import Message
+from control.server.channel import Message
 
 SAME_TIP_m = 1e-6
 

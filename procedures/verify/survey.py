@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.points.points import Points, joined, make_points, read_points
+from calib.points.points import Points, joined, make_points
+from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.session.sequence import Progress
 from calib.validation.tracks import Track, TrackPair

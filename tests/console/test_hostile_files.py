@@ -18,7 +18,7 @@ from calib.errors import PointsFileError, SessionError
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle
 from calib.points import points
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from calib.session.folder import SessionFolder
 from console.places import read_places
 from control.files import read_text

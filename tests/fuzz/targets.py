@@ -17,7 +17,7 @@ from calib.capture.c3d import read_c3d
 from calib.capture.vicon_csv import read_vicon_csv
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from calib.session.folder import SessionFolder
 from calib.tolerances.file import parse_tolerances, tolerances_text
 from console.places import read_places

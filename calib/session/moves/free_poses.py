@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import SessionError
-from calib.points.points import opened_text
+from calib.points.reading import opened_text
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 

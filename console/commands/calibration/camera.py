@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calib.errors import VisionError
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from calib.points.writer import write_points
 from calib.vision.advice import advice
 from calib.vision.camera_file import read_camera, write_camera

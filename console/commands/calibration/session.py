@@ -23,7 +23,8 @@ from console.commands.connection import in_control_of
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.server.client import ArmClient, ArmFaulted, Message, fault_text
+from control.server.channel import Message
+from control.server.client import ArmClient, ArmFaulted, fault_text
 from hil_mocks.scenario import load_scenario
 from procedures.folders import require_writable
 from procedures.ports import RuntimePort

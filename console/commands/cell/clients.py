@@ -6,7 +6,8 @@ from contextlib import contextmanager
 
 from control.errors import ArmError
 from control.model.cell import Cell, load_cell
-from control.server.client import ArmClient, SocketChannel
+from control.server.channel import SocketChannel
+from control.server.client import ArmClient
 from control.server.sockets import default_path
 
 

@@ -26,7 +26,8 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.cell import Cell, load_cell
 from control.model.description import load_arm
-from control.server.client import ArmClient, RuntimeGone
+from control.server.channel import RuntimeGone
+from control.server.client import ArmClient
 from firmware_iface.clock import MonotonicClock
 
 LIVE_PERIOD_s = 1.0 / 30.0  # the loop serves at most one request per cycle; this is negligible

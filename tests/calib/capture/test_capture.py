@@ -20,7 +20,7 @@ from calib.capture.tracks import Body, Capture, CaptureError, fitted_body, relat
 from calib.capture.vicon_csv import read_vicon_csv
 from calib.gap.log import read_log
 from calib.identify.identification import identify
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from console.main import main
 from control.model.camera import Camera, CameraStream
 from control.model.description import save_arm

@@ -25,7 +25,8 @@ from calib.design.candidates import free_candidates, workspace_poses
 from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError
 from calib.identify import LeastSquares, SumOfDistances
-from calib.points.points import make_points, read_points
+from calib.points.points import make_points
+from calib.points.reading import read_points
 
 UNKNOWN = dataclasses.replace(ARM, table=dataclasses.replace(ARM.table, known_pose=False))
 EVERYWHERE = workspace_poses(ARM, [], 300)

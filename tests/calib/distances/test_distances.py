@@ -26,7 +26,8 @@ from calib.distances.calibrate import DistancePlan
 from calib.distances.readings import readings_of
 from calib.distances.text import distances_text
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
-from calib.points.points import Points, read_points
+from calib.points.points import Points
+from calib.points.reading import read_points
 from calib.points.writer import write_points
 from console.main import main
 from control.model.description import load_arm

@@ -19,7 +19,8 @@ from calib.identify import identify
 from calib.identify.objective import objective_named
 from calib.iso9283.evaluate_poses import pose_criterion
 from calib.iso9283.recorded import pose_groups
-from calib.points.points import Points, make_points, read_points
+from calib.points.points import Points, make_points
+from calib.points.reading import read_points
 from calib.points.writer import write_points
 from calib.validation.turned import compare_turns
 from control.kinematics.kinematics import Kinematics

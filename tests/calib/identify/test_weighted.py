@@ -18,7 +18,8 @@ from calib.identify import identify
 from calib.identify.objective import objective_named
 from calib.points.arm_points import base_points_for, points_for
 from calib.points.covariance import COVARIANCE, matrices_of, triangles
-from calib.points.points import Points, make_points, read_points
+from calib.points.points import Points, make_points
+from calib.points.reading import read_points
 from calib.points.writer import write_points
 from calib.validation.verify_recorded import compare_arms
 from control.kinematics.kinematics import Kinematics

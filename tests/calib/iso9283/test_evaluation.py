@@ -19,7 +19,8 @@ from calib.iso9283.page import summary_text, write_page
 from calib.iso9283.recorded import Run, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import CRITERIA, Criterion, Evaluation, document
 from calib.iso9283.workspace import solver_of
-from calib.points.points import Points, make_points, read_points
+from calib.points.points import Points, make_points
+from calib.points.reading import read_points
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm

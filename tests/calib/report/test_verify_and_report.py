@@ -14,7 +14,7 @@ from calib.calibration.outcome import write_calibrated_arm, write_calibration_js
 from calib.errors import CalibrationError
 from calib.identify import ArmModel
 from calib.inputs import input_file
-from calib.report.page import list_section, text_section
+from calib.report.page import list_section
 from calib.report.path_pictures import SAMPLES_DRAWN, thinned
 from calib.report.report import report_html, write_report
 from calib.report.report_data import ReportData
@@ -187,7 +187,7 @@ def full_report(result, tmp_path: Path) -> ReportData:
         arms=(nominal, nominal.with_dh(found.dh)),
         notes=("nothing",),
         verdict=("a <good> one",),
-        sections=(text_section("Held out", "1 & 2"), list_section("Outliers", ["point <7>"])),
+        sections=(list_section("Held out", ["1 & 2"]), list_section("Outliers", ["point <7>"])),
     )
 
 

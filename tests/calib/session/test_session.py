@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles_for
 from calib.errors import SessionError, UnusablePointsError
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.session import FreePose, SeenTip, SessionSettings, Stage, step_through, table, take_free_poses
 from calib.session.standstill import StandstillWindow, wait_for_rest

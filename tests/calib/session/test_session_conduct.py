@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH
 from calib.boards.boards import read_boards
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
 from calib.session.dialogue import GO, Ask, Command, Do, Jog, Message, Question, Recorded

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.points.points import Points, read_points
+from calib.points.points import Points
+from calib.points.reading import read_points
 from console.main import main
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics

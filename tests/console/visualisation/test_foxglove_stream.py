@@ -17,7 +17,7 @@ from console.visualisation.foxglove_stream import Address, LiveMessages, address
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.recording.mcap_schemas import schemas_of
-from control.server.client import Message, RuntimeGone
+from control.server.channel import Message, RuntimeGone
 from tests.cell import RIGHT, Cell
 
 FREE = Address("127.0.0.1", 0)

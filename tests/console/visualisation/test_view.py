@@ -28,7 +28,7 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Link, Tool
 from control.model.cell import load_cell
 from control.model.description import arm_text, load_arm
-from control.server.client import RuntimeGone
+from control.server.channel import RuntimeGone
 from tests.recordings import MODES, write_recording
 
 ARM = load_arm("right")

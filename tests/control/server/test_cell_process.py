@@ -17,7 +17,8 @@ from control.model.cell import save_cell
 from control.recording.cell_folder import recordings_in
 from control.recording.joined import join
 from control.recording.reading import Recording
-from control.server.client import ArmClient, SocketChannel
+from control.server.channel import SocketChannel
+from control.server.client import ArmClient
 from hil_mocks.realtime import RealTimeCell
 from procedures.mock.arm import wired_to
 from tests.control.server.test_process import SCENARIO, LIMIT_s, patient, started

@@ -18,7 +18,8 @@ from control.model.description import save_arm
 from control.recording.parts import has_part, next_part
 from control.recording.reading import Recording
 from control.safety.table import Mode
-from control.server.client import ArmClient, RuntimeGone, SocketChannel
+from control.server.channel import RuntimeGone, SocketChannel
+from control.server.client import ArmClient
 from hil_mocks.realtime import RealTimeRig
 from procedures.mock.arm import wired_to
 from tests.cell import RIGHT

@@ -19,7 +19,7 @@ import pytest
 from control.errors import ArmError
 from control.safety.table import Mode
 from control.server import sockets
-from control.server.client import RuntimeGone, SocketChannel
+from control.server.channel import RuntimeGone, SocketChannel
 from control.server.messages import Asked
 from control.server.server import (
     CLIENT_LIMIT,

@@ -16,7 +16,8 @@ from calib.gap.log import Log, read_log
 from calib.gap.plan.collision_free_box import collision_free_box
 from calib.gap.plan.motions import Limits, multisine
 from calib.gap.plan.plan import RecordingPlan, Run, Visit
-from calib.points.points import Points, read_points
+from calib.points.points import Points
+from calib.points.reading import read_points
 from console.main import main
 from control.model.description import load_arm
 from procedures.gap.recording import Bench, note_plan, record

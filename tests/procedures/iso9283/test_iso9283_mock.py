@@ -18,7 +18,7 @@ from calib.iso9283.criteria import pose
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.programme import Extent, PathRun
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from console.main import main
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm

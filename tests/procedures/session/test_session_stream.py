@@ -10,7 +10,7 @@ import pytest
 
 from calib.arm_problem.frames import Frame, rotation_of
 from calib.calibration.outcome import with_placed_stream
-from calib.points.points import read_points
+from calib.points.reading import read_points
 from calib.session import ArmGeometry, SeenTip
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct

@@ -1,0 +1,115 @@
+"""The joints' tables of an arm.toml: motor, gear and encoder, position control, homing (see `control.model.arm`)."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from control.model.rules import (
+    BACKOFF,
+    DIRECTION,
+    ENCODER_BITS,
+    JOINT_SPEED,
+    LIMIT,
+    NODE,
+    NOT_NEGATIVE,
+    ONE_OR_MORE,
+    POSITIVE,
+    ROTOR,
+    ZERO_OR_MORE,
+)
+
+Direction = Annotated[int, DIRECTION]
+NonNegative = Annotated[float, NOT_NEGATIVE]
+Positive = Annotated[float, POSITIVE]
+ENCODER_CHANNELS = 3  # an encoder board reads three encoders
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePid:
+    """A joint's position control; missing gains are derived from the model.
+
+    In voltage and position mode kp is in V/rad, ki in V/(rad s), kd in V s/rad, all at the joint; in current
+    mode the same with amperes.
+    """
+
+    mode: Annotated[
+        Literal["voltage", "current", "position"],
+        'what is sent to the motor board; "position": the PID runs on the board',
+    ] = "voltage"
+    kp: Annotated[NonNegative | None, "V/rad or A/rad", "from the model"] = None
+    ki: Annotated[NonNegative | None, "V/(rad s) or A/(rad s)", "from the model"] = None
+    kd: Annotated[NonNegative | None, "V s/rad or A s/rad", "from the model"] = None
+    derivative_filter_s: Annotated[NonNegative | None, "time constant of the speed's filter", "0.001"] = None
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """How a joint homes: its switch, the index pulse after it, and the speed.
+
+    The switch is active on the side of `index_rad`; homing moves from `switch_rad` towards `index_rad`.
+    """
+
+    switch_rad: Annotated[float, "where the home switch changes"]
+    index_rad: Annotated[float, "the index pulse after it, best half a motor turn further"]
+    speed_rad_s: Annotated[Positive, JOINT_SPEED, "towards the switch"] = 0.2
+    backoff_rad: Annotated[Positive, BACKOFF, "how far it moves back off an active switch"] = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A joint's motor, gear and encoder; a missing limit is infinite."""
+
+    joint: Annotated[int, ONE_OR_MORE, "which joint, counted from 1 at the base"]
+    gear_ratio: Annotated[Positive, "motor turns per joint turn, belts included"]
+    encoder_counts_per_rev: Annotated[int, ONE_OR_MORE, "per motor turn, after quadrature decoding"]
+    torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
+    resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
+    supply_V: Annotated[Positive, "of the motor board"]
+    encoder_bits: Annotated[int, ENCODER_BITS, "width of the counter"] = 32
+    inductance_H: Annotated[NonNegative, "of the winding"] = 0.0
+    rotor_inertia_kg_m2: Annotated[
+        NonNegative, ROTOR, "of the rotor; counts gear_ratio^2 times at the joint"
+    ] = 0.0
+    current_limit_A: Annotated[Positive, "largest motor current"] = math.inf
+    joint_lower_rad: Annotated[float, LIMIT, "lower end of the joint's range"] = -math.inf
+    joint_upper_rad: Annotated[float, LIMIT, "upper end"] = math.inf
+    joint_speed_limit_rad_s: Annotated[Positive, JOINT_SPEED, "of plans and set-points"] = math.inf
+    joint_acceleration_limit_rad_s2: Annotated[Positive, "of plans and set-points"] = math.inf
+    joint_jerk_limit_rad_s3: Annotated[Positive, "of plans"] = math.inf
+    encoder_board: Annotated[
+        int, ZERO_OR_MORE, "which [[encoder_board]], from 0", "joints fill the boards in order, three each"
+    ] = -1
+    encoder_channel: Annotated[int, ZERO_OR_MORE, "its channel, 0 to 2", "in order"] = -1
+    encoder_direction: Annotated[
+        Direction, "-1: counts down while the joint turns in its positive direction"
+    ] = 1
+    motor_node: Annotated[int, NODE, "CAN node of the motor board", "the joint's number"] = -1
+    motor_direction: Annotated[Direction, "-1: a positive voltage turns the joint backwards"] = 1
+    motor_serial_number: Annotated[
+        Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"
+    ] = None
+    zero_count: Annotated[int, "the encoder's count at joint angle 0"] = 0
+    board: Annotated[
+        str, "name of the [[board]] that drives it; else a motor board of docs/motor_board.md"
+    ] = ""
+    board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
+    board_holds: Annotated[
+        bool,
+        "the motor board's own encoder counts up with positive voltage; false: without the loop the"
+        " board brakes and cannot hold; `bringup` finds out",
+    ] = True
+    pid: Annotated[DrivePid, ""] = DrivePid()
+    home: Annotated[Home | None, "absent: the joint cannot be homed; its zero is set on the board"] = None
+
+    def __post_init__(self) -> None:
+        """Fill in the default wiring from the joint's number; a drive with a `board` has none."""
+        if self.board and self.encoder_board < 0:
+            return
+        board, channel = divmod(self.joint - 1, ENCODER_CHANNELS)
+        for name, default in (
+            ("encoder_board", board),
+            ("encoder_channel", channel),
+            ("motor_node", self.joint),
+        ):
+            if getattr(self, name) < 0:
+                object.__setattr__(self, name, default)
