@@ -23,8 +23,9 @@ def require_writable(folder: Path, option: str = "--out") -> None:
     try:
         files.require_writable(folder)
     except files.NotWritten as error:
+        remedy = "free some space, or choose" if error.errno in files.NO_ROOM else "choose"
         raise ArmError(
-            f"{option} {folder}: cannot write there ({error.strerror}): free some space, or choose another place"
+            f"{option} {folder}: cannot write there ({error.strerror}): {remedy} another place"
         ) from error
 
 

@@ -98,4 +98,4 @@ def require_known_names(wanted: Collection[str], names: Collection[str]) -> None
     """CalibrationError that lists the valid names, if `wanted` holds another."""
     unknown = sorted(set(wanted) - set(names))
     if unknown:
-        raise CalibrationError(f"parameter: expected one of {', '.join(names)}; got {', '.join(unknown)}")
+        raise CalibrationError(f"no parameter {', '.join(unknown)}: expected one of {', '.join(names)}")

@@ -79,9 +79,11 @@ def test_unknowns_without_a_nominal_value_have_no_limit_and_others_have_their_bo
 def test_a_name_that_is_none_is_refused_with_the_valid_ones() -> None:
     observed = Observations.of_tips(np.zeros((5, 3)), np.zeros((5, 3)))
     model = ArmModel(load_arm("right"))
-    with pytest.raises(CalibrationError, match=r"expected one of d1, theta1, .*alpha4; got tool_x"):
+    with pytest.raises(
+        CalibrationError, match=r"no parameter tool_x.*: expected one of d1, theta1, .*alpha4"
+    ):
         ArmProblem(model, observed, fixed=("tool_x",))
-    with pytest.raises(CalibrationError, match="got L9"):
+    with pytest.raises(CalibrationError, match="no parameter L9"):
         ArmProblem(model, observed, bounds=Bounds(own={"L9": 0.1}))
     with pytest.raises(CalibrationError, match="every parameter is fixed"):
         ArmProblem(model, observed, fixed=[p.name for p in ArmProblem(model, observed).parameters])
