@@ -19,6 +19,7 @@ from calib.errors import CalibrationError
 from calib.identify.identification import Identification, identify
 from calib.identify.objective import Objective, SumOfDistances
 from calib.identify.suspects import Suspects, find_suspects
+from calib.identify.tilted_axes import tilted_axes
 from calib.points.points import Points
 from calib.validation.holdout import HeldOut, held_out
 from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
@@ -82,7 +83,11 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
         seed=plan.seed,
         accuracy_limit_m=plan.accuracy_limit_m,
     )
-    warnings += [*unphysical(found.solution.corrections), *_about_noise(found)]
+    warnings += [
+        *unphysical(found.solution.corrections),
+        *_about_noise(found),
+        *tilted_axes(arm, problem, found.x),
+    ]
     advance("looking for outliers", 0.4)
     floor = noise_floor(arm, points, problem, found.x)
     suspects = find_suspects(problem, found.x, _cavities(arm), _usual_noise_m(problem, floor))

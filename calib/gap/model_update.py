@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from calib.arrays import Array
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, Parameters
 from control.model.arm import Arm, Effect
 from control.model.effects import total
 
 
-def updated_arm(arm: Arm, found: GapFinding, dh: Array | None) -> Arm:
-    """The arm with what was named, which is a total, in place of what its file has, and with the geometry `dh`.
+def updated_arm(arm: Arm, found: GapFinding) -> Arm:
+    """The arm with what was named, which is a total, in place of what its file has.
 
     An effect whose total is none is taken out, and so are measured maps: they were measured beside other effects.
     """
@@ -20,8 +19,7 @@ def updated_arm(arm: Arm, found: GapFinding, dh: Array | None) -> Arm:
     named = [effect_of(one.name, one.parameters) for one in effects if not one.is_nothing]
     gone = {(one.name.effect, one.name.joint) for one in effects if one.is_nothing}
     kept = tuple(one for one in arm.effects if (one.effect, one.joint) not in gone)
-    fitted = dataclasses.replace(arm if dh is None else arm.with_dh(dh), effects=kept, maps=())
-    return with_totals(fitted, named)
+    return with_totals(dataclasses.replace(arm, effects=kept, maps=()), named)
 
 
 def effect_of(name: EffectName, parameters: Mapping[str, tuple[float, float]]) -> Effect:

@@ -132,7 +132,7 @@ def find_gap(
     if log is not None:
         base = split or 0.0
         tried = [name for name in EFFECTS if name not in without] if without else None
-        shaped = arm if static is None else arm.with_dh(static.dh)
+        shaped = arm if static is None else static.fitted_arm
         dynamic = examine(shaped, log, lambda what, done: advance(what, base + (1.0 - base) * done), tried)
     if static is None and dynamic is None:
         raise CalibrationError("gap: expected static poses, time series, or both; got neither")
@@ -189,7 +189,8 @@ def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
 
 
 def _updated(arm: Arm, found: GapOutcome) -> Arm:
-    return updated_arm(arm, found.finding, found.static.dh if found.static is not None else None)
+    shaped = arm if found.static is None else dataclasses.replace(arm, links=found.static.fitted_arm.links)
+    return updated_arm(shaped, found.finding)
 
 
 def require_effects(names: Collection[str]) -> None:

@@ -105,7 +105,8 @@ def _compliance(record: EffectRecord, scene: Scene) -> Iterator[Term]:
         if np.abs(torque).max() <= NO_TORQUE_Nm:
             continue
         law = compliance_rad(torque, 1.0)
-        departs = like(law, [law * np.abs(torque), law * torque**2, compliance_rad(unstated[:, j], 1.0)])
+        bent = [law * np.abs(torque), law * torque**2, np.abs(law)]  # harder or softer with load; one way
+        departs = like(law, [*bent, compliance_rad(unstated[:, j], 1.0)])
         for more in _wound(held):
             yield term_on_joint(
                 scene, record, j + 1, np.array([law, *departs, *more]), departures=len(departs), is_positive=True,

@@ -104,14 +104,14 @@ def answered(
     finding = _finding(looked, around, decision, reasons, tuple(effects), floor, ends, sure, source)
     posed = around.state.posed()
     written = left_as_written(
-        updated_arm(looked.arm, finding, posed.problem.solution(x).dh), points, parts.known
+        updated_arm(looked.arm.with_dh(posed.problem.solution(x).dh), finding), points, parts.known
     )
     as_written = written.times(floor.tip_m, floor.turn_rad, sure)
     finding = dataclasses.replace(finding, gap_as_written=as_written)
     warnings += tuple(about_fit(looked.arm, posed.problem, x, floor, around.noise_m * best.kappa))
     grown = [(str(one.name), one.left.tip_m) for one in named]
     return StaticGap(
-        finding, points, parts, floor, (("nominal", nominal.tip_m), ("link geometry", geometry.tip_m), *grown),
+        looked.arm, finding, points, parts, floor, (("nominal", nominal.tip_m), ("link geometry", geometry.tip_m), *grown),
         posed.problem, x, warnings, looked.out, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m),
     )  # fmt: skip
 
@@ -181,7 +181,7 @@ def _why_not(
         )
     if own.departure > LAW_MOST:
         return f"{name} departs too far from its law"
-    if not holds_on_others(around, best, name):
+    if not is_known and not holds_on_others(around, best, name):
         return f"{name} does not hold on poses that it was not fitted to"
     if not is_known and _may_be_error_of(around, best, name, nameless):
         return f"{name} is no larger than the error of what has no name"
@@ -196,8 +196,8 @@ def _may_be_error_of(around: Around, best: Weighed, name: EffectName, nameless: 
     own = next(k for k, _ in best.members if around.terms[k].key == name)
     if not nameless or around.terms[own].slope_Nm is not None:  # the currents speak for a torque
         return False
-    explained = share_of(around.evidence, best, [own])
-    return explained < LAW_MOST**2 * share_of(around.evidence, best, nameless)
+    explained, *others = (share_of(around.evidence, best, [k]) for k in (own, *nameless))
+    return explained < LAW_MOST**2 * sum(others)
 
 
 def _is_nothing(own: Estimated) -> bool:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
+from calib.arm_problem.parallel_axes import parallel_joints, tilt_row, with_tilt_behind
 from calib.arrays import Array
 from calib.errors import UnusablePointsError
 from calib.gap.effects.catalogue import are_total_in_poses, is_load, pose_terms
@@ -21,6 +22,7 @@ from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.floor import FINEST_m, Floor, noise_floor
 from calib.gap.poses.linear import Linear
 from calib.gap.poses.measured import Fit
+from calib.gap.poses.nameless.of_the_tip import SKEWED
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.outlying import middle, outlying
 from calib.gap.poses.recordings import Split, split
@@ -28,7 +30,7 @@ from calib.gap.poses.state import Around, State
 from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.search import Search
-from calib.gap.posterior.term import Key, Term
+from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.progress import Advance, silent
@@ -53,9 +55,30 @@ def find(
     advance("fitting the geometry", 0.05)
     looked = _prepared(arm, cleaned(points), without)
     looked, around, decision = _searched(looked, without, advance)
+    skewed = _skewed(arm, decision)
+    for joint in skewed:
+        arm = with_tilt_behind(arm, joint)
+    if skewed:  # geometry that DH rows do not hold: everything beside it is looked at anew
+        warnings.append(_tilted(arm, skewed))
+        looked, around, decision = _searched(_prepared(arm, cleaned(points), without), without, advance)
     advance("reporting", 0.85)
     warnings += [*about_orientations(points, looked.floor), *about_outliers(points, looked.out)]
     return answered(looked, around, decision, tuple(warnings), source)
+
+
+def _skewed(arm: Arm, decision: Decision) -> list[int]:
+    """Joints behind which a block of the answer tilts the next axis across the link."""
+    blocks = [key for group in decision.remainders for key in group if isinstance(key, Block)]
+    return [joint for joint in parallel_joints(arm) if Block(0, f"{SKEWED} {joint}") in blocks]
+
+
+def _tilted(arm: Arm, joints: Sequence[int]) -> str:
+    pairs = ", ".join(f"{joint} and {joint + 1}" for joint in joints)
+    rows = ", ".join(f"row {tilt_row(arm, joint) + 1}" for joint in joints)
+    return (
+        f"the axes of joints {pairs} are not parallel, and DH rows of parallel axes have no parameter for it: the new arm.toml"
+        f" has a fixed row in between, whose alpha_rad is the tilt ({rows})"
+    )
 
 
 def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:

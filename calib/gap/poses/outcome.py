@@ -11,16 +11,19 @@ from calib.gap.finding import GapFinding
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.recordings import Split
 from calib.points.points import Points
+from control.model.arm import Arm
 
 
 @dataclass(frozen=True, slots=True)
 class StaticGap:
     """The finding, and what its report draws: poses, their split, residuals (m, 3) as the model grows, stage by stage.
 
+    `arm`: as its file has it, with the fixed rows that axes which are not quite parallel ask for.
     `problem` at its unknowns `x` has the fitted geometry, `warnings` are sentences about the data and the fit, `left_out` (m,)
     marks poses that no model explains, `load_Nm` (m, n) are gravity's torques (None for an arm without masses).
     """
 
+    arm: Arm
     finding: GapFinding
     points: Points
     split: Split
@@ -34,6 +37,6 @@ class StaticGap:
     laws: tuple[DrawnLaw, ...]
 
     @property
-    def dh(self) -> Array:
-        """The fitted geometry, (rows, 4)."""
-        return self.problem.solution(self.x).dh
+    def fitted_arm(self) -> Arm:
+        """The arm with the fitted geometry."""
+        return self.arm.with_dh(self.problem.solution(self.x).dh)

@@ -95,18 +95,17 @@ def is_exact(evidence: Evidence, number: int, scale: int) -> bool:
 
 
 def _departure(term: Term, size: Array) -> float:
-    """Root mean square of the departure columns over that of the law's."""
-    slope = (
-        term.slope_rad
-        if term.slope_rad is not None
-        else term.slope_m
-        if term.slope_m is not None
-        else term.slope_Nm
-    )
+    """How far what an effect does is from every multiple of its law, over what it does; root mean squares.
+
+    What a departure has of the law makes the effect another size, and its mean is another zero of the joint.
+    """
+    slope = next((one for one in (term.slope_rad, term.slope_m, term.slope_Nm) if one is not None), None)
     if slope is None or not term.departures:
         return 0.0
-    law = np.tensordot(size[: term.laws], slope[: term.laws], 1)
-    more = slice(term.laws, term.laws + term.departures)
-    rest = np.tensordot(size[more], slope[more], 1)
-    whole = float(np.sqrt(np.mean(law**2)))
-    return float(np.sqrt(np.mean(rest**2))) / whole if whole > 0.0 else 0.0
+    own = slope[: term.laws + term.departures]
+    about = own - own.mean(axis=1, keepdims=True) if slope is term.slope_rad else own
+    flat = about.reshape(len(own), -1).T
+    law, whole = flat[:, : term.laws], flat @ size[: len(own)]
+    rest = whole - law @ np.linalg.lstsq(law, whole, rcond=None)[0]
+    done = float(np.linalg.norm(np.tensordot(size[: len(own)], own, 1)))
+    return float(np.linalg.norm(rest)) / done if done > 0.0 else 0.0

@@ -221,7 +221,7 @@ def test_a_change_beside_what_the_file_knows_is_said_and_written_as_the_total(
 ) -> None:
     arm = dataclasses.replace(load_arm("right"), effects=(Effect(effect, joint, known),))
     total = as_totals(arm, found_with((effect, joint, found)))
-    model = updated_arm(arm, total, None)
+    model = updated_arm(arm, total)
     assert {key: value for key, (value, _) in total.effects[0].parameters.items()} == pytest.approx(sum_)
     assert len(model.effects) == 1
     assert dict(model.effects[0].parameters) == pytest.approx(sum_)
@@ -231,7 +231,5 @@ def test_a_change_beside_what_the_file_knows_is_said_and_written_as_the_total(
 
 def test_an_effect_of_another_joint_is_added_beside_what_is_known() -> None:
     arm = dataclasses.replace(load_arm("right"), effects=(Effect("backlash", 1, {"width_rad": 0.003}),))
-    model = updated_arm(
-        arm, found_with(("backlash", 2, {"width_rad": 0.002}), ("link_geometry", None, {})), None
-    )
+    model = updated_arm(arm, found_with(("backlash", 2, {"width_rad": 0.002}), ("link_geometry", None, {})))
     assert [(one.effect, one.joint) for one in model.effects] == [("backlash", 1), ("backlash", 2)]

@@ -76,7 +76,7 @@ def test_a_new_torque_is_named_in_time_series_written_and_fed_forward(tmp_path: 
     value, sd = named.parameters["coefficient_Nm_s2_rad2"]
     assert value == pytest.approx(DRAG_Nm_s2_rad2, rel=0.1)
     assert 0.0 < sd < 0.2 * value
-    save_arm(updated_arm(arm, found, None), tmp_path / "arm.toml")
+    save_arm(updated_arm(arm, found), tmp_path / "arm.toml")
     model = load_arm(str(tmp_path / "arm.toml"))
     still, moving = (0.0, 0.0, 0.0), (0.0, 0.5, 0.0)
     added = torque_model(model)(still, moving, still)[1] - torque_model(arm)(still, moving, still)[1]
@@ -94,5 +94,5 @@ def test_a_new_error_of_an_angle_is_named_in_poses_and_written() -> None:
     amplitude, sd = named.parameters["amplitude_rad"]
     assert amplitude == pytest.approx(AMPLITUDE_rad, abs=3.0 * sd + 1e-4)
     assert named.parameters["phase_rad"][0] == pytest.approx(PHASE_rad, abs=0.1)
-    (written,) = updated_arm(ARM, found.finding, found.dh).effects
+    (written,) = updated_arm(found.fitted_arm, found.finding).effects
     assert (written.effect, written.joint) == (ELLIPSE, 2)

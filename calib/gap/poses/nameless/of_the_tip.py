@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_frames import LinkFrames, link_frames
+from calib.arm_problem.parallel_axes import frame_behind, parallel_joints
 from calib.arrays import Array
 from calib.gap.effects.pose_scene import Scene
 from calib.gap.poses.nameless.of_joints import PER_TURN
@@ -21,6 +22,7 @@ from control.model.arm import Arm
 
 AXES = "xyz"
 ELSEWHERE = "elsewhere"
+SKEWED = "axis behind joint"
 RIGID_STEPS = 12  # times at which a board or camera may have moved
 RECORDING_STEPS = 3  # the same within one setup
 RIGID_POSES_LEAST = 4
@@ -36,6 +38,7 @@ def of_the_tip(scene: Scene) -> Iterator[Term]:
         yield from _of_the_target(arm, frames)
     yield from _of_setups(points, frames.tip_m)
     yield from _of_the_axes(arm, points, frames)
+    yield from _of_parallel_axes(arm, frames)
     yield from _of_the_tool(arm, frames)
     if len(points) > 1:
         before = np.roll(frames.tip_m, 1, axis=0) - frames.tip_m
@@ -136,6 +139,15 @@ def _of_the_axes(arm: Arm, points: Points, frames: LinkFrames) -> Iterator[Term]
             yield of_tip(f"q{j + 1}", words, *tilts, manner=PER_TURN, turns=turns)
             words = f"joint {j + 1}: its axis runs out of round {order} times per turn"
             yield of_tip(f"q{j + 1}", words, *turns, manner=PER_TURN)
+
+
+def _of_parallel_axes(arm: Arm, frames: LinkFrames) -> Iterator[Term]:
+    """Axes that DH rows hold parallel in one plane: a tilt in the other is none of their parameters."""
+    for joint in parallel_joints(arm):
+        frame = frame_behind(arm, joint)
+        turn, beyond = frames.axes[:, frame, :, 1], frames.tip_m - frames.origin_m[:, frame]
+        words = f"the axes of joints {joint} and {joint + 1} are not parallel"
+        yield of_tip(f"{SKEWED} {joint}", words, np.cross(turn, beyond), turns=[turn])
 
 
 def _of_the_target(arm: Arm, frames: LinkFrames) -> Iterator[Term]:

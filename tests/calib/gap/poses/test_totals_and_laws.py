@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.gap.static.cases import ARM, Design, Hidden, case, designed
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
 from calib.gap.finding import EffectName
 from calib.gap.model_update import updated_arm
 from calib.gap.poses.find import find
@@ -74,7 +76,21 @@ def test_an_effect_that_the_file_has_and_the_arm_has_not_is_a_total_of_none(wron
     assert found.finding.unknown is None
     assert found.finding.gap_after < 1.1
     assert any("Not there" in sentence for sentence in in_words(found.finding))
-    assert updated_arm(arm, found.finding, found.dh).effects == ()
+    assert updated_arm(found.fitted_arm, found.finding).effects == ()
+
+
+def test_axes_that_are_not_parallel_become_geometry_and_hide_nothing() -> None:
+    points, tilt = case(36, (Hidden("joint_compliance", 3, 500.0),)), 0.003
+    tilted = with_tilt_behind(ARM, 2)
+    dh = np.array(tilted.dh)
+    dh[tilt_row(tilted, 2), 3] += tilt
+    off = ArmModel(tilted).tips(dh, points.q_rad) - ArmModel(ARM).tips(ARM.dh, points.q_rad)
+    found = find(ARM, dataclasses.replace(points, tip_m=points.tip_m + off))
+    assert names(found) == {EffectName("joint_compliance", 3)}
+    assert found.finding.unknown is None
+    assert found.finding.gap_after < 1.15
+    assert found.fitted_arm.links[tilt_row(tilted, 2)].alpha_rad == pytest.approx(tilt, rel=0.1)
+    assert any("axes of joints 2 and 3 are not parallel" in sentence for sentence in found.warnings)
 
 
 def test_what_is_named_says_its_probability_and_how_far_it_departs_from_its_law() -> None:

@@ -1,0 +1,65 @@
+"""Axes of neighbouring joints that are nearly parallel: DH rows hold a tilt about the link, and none across it.
+
+Hayati and Mirmirani (J. Robotic Systems 2(4), 1985) give such a link a turn about y. Here it is the twist of a fixed row between
+the two joints, which every part of the program knows already.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from itertools import pairwise
+from typing import Final
+
+from control.errors import ArmError
+from control.model.arm import Arm, Link
+
+PARALLEL_rad: Final = math.radians(3.0)  # beyond, the common normal is where the rows put it
+
+
+def parallel_joints(arm: Arm) -> tuple[int, ...]:
+    """Joints (1-based) whose axis is nearly parallel to the next joint's, without a fixed row between."""
+    rows = _rows_of_joints(arm)
+    pairs = enumerate(pairwise(rows), start=1)
+    return tuple(
+        joint for joint, (row, after) in pairs if after == row + 1 and _twist(arm, row) < PARALLEL_rad
+    )
+
+
+def with_tilt_behind(arm: Arm, joint: int) -> Arm:
+    """The same arm with a fixed row behind a joint (1-based) of `parallel_joints`: its twist tilts the next axis across the link.
+
+    ArmError for any other joint.
+    """
+    if joint not in parallel_joints(arm):
+        raise ArmError(
+            f"arm {arm.name}: the axes of joints {joint} and {joint + 1} are not parallel, or have a fixed row between"
+        )
+    row = _rows_of_joints(arm)[joint - 1] + 1
+    across = Link("fixed", 0.0, math.pi / 2.0, 0.0, 0.0)
+    before, after = arm.links[:row], arm.links[row:]
+    if arm.dh_convention == "modified":  # here a row turns about x before it turns about z
+        back = Link("fixed", 0.0, -math.pi / 2.0, 0.0, 0.0)
+        return dataclasses.replace(arm, links=(*before, across, back, *after))
+    turned = dataclasses.replace(after[0], theta_rad=after[0].theta_rad - math.pi / 2.0)
+    return dataclasses.replace(arm, links=(*before, across, turned, *after[1:]))
+
+
+def frame_behind(arm: Arm, joint: int) -> int:
+    """The number of the frame (0: base) that a joint (1-based) turns."""
+    return _rows_of_joints(arm)[joint - 1] + 1
+
+
+def tilt_row(arm: Arm, joint: int) -> int:
+    """The row (0-based) whose alpha is the tilt, of an arm of `with_tilt_behind`."""
+    return _rows_of_joints(arm)[joint - 1] + (2 if arm.dh_convention == "modified" else 1)
+
+
+def _rows_of_joints(arm: Arm) -> list[int]:
+    return [row for row, turns in enumerate(arm.joints) if turns]
+
+
+def _twist(arm: Arm, row: int) -> float:
+    """The angle between a row's axis and the next row's [rad]."""
+    alpha = arm.links[row + 1 if arm.dh_convention == "modified" else row].alpha_rad
+    return abs(math.asin(math.sin(alpha)))
