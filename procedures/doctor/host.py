@@ -12,7 +12,7 @@ from control.recording.rotation import stored_row_bytes
 from control.server.process import PIPE_bytes
 from control.server.scheduling import punctuality_remedy, strain
 from firmware_iface.clock import Clock, MonotonicClock
-from procedures.doctor.finding import Finding, Level, graded, percentile
+from procedures.doctor.finding import Finding, Level, advised, graded, percentile
 
 TICK_S = 0.001
 PAUSE_TEST_S = 1.0
@@ -60,11 +60,11 @@ def look_at_kernel(root: Path) -> list[Finding]:
     is_throttled = runtime_us not in ("-1", "")
     share = f"{int(runtime_us) / 1e4:.0f} % of each second" if is_throttled else "not throttled"
     return [
-        _advised(not slow, "frequency governor", ", ".join(slow) or "performance, or none", "performance",
+        advised(not slow, GROUP, "frequency governor", ", ".join(slow) or "performance, or none", "performance",
                  "`cpupower frequency-set -g performance`: a processor that slows down is late"),
-        _advised(is_realtime, "kernel", "PREEMPT_RT" if is_realtime else "without PREEMPT_RT", "PREEMPT_RT",
+        advised(is_realtime, GROUP, "kernel", "PREEMPT_RT" if is_realtime else "without PREEMPT_RT", "PREEMPT_RT",
                  "a kernel with PREEMPT_RT bounds the lateness of the loop; without, drivers may hold it up for milliseconds"),
-        _advised(not is_throttled or int(runtime_us) >= LEAST_RT_us, "real-time tasks", share, "90 % or more",
+        advised(not is_throttled or int(runtime_us) >= LEAST_RT_us, GROUP, "real-time tasks", share, "90 % or more",
                  "`sysctl kernel.sched_rt_runtime_us=950000`: below, the kernel stops the loop for the rest of each second"),
     ]  # fmt: skip
 
@@ -74,15 +74,8 @@ def judge_strain(page_faults: int, switches: int) -> Finding:
     measured = f"{switches} involuntary switches, {page_faults} page faults"
     remedy = "end other programs; give the operator the rights above"
     is_calm = switches <= CALM_SWITCHES
-    return _advised(
-        is_calm, "what took its time meanwhile", measured, f"at most {CALM_SWITCHES} switches", remedy
-    )
-
-
-def _advised(is_well: bool, what: str, measured: str, expected: str, remedy: str) -> Finding:
-    """A finding that is fine or worth a warning, never bad: the arm stops safely by its boards in any case."""
-    return Finding(
-        Level.OK if is_well else Level.WARN, GROUP, what, measured, expected, "" if is_well else remedy
+    return advised(
+        is_calm, GROUP, "what took its time meanwhile", measured, f"at most {CALM_SWITCHES} switches", remedy
     )
 
 

@@ -14,6 +14,7 @@ from procedures.doctor.finding import Finding, Level, as_json, as_text, verdict,
 from procedures.doctor.host import look_at_host
 from procedures.doctor.judging import judge
 from procedures.doctor.links import look_at_links, look_at_ports
+from procedures.doctor.recordings import look_at_last_recording
 from procedures.doctor.sampling import sample
 
 LONGEST_S = 600.0
@@ -38,7 +39,7 @@ def run(given: argparse.Namespace) -> int:
 def examine(arm: Arm, clock: Clock, period_s: float, duration_s: float, log_folder: Path) -> list[Finding]:
     """Check this machine, then ports, boards, timing and signals; all of them, even if one fails."""
     findings = look_at_host(period_s, arm.limits.watchdog_s, arm.joint_count, log_folder)
-    findings += look_at_ports() + look_at_links(arm)
+    findings += look_at_last_recording(log_folder) + look_at_ports() + look_at_links(arm)
     boards = open_boards(arm, clock, period_s)
     try:
         found = list(judge(sample(boards, clock, period_s, duration_s), arm))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,9 +26,11 @@ from procedures.doctor.finding import Finding, Level, as_text, graded, percentil
 from procedures.doctor.host import judge_lateness, judge_strain, lateness, look_at_disk, look_at_kernel
 from procedures.doctor.judging import clock_drift, judge
 from procedures.doctor.links import judge_can, judge_serial
+from procedures.doctor.recordings import look_at_last_recording
 from procedures.doctor.sampling import sample
 from procedures.mock.on_boards import on_boards
 from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
+from tests.recordings import write_recording
 
 QUICK_S = 0.2
 
@@ -343,3 +347,28 @@ def test_switches_while_lateness_was_measured_are_a_warning() -> None:
     assert judge_strain(3, 10).level is Level.OK
     assert "400 involuntary switches, 3 page faults" in judge_strain(3, 400).measured
     assert judge_strain(3, 400).level is Level.WARN
+
+
+def test_the_last_recording_says_how_old_the_counts_were_and_what_made_the_loop_late(tmp_path: Path) -> None:
+    assert look_at_last_recording(tmp_path) == []
+    calm = {k: {"age_s": 2.5e-4, "late_s": 5e-5} for k in range(200)}
+    write_recording(tmp_path / "a.armlog", 200, changes=calm)
+    findings = look_at_last_recording(tmp_path)
+    assert [finding.level for finding in findings] == [Level.OK] * 3
+    assert findings[0].measured == "0.25 ms, 99 % below 0.25 ms, in a.armlog"
+    assert findings[0].expected == "99 % below 0.3 ms"
+    stormy = {k: {"age_s": 4e-4, "late_s": 2e-3, "switches": 1, "page_faults": k == 7} for k in range(200)}
+    os.utime(tmp_path / "a.armlog", (0, 0))
+    write_recording(tmp_path / "b.armlog", 200, changes={**stormy, 199: {"missed": 3, "age_s": math.nan}})
+    age, late, causes = look_at_last_recording(tmp_path)
+    assert [age.level, late.level, causes.level] == [Level.WARN] * 3
+    assert "in b.armlog" in age.measured
+    assert late.measured == "99 % within 2.00 ms, 3 cycles missed in 0 s"
+    assert causes.measured == "199 involuntary switches, 1 page faults"
+
+
+def test_a_last_recording_that_cannot_be_read_is_a_warning_and_no_error(tmp_path: Path) -> None:
+    (tmp_path / "torn.armlog").write_bytes(b"\0" * 20)
+    (found,) = look_at_last_recording(tmp_path)
+    assert found.level is Level.WARN
+    assert "not an armwright recording" in found.remedy
