@@ -28,4 +28,5 @@ def stop_from(state: ArmState, point: SetPoint) -> None:
     if point is not state.set_point:
         state.set_point = point
         state.parts.servo.reset()
-    begin(state, state.parts.stop_from(point), 1.0)
+    plan = state.parts.tool.guard.stop_from if state.monitor.is_homed else state.parts.stop_from
+    begin(state, plan(point), 1.0)

@@ -14,6 +14,7 @@ from control.loop.parts import NOWHERE, Parts
 from control.loop.punctuality import Punctuality
 from control.loop.readiness import DriveReadiness
 from control.loop.standstill import Standstill
+from control.motion.lookout import Lookout
 from control.motion.pace import Paced
 from control.motion.setpoint import Motion, at_rest
 from control.safety.monitor import Monitor
@@ -49,6 +50,7 @@ class ArmState:
         # motions (motion_modes, homing)
         self.run_number = 0
         self.paced: Paced | None = None  # the active motion or stop
+        self.lookout: Lookout | None = None  # of that motion, unless it is a stop
         self.stops_along = False  # whether that motion slows down to rest on its path
         self.override = 1.0  # pace at which motions run
         self.jogging: Jogging | None = None

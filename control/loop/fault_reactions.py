@@ -18,7 +18,7 @@ from firmware_iface.errors import LinkError
 
 # The arm does not get to its set-point: a stop from there would push on what holds it back.
 _RESISTED: Final = frozenset({"following_error", "unexplained_torque"})
-_OF_THE_MOTION: Final = frozenset({"motion", "workspace", "set_point_limit", "joint_range", "overspeed"})
+_LEFT_THE_PATH: Final = "set_point_limit"
 
 
 def fail(state: ArmState, fault: Fault) -> None:
@@ -41,10 +41,10 @@ def fail(state: ArmState, fault: Fault) -> None:
 
 
 def _stop(state: ArmState, code: str, was_on_path: bool) -> None:
-    """The controlled stop after a fault: on the path of the motion, unless the motion is what is wrong."""
+    """The controlled stop after a fault: on the path of the motion, where the arm is on it."""
     if code in _RESISTED:
         stop_from(state, set_points.measured(state))
-    elif code in _OF_THE_MOTION or not (was_on_path and stop_along(state)):
+    elif code == _LEFT_THE_PATH or not (was_on_path and stop_along(state)):
         stop_from(state, state.set_point)
 
 
@@ -66,7 +66,6 @@ def _sharpened(state: ArmState, fault: Fault) -> Fault:
 def lose_motion(state: ArmState, error: Exception) -> None:
     """The motion raised instead of giving a set-point: controlled stop, or brake if it was the stop itself."""
     is_stop = state.monitor.mode not in TRAVELLING_MODES
-    state.paced = state.jogging = None
     fault = Fault(
         "motion",
         "motion",

@@ -146,12 +146,12 @@ class Jogging:
         self._objection = self._guard.jog_objection(wanted, set_point)
         if not self._objection:
             return wanted
-        if any(set_point.speed_rad_s):
-            self._must_rest = True
-            self._cease()
-            return wanted
-        self._motion = None  # at rest, and nowhere to go
-        return set_point
+        self._must_rest = True
+        self._motion = JointJog(
+            set_point, self._limits.joints
+        )  # the stop that was looked at with the last set-point
+        self._asked = None
+        return self._motion.advance(elapsed_s)
 
     def take_up(self, set_point: SetPoint, bridge: Bridge) -> SetPoint:
         """Go on after a pause of the host in which the boards slowed the arm down."""

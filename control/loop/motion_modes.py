@@ -10,6 +10,7 @@ from control.loop.active_motion import begin, stop_along, stop_from
 from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail, lose_motion, refuse
 from control.loop.jogging import JogRequest
+from control.motion.lookout import Lookout
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Event, Mode
@@ -26,6 +27,8 @@ def follow_motion(state: ArmState) -> None:
         return
     try:
         wanted = state.paced.advance(state.elapsed_s, _wanted_pace(state))
+        if state.monitor.mode in set_points.ON_PATH and not _is_clear_ahead(state, state.paced.time_s):
+            return
     except Exception as error:  # the feedback is still good, so the arm can stop under control
         if state.stops_along:
             stop_from(state, state.set_point)
@@ -35,6 +38,16 @@ def follow_motion(state: ArmState) -> None:
     _take(state, wanted)
     if state.paced is not None and (state.paced.is_over or (state.stops_along and state.paced.pace == 0.0)):
         _come_to_rest(state, Event.ARRIVED if state.monitor.mode in set_points.ON_PATH else Event.STOPPED)
+
+
+def _is_clear_ahead(state: ArmState, time_s: float) -> bool:
+    """Whether nothing is met on the next part of the motion; else a controlled stop before it."""
+    guard = state.parts.tool.guard
+    for pose in () if state.lookout is None else state.lookout.poses(time_s):
+        if objection := guard.fixed_objection(pose.q_rad, state.set_point.q_rad):
+            _meet(state, objection)
+            return False
+    return True
 
 
 def take_up(state: ArmState, bridge: Bridge) -> None:
@@ -74,15 +87,15 @@ def follow_jog(state: ArmState) -> None:
 
 def _take(state: ArmState, wanted: SetPoint) -> None:
     if objection := set_points.objection(state, wanted):
-        fail(
-            state,
-            Fault(
-                "workspace", "motion", f"it was stopped: {objection}", WORKSPACE_REMEDY, Reaction.CONTROLLED
-            ),
-        )
+        _meet(state, objection)
         return
     if (clip := set_points.take(state, wanted)) is not None:
         refuse(state, clip)
+
+
+def _meet(state: ArmState, objection: str) -> None:
+    what = f"it was stopped: {objection}"
+    fail(state, Fault("workspace", "motion", what, WORKSPACE_REMEDY, Reaction.CONTROLLED))
 
 
 def _come_to_rest(state: ArmState, event: Event) -> None:
@@ -99,6 +112,7 @@ def start(state: ArmState, motion: Motion, as_encoders: bool) -> None:
     state.run_number += 1
     state.was_stopped, state.stop_reason = False, ""
     begin(state, motion, state.override)
+    state.lookout = Lookout(motion)
 
 
 def jog(state: ArmState, request: JogRequest) -> None:

@@ -1,7 +1,9 @@
 """The last guard of every motion: floor, table and own base (control.safety.workspace), for poses of the arm's joints.
 
-Whole motions are checked before they begin; the loop looks at each set-point, and jogs look at the pose in which they would
-come to rest. An arm that is inside already may move out, but no deeper.
+At every moment there is a stop that meets nothing. Whole motions are checked before they begin, and the loop looks at their
+poses before the arm can no longer rest ahead of them (control.motion.lookout). A jog takes no set-point whose stop meets
+something. Where joints must stop for themselves, they brake as hard as that takes. An arm that is inside already may move out,
+but no deeper.
 """
 
 import math
@@ -15,13 +17,19 @@ from control.errors import ArmError
 from control.kinematics.corners import Corners
 from control.model.arm import Arm
 from control.motion.errors import MotionError
+from control.motion.jog_limits import reach_m
 from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import HARDEST, Stop, StraightStop
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.workspace import Body, Clearance, Workspace
 
 STEP_rad = 0.02  # between checked poses of a joint move: 15 mm at 0.75 m
+_STOP_STEP_s = (
+    0.015  # between checked poses of a stop: at 10 m/s^2 the tip departs from their chords by 0.3 mm
+)
+_HARDNESSES = (0, 2, HARDEST)  # of the stops that are tried: one cycle must be enough to choose
 _POSES_MOST = 500
 _SECTION_SHARES = np.array([0.0, 0.25, 0.5, 0.75])  # of a path's section, where the tip is checked
 _DEEPER_m = 1e-6  # rounding
@@ -45,6 +53,7 @@ class Guard:
 
     def __init__(self, arm: Arm, limits: JointLimits) -> None:
         self._corners, self._workspace, self._limits = Corners(arm), Workspace.of(arm), limits
+        self._reach_m = reach_m(arm)
         self.beside: Beside | None = None
         self._body = Body(self._corners.radii_m, self._corners.first_free)
         self._corners.batch([(0.0,) * arm.joint_count])  # compiled now, not between two cycles
@@ -63,17 +72,49 @@ class Guard:
         return self._objection(wanted_rad, here_rad, looks_ahead=False)
 
     def _objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float], looks_ahead: bool) -> str:
-        clearance = self.clearance(wanted_rad)
-        if (
-            clearance.distance_m < 0.0
-            and clearance.distance_m < self.clearance(here_rad).distance_m - _DEEPER_m
-        ):
-            return clearance.what
+        if objection := self.fixed_objection(wanted_rad, here_rad):
+            return objection
         return "" if self.beside is None else self.beside.objection(wanted_rad, here_rad, looks_ahead)
 
+    def fixed_objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
+        """As `objection`, of what stands still: floor, table and base."""
+        clearance = self.clearance(wanted_rad)
+        return clearance.what if self._is_deeper(clearance, here_rad) else ""
+
     def jog_objection(self, wanted: SetPoint, here: SetPoint) -> str:
-        """As `objection`, for the pose in which joints that move as `wanted` could come to rest."""
-        return self.objection(self.resting_pose(wanted), here.q_rad)
+        """As `objection`, for the stop of joints that move as `wanted`: its end, and the way to it."""
+        rest_rad = self.resting_pose(wanted)
+        if objection := self.objection(rest_rad, here.q_rad):
+            return objection
+        way_m = self._reach_m * sum(abs(q - p) for q, p in zip(rest_rad, wanted.q_rad, strict=True))
+        if self._workspace.is_far(self._corners.at(*rest_rad), self._body, way_m):
+            return ""
+        deepest = self._deepest(Stop(wanted, self._limits))
+        return deepest.what if self._is_deeper(deepest, here.q_rad) else ""
+
+    def stop_from(self, state: SetPoint) -> Motion:
+        """The gentlest stop that meets nothing: each joint for itself, or all on a line, ever harder; else the least deep one."""
+        best: Motion = Stop(state, self._limits)
+        least = self._deepest(best)
+        if not self._is_deeper(least, state.q_rad) or not any(state.speed_rad_s):
+            return best
+        for hardness in _HARDNESSES:
+            stop = StraightStop(state, self._limits, hardness)
+            if stop.is_in_range and (deepest := self._deepest(stop)).distance_m > least.distance_m:
+                best, least = stop, deepest
+                if not self._is_deeper(least, state.q_rad):
+                    break
+        return best
+
+    def _deepest(self, stop: Motion) -> Clearance:
+        """The least clearance on the way of a stop."""
+        count = 1 + math.ceil(stop.duration_s / _STOP_STEP_s)
+        times_s = (stop.duration_s * k / count for k in range(1, count + 1))
+        return min(self.clearance(stop.at(time_s).q_rad) for time_s in times_s)
+
+    def _is_deeper(self, found: Clearance, here_rad: Sequence[float]) -> bool:
+        """Whether something is met, and more than in the pose `here_rad`."""
+        return found.distance_m < 0.0 and found.distance_m < self.clearance(here_rad).distance_m - _DEEPER_m
 
     def resting_pose(self, state: SetPoint) -> tuple[float, ...]:
         """Where each joint would be after its jerk-limited stop."""

@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 _ROUNDING_RAD = 1e-9
 # Search for the turning points of a move: fine enough that a joint does not turn twice within a step unseen.
 _SEARCH_STEPS, _BISECTIONS = 100, 30
-# Steps of harder braking (acceleration, jerk) where the normal stop would leave a joint's range. The jerk
+# Steps of harder braking (acceleration, jerk) where the normal stop would leave a joint's range, or meet something. The jerk
 # limit spares the gears, so it goes first; three times the acceleration is well inside the reference arm's
 # means (24 Nm at the current limit on about 0.5 kg m^2).
 _HARDER = ((1.0, 1.0), (1.0, 4.0), (1.0, 25.0), (1.5, 100.0), (2.0, 100.0), (3.0, 100.0))
+HARDEST = len(_HARDER) - 1
 
 
 class JointMove:
@@ -89,6 +90,45 @@ class Stop:
             tuple(column[0] for column in columns) for columns in zip(*each, strict=True)
         )
         return SetPoint(q, speed, acceleration)
+
+
+class StraightStop:
+    """Stop of all joints by one law, on the straight line of angles on which they move: q = q0 + v s(t), s' from 1 to 0.
+
+    It brakes as hard as the step `hardness`, at most HARDEST, allows every joint. The acceleration along the line goes on.
+    At least one joint must move.
+    """
+
+    __slots__ = ("_start", "_trajectory", "duration_s", "is_in_range")
+
+    def __init__(self, state: SetPoint, limits: JointLimits, hardness: int) -> None:
+        means, speed = limits.braking(*_HARDER[hardness]), state.speed_rad_s
+        most, jerk = (
+            min(limit / abs(v) for limit, v in zip(each, speed, strict=True) if v)
+            for each in (means.acceleration_rad_s2, means.jerk_rad_s3)
+        )
+        along = sum(a * v for a, v in zip(state.acceleration_rad_s2, speed, strict=True)) / sum(
+            v * v for v in speed
+        )
+        begun = SetPoint((0.0,), (1.0,), (min(max(along, -most), most),))
+        line = JointLimits((-math.inf,), (math.inf,), (1.0,), (most,), (jerk,))
+        self._start, self._trajectory = state, _calculate(begun, None, line)
+        self.duration_s: float = self._trajectory.duration
+        ranges = (_range(limits, state, j) for j in range(len(speed)))
+        end_rad = self.at(self.duration_s).q_rad
+        self.is_in_range = all(lower <= q <= upper for q, (lower, upper) in zip(end_rad, ranges, strict=True))
+
+    def at(self, time_s: float) -> SetPoint:
+        """Set-point `time_s` after the start of the stop, clamped to its time."""
+        (s,), (rate,), (change,) = _sample(self._trajectory, min(time_s, self.duration_s))
+        if time_s >= self.duration_s:
+            rate = change = 0.0
+        q, speed, _ = self._start
+        return SetPoint(
+            tuple(p + v * s for p, v in zip(q, speed, strict=True)),
+            tuple(v * rate for v in speed),
+            tuple(v * change for v in speed),
+        )
 
 
 def _stop_one(state: SetPoint, limits: JointLimits) -> "tuple[ruckig.Trajectory, float]":

@@ -7,6 +7,7 @@ limited, too, to bound the jerk. The arm never leaves the path.
 
 import math
 from collections.abc import Sequence
+from copy import copy
 
 from control.motion.setpoint import Motion, SetPoint
 
@@ -107,6 +108,9 @@ class Stretched:
         """`duration_s`: not less than the motion's own."""
         self._motion, self.duration_s = motion, duration_s
         self._rate = motion.duration_s / duration_s if duration_s > 0.0 else 1.0
+
+    def __copy__(self) -> "Stretched":
+        return Stretched(copy(self._motion), self.duration_s)
 
     def at(self, time_s: float) -> SetPoint:
         """Set-point `time_s` after the start."""

@@ -111,6 +111,12 @@ class Workspace:
                 least_m, about = distance_m, what
         return Clearance(least_m, about)
 
+    def is_far(self, corners: Sequence[Point], body: Body, way_m: float) -> bool:
+        """Whether the arm meets nothing, however each of its points moves by up to `way_m`."""
+        lowest_m = min(corner[2] for corner in corners) - body.thickest_m - way_m
+        is_over_base = self.base_radius_m == 0.0 or lowest_m > self.base_top_m + self.base_radius_m
+        return is_over_base and bool(lowest_m >= self.floor_z_m - self.tolerance_m)
+
     def clearances(self, corners: Sequence[Any], body: Body | None = None) -> Iterator[tuple[Any, str]]:
         """For arrays: the clearances [m] of what may be near at all, and what each is about."""
         return self._clearances(corners, body or _lines(len(corners)), _ARRAYS)

@@ -147,12 +147,12 @@ def test_the_last_set_point_is_held_against_the_other_arm() -> None:
 
 
 class Breaking:
-    """A motion that stands, and raises from half a second on."""
+    """A motion that stands, and raises from 0.2 s on: the watch of the arms looks there before the lookout of this one."""
 
     duration_s = 1.0
 
     def at(self, time_s: float) -> SetPoint:
-        if time_s > 0.5:
+        if time_s > 0.2:
             raise ArmError("no way further")
         return at_rest(APART)
 

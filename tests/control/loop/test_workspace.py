@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from control.errors import ArmError
+from control.kinematics.inverse import InverseKinematics
+from control.loop.jogging import Jogging, JointSpeeds
+from control.motion.guard import Guard
+from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.joint_path import JointPath
@@ -91,18 +97,52 @@ def test_a_jog_step_into_the_table_does_not_get_there(low: Cell) -> None:
     assert low.mode is Mode.HOLDING
 
 
-def test_a_motion_that_no_check_saw_is_stopped_at_the_floor(low: Cell) -> None:
+def test_a_motion_that_no_check_saw_is_stopped_above_the_floor_at_full_speed(low: Cell) -> None:
     """As a plan that dips between two checked poses would be."""
     heights = lowest_tip_m(low)
-    motion = JointMove(LOW, (0.6, -1.4, -0.6), JointLimits.of(RIGHT).scaled(0.15))
     low.client.move_joints(LOW)
-    low.runtime.start(motion)
+    low.runtime.start(JointMove(LOW, (0.6, -1.4, -0.6), JointLimits.of(RIGHT)), as_encoders=False)
     low.until_fault(5.0)
     assert low.faults == [("workspace", "motion")]
     low.run(1.0)
-    assert min(heights) > -TOLERANCE_m - 0.02
+    assert min(heights) > -TOLERANCE_m - 0.001
     low.client.acknowledge()
     low.client.move_joints(LOW)
+
+
+def test_a_motion_that_cannot_go_on_is_noticed_while_the_arm_can_still_stop_on_it(low: Cell) -> None:
+    class Ending(JointMove):
+        def at(self, time_s: float) -> SetPoint:
+            if time_s > 0.6:
+                raise ArmError("no pose there")
+            return super().at(time_s)
+
+    low.client.move_joints(LOW)
+    motion = Ending(LOW, (-1.0, -0.3, 0.5), JointLimits.of(RIGHT))
+    low.runtime.start(motion, as_encoders=False)
+    low.until_fault(1.0)
+    assert low.faults == [("motion", "motion")]
+    low.run(0.5)
+    line = [b - a for a, b in zip(LOW, (-1.0, -0.3, 0.5), strict=True)]
+    shares = [(q - a) / d for q, a, d in zip(low.runtime.set_point.q_rad, LOW, line, strict=True)]
+    assert shares == pytest.approx([shares[0]] * 3, abs=1e-9)  # on the line, so on the path
+
+
+def test_no_set_point_of_a_jog_at_any_speed_is_below_the_floor() -> None:
+    near = replace(RIGHT, table=None, limits=replace(RIGHT.limits, floor_z_m=0.06))  # 0.02 m below the tip
+    source, guard, met = random.Random(6), Guard(near, JointLimits.of(RIGHT)), 0
+    for _ in range(6):
+        point, jogging = at_rest(LOW), Jogging(JogLimits.of(RIGHT), InverseKinematics(RIGHT), guard)
+        for cycle in range(220):
+            now_s = 0.002 * cycle
+            if cycle % 55 == 0:
+                asked = JointSpeeds((0.0, source.uniform(-1.0, 0.2), source.uniform(-1.0, 0.4)))
+            if cycle % 40 == 0:
+                jogging.ask(now_s, asked, point)
+            point = jogging.advance(now_s, 0.002, point)
+            assert guard.clearance(point.q_rad).distance_m >= 0.0
+            met += bool(jogging.limited)
+    assert met > 100
 
 
 def test_an_arm_without_a_stated_floor_stands_on_its_own_base_plane() -> None:

@@ -210,3 +210,68 @@ def test_a_stop_takes_as_far_as_its_closed_form_says() -> None:
         compared += 1
     assert compared > 200
     assert stopping_distance(0.0, 0.0, 10.0, 200.0) == 0.0
+
+
+# ---- stops
+
+
+def lowest_m(guard: Guard, motion: Any) -> float:
+    times_s = (motion.duration_s * k / 40 for k in range(41))
+    return min(corner[2] for time_s in times_s for corner in guard._corners.at(*motion.at(time_s).q_rad))
+
+
+def with_floor_at(guard: Guard, z_m: float) -> Guard:
+    guard._workspace = workspace(floor_z_m=z_m, tolerance_m=0.0, base_radius_m=0.0, board=None)
+    return guard
+
+
+def dipping_states(seed: int) -> Any:
+    """States in joint moves, the height of the move's lowest place, and how deep below it each joint's own stop gets."""
+    source, guard = random.Random(seed), Guard(RIGHT, LIMITS)
+    while True:
+        start, end = (tuple(source.uniform(*limits) * 0.9 for limits in RIGHT.limits_rad) for _ in "ab")
+        move = JointMove(start, end, LIMITS)
+        state = move.at(move.duration_s * source.uniform(0.2, 0.8))
+        floor_m = lowest_m(guard, move) - 1e-5
+        if (depth_m := floor_m - lowest_m(guard, Stop(state, LIMITS))) > 1e-3:
+            yield guard, state, floor_m, depth_m
+
+
+def test_a_stop_that_would_pass_the_floor_brakes_on_the_line_on_which_the_joints_move() -> None:
+    for _, (guard, state, floor_m, _) in zip(range(6), dipping_states(2), strict=False):
+        stop = with_floor_at(guard, floor_m).stop_from(state)
+        assert lowest_m(guard, stop) >= floor_m
+        assert stop.at(0.0).q_rad == pytest.approx(state.q_rad, abs=1e-12)
+        assert stop.at(0.0).speed_rad_s == pytest.approx(state.speed_rad_s, abs=1e-12)
+
+
+def test_where_no_stop_is_free_the_least_deep_one_is_taken() -> None:
+    guard, state, floor_m, depth_m = next(dipping_states(3))
+    deep = with_floor_at(guard, floor_m + 0.3)
+    stop = deep.stop_from(state._replace(speed_rad_s=(0.0, -1.0, -1.0), acceleration_rad_s2=(0.0, 0.0, 0.0)))
+    plain = Stop(state._replace(speed_rad_s=(0.0, -1.0, -1.0), acceleration_rad_s2=(0.0, 0.0, 0.0)), LIMITS)
+    assert depth_m > 0.0
+    assert lowest_m(guard, stop) > lowest_m(guard, plain)
+
+
+def test_a_stop_with_room_below_is_each_joints_own_and_so_is_one_at_rest() -> None:
+    guard, state, floor_m, depth_m = next(dipping_states(4))
+    assert isinstance(with_floor_at(guard, floor_m - depth_m - 1e-4).stop_from(state), Stop)
+    assert isinstance(with_floor_at(guard, floor_m + 0.5).stop_from(at_rest(state.q_rad)), Stop)
+
+
+def test_a_jog_is_refused_for_what_its_stop_meets_on_the_way_though_its_end_is_free() -> None:
+    """A slow joint that lowers the tip stops before a fast one that lifts it."""
+    found, source, guard = 0, random.Random(5), Guard(RIGHT, LIMITS)
+    for _ in range(60):
+        q = (0.0, source.uniform(-1.0, 0.0), source.uniform(-0.5, 0.5))
+        state = SetPoint(q, (0.0, source.uniform(-0.5, -0.2), source.uniform(0.2, 2.0)), (0.0, 0.0, 0.0))
+        stop = Stop(state, LIMITS)
+        ends_m = min(lowest_m(guard, JointMove(q, q, LIMITS)) for q in (state.q_rad, stop.at(9.0).q_rad))
+        if ends_m - (way_m := lowest_m(guard, stop)) > 2e-4:
+            found += 1
+            with_floor_at(guard, 0.5 * (ends_m + way_m))
+            assert guard.objection(guard.resting_pose(state), state.q_rad) == ""
+            assert "below the floor" in guard.jog_objection(state, state)
+            assert with_floor_at(guard, way_m - 1e-4).jog_objection(state, state) == ""
+    assert found > 1

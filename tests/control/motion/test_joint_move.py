@@ -10,7 +10,7 @@ from control.model.arm import Arm, Drive, Link
 from control.model.description import load_arm
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import JointMove, Stop
+from control.motion.joint_move import HARDEST, JointMove, Stop, StraightStop
 from control.motion.setpoint import SetPoint, at_rest
 
 LIMITS = JointLimits.of(load_arm("right"))
@@ -216,3 +216,21 @@ def test_any_move_interrupted_anywhere_stops_inside_the_range():
         for point in _samples(stop, 40):
             for q, low, high in zip(point.q_rad, LIMITS.lower_rad, LIMITS.upper_rad, strict=True):
                 assert low - 1e-9 <= q <= high + 1e-9
+
+
+def test_a_straight_stop_continues_a_straight_move_and_brakes_all_joints_by_one_law():
+    state = JointMove(START, END, LIMITS).at(0.3)
+    stop = StraightStop(state, LIMITS, 0)
+    _same(stop.at(0.0), state)
+    _within(stop, LIMITS)
+    _same(stop.at(stop.duration_s), at_rest(stop.at(9.0).q_rad))
+    ratio = state.speed_rad_s[1] / state.speed_rad_s[0]
+    assert all(p.speed_rad_s[1] == pytest.approx(ratio * p.speed_rad_s[0], abs=1e-12) for p in _samples(stop))
+    assert StraightStop(state, LIMITS, HARDEST).duration_s < 0.5 * stop.duration_s
+
+
+def test_a_straight_stop_says_when_it_would_leave_a_range():
+    state = SetPoint((2.55, 0.0, 0.0), (2.0, 0.1, 0.0), (0.0,) * 3)
+    assert not StraightStop(state, LIMITS, 0).is_in_range
+    assert StraightStop(state._replace(q_rad=(2.0, 0.0, 0.0)), LIMITS, 0).is_in_range
+    assert StraightStop(state._replace(q_rad=(-2.7, 0.0, 0.0)), LIMITS, 0).is_in_range  # it comes back

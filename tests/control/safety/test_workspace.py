@@ -165,3 +165,14 @@ def test_the_board_covers_its_outermost_cavity_and_a_margin_and_tilts_as_its_tab
     assert (board.roll_slope, board.pitch_slope) == (math.tan(0.2), math.tan(-0.1))
     for table in (None, replace(RIGHT.table, known_pose=False), replace(RIGHT.table, origin_m=None)):
         assert Workspace.of(replace(RIGHT, table=table)).board is None
+
+
+def test_an_arm_is_far_from_all_where_no_way_of_that_length_leads_to_floor_or_base() -> None:
+    workspace, body = replace(BARE, base_radius_m=0.06), Body((0.02, 0.0))
+    corners = [(0.3, 0.0, 0.9), (0.5, 0.0, 0.53)]
+    assert workspace.is_far(corners, body, 0.04)  # 0.53 - 0.02 - 0.04 > 0.4 + 0.06
+    assert not workspace.is_far(corners, body, 0.0501)
+    assert not workspace.is_far([(0.5, 0.0, 0.48), (0.3, 0.0, 0.9)], body, 0.0)  # 0.46: at the base's reach
+    low = [(0.3, 0.0, 0.9), (0.5, 0.0, 0.01)]
+    assert BARE.is_far(low, Body((0.0, 0.0)), 0.02)  # exactly to the tolerance below the floor
+    assert not BARE.is_far(low, Body((0.0, 0.0)), 0.0201)
