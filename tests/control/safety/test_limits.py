@@ -290,3 +290,13 @@ def test_age_at_its_limit_is_fresh_and_beyond_it_is_stale():
     assert limits.is_stale(_above(1.25), 1.0, 0.25)
     assert limits.is_stale(1.0, None, 0.25)
     assert limits.is_stale(1.0, math.nan, 0.25)
+
+
+def test_a_clip_of_no_joint_names_none():
+    assert str(limits.clamp(2.0, 0.0, 1.0, "current [A]").reasons[0]) == "current [A]: wanted 2, allowed 1"
+
+
+def test_a_joint_that_brakes_softly_is_slowed_long_before_the_end_of_its_range():
+    soft = SetPointLimits(-1.0, 1.0, speed_rad_s=10.0, acceleration_rad_s2=0.25)
+    (clip,) = limits.limit_set_point([0.9006], [0.9], [0.3], [soft], 0.002).reasons
+    assert clip.limit == limits.RANGE  # 0.3 rad/s need 0.18 rad, 0.1 rad are left

@@ -176,3 +176,8 @@ def test_an_arm_is_far_from_all_where_no_way_of_that_length_leads_to_floor_or_ba
     low = [(0.3, 0.0, 0.9), (0.5, 0.0, 0.01)]
     assert BARE.is_far(low, Body((0.0, 0.0)), 0.02)  # exactly to the tolerance below the floor
     assert not BARE.is_far(low, Body((0.0, 0.0)), 0.0201)
+
+
+def test_a_link_that_points_at_the_base_is_as_far_from_it_as_its_end_is() -> None:
+    workspace = replace(BARE, base_radius_m=0.06)
+    assert workspace.clearance([(1.0, 0.0, 0.2), (0.5, 0.0, 0.25)]) == (pytest.approx(0.44), BASE)
