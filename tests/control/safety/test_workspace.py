@@ -181,3 +181,17 @@ def test_an_arm_is_far_from_all_where_no_way_of_that_length_leads_to_floor_or_ba
 def test_a_link_that_points_at_the_base_is_as_far_from_it_as_its_end_is() -> None:
     workspace = replace(BARE, base_radius_m=0.06)
     assert workspace.clearance([(1.0, 0.0, 0.2), (0.5, 0.0, 0.25)]) == (pytest.approx(0.44), BASE)
+
+
+def test_a_board_beside_the_middle_is_where_its_origin_is() -> None:
+    beside = replace(BARE, board=replace(LEVEL, origin_m=(0.5, 0.3, -0.02)))
+    assert beside.clearance(arm_with_tip(0.5, 0.3, -0.025)) == (pytest.approx(0.005), TIP)
+    assert beside.clearance(arm_with_tip(0.5, -0.3, -0.025)) == (pytest.approx(-0.015), TIP)
+
+
+def test_a_board_without_cavities_is_as_large_as_its_margin() -> None:
+    assert RIGHT.table is not None
+    bare = replace(RIGHT.table, circle_points=0, line_points=0, cavities_m={})
+    board = Workspace.of(replace(RIGHT, table=bare)).board
+    assert board is not None
+    assert board.radius_m == 0.03
