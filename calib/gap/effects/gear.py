@@ -16,7 +16,7 @@ from calib.gap.effects.secants import Bent, secants
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.coefficients import parameters_of
 from calib.gap.posterior.constants import WOUND_SHARE
-from calib.gap.posterior.term import Term, Traits, like
+from calib.gap.posterior.term import Term, Traits, like, smooth
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import Form
@@ -32,6 +32,7 @@ from control.model.effect_laws import backlash_rad, compliance_rad
 
 CLEAR_SHARE = 0.5  # of the poses must lie on a known flank: else a play fits anything
 TILT_rad = 0.003  # accuracy of a fitted link's direction: where gravity turns round, its sign is uncertain
+BENDS = 3  # degree in which a stiffness follows the load's size
 LEVELS = 16  # of constant friction on the link's side
 LINK_SHARES = tuple(np.linspace(0.0, 1.0, 11).tolist())
 
@@ -105,7 +106,8 @@ def _compliance(record: EffectRecord, scene: Scene) -> Iterator[Term]:
         if np.abs(torque).max() <= NO_TORQUE_Nm:
             continue
         law = compliance_rad(torque, 1.0)
-        bent = [law * np.abs(torque), law * torque**2, np.abs(law)]  # harder or softer with load; one way
+        harder = law * smooth(np.abs(torque), BENDS)  # or softer, with the load
+        bent = [*harder, np.abs(law)]  # or one way
         departs = like(law, [*bent, compliance_rad(unstated[:, j], 1.0)])
         for more in _wound(held):
             yield term_on_joint(

@@ -29,6 +29,7 @@ from calib.gap.poses.recordings import Split, split
 from calib.gap.poses.state import Around, State
 from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED
 from calib.gap.posterior.decide import Decision, decide
+from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
@@ -168,7 +169,8 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
         blocks = around.blocks
         search = Search(around.evidence, forced)
         found = search.run(known)
-        decision = decide(around.evidence, found)
+        apart = {one.name: one.confusable_with for one in nameable(around.evidence)}
+        decision = decide(around.evidence, found, apart)
         keys = search.keys(decision.best.members)
         if (look and keys == known[0]) or not keys:
             break

@@ -22,6 +22,9 @@ DEPARTURE_WEIGHTS: Final = (0.35, 0.3, 0.2, 0.15)
 BLOCK_LEVELS: Final = (0.1, 0.3, 1.0, 3.0)
 # Posterior inclusion from which on a name is given, a set called ambiguous, and a remainder claimed.
 CERTAIN: Final = 0.95
+# Log evidence by which a name must lead one that an effect of usual size cannot be told from: what parts their forms of one law
+# is then mostly how many ways to depart each was given.
+MARGIN: Final = 5.0
 # Standard deviation of the noise floor's logarithm, where nothing measured it better: a data sheet is right to this.
 FLOOR_DOUBT: Final = 0.03
 # Friction that winds up a soft gear, as a share of what the motor holds: half of it, give or take as much.

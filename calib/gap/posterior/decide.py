@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import CERTAIN, CREDIBLE_LEAST, LAW_MOST
+from calib.gap.posterior.constants import CERTAIN, CREDIBLE_LEAST, LAW_MOST, MARGIN
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key
@@ -29,8 +30,15 @@ class Decision:
     best: Weighed
 
 
-def decide(evidence: Evidence, found: Sequence[Weighed]) -> Decision:
-    """Inclusion over all weighed sets: a name above CERTAIN, else the smallest set that is."""
+def decide(
+    evidence: Evidence,
+    found: Sequence[Weighed],
+    rivals: Mapping[EffectName, Collection[EffectName]] | None = None,
+) -> Decision:
+    """Inclusion over all weighed sets: a name above CERTAIN, else the smallest set that is.
+
+    `rivals`: names that an effect of usual size cannot be told from; among them a name needs more, MARGIN.
+    """
     logs = np.array([one.log for one in found])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
@@ -41,10 +49,15 @@ def decide(evidence: Evidence, found: Sequence[Weighed]) -> Decision:
             evidence.terms[k].key for k, _ in one.members
         ):  # a set's order differs from run to run
             chance[key] = chance.get(key, 0.0) + weight
-    groups = [
-        (*g, *crooked(evidence, found[0], g[0])) if len(g) == 1 else g
-        for g in _credible(sets, weights, chance)
-    ]
+    best = sets[0]
+    groups = []
+    for group in _credible(sets, weights, chance):
+        if name := _bent_at_most(evidence, group, best):
+            chance[name] = float(weights[[bool(keys & set(group)) for keys in sets]].sum())
+            group = (name,)
+        if len(group) == 1 and rivals and isinstance(group[0], EffectName):
+            group = (*group, *_near(sets, logs, group[0], rivals[group[0]]))
+        groups.append((*group, *crooked(evidence, found[0], group[0])) if len(group) == 1 else group)
     names = tuple(g[0] for g in groups if len(g) == 1 and isinstance(g[0], EffectName))
     ambiguous = tuple(
         tuple(key for key in g if isinstance(key, EffectName))
@@ -82,6 +95,38 @@ def _credible(
     return groups
 
 
+def _near(
+    sets: Sequence[frozenset[Key]], logs: Array, name: EffectName, rivals: Collection[EffectName]
+) -> tuple[EffectName, ...]:
+    """Rivals with which a set without the name is nearly as likely as the best."""
+    return tuple(
+        other
+        for other in rivals
+        if any(
+            other in keys and name not in keys and log > logs[0] - MARGIN
+            for keys, log in zip(sets, logs, strict=True)
+        )
+    )
+
+
+def _bent_at_most(evidence: Evidence, group: Sequence[Key], best: Collection[Key]) -> EffectName | None:
+    """The name of a group that is in the best set, if all others are blocks in its law's own variable.
+
+    What follows the load of a gear is a soft gear, however its law is bent; where no law comes near, the best set has a block.
+    """
+    names = [key for key in group if isinstance(key, EffectName)]
+    if len(group) < 2 or len(names) != 1 or names[0] not in best:
+        return None
+    blocks = [key for key in group if isinstance(key, Block)]
+    return names[0] if all(_is_own(evidence, names[0], block) for block in blocks) else None
+
+
+def _is_own(evidence: Evidence, name: EffectName, block: Block) -> bool:
+    """Whether a block is of an effect's joint and a function of its law's variable."""
+    own = evidence.terms[evidence.of_key[name][0]].traits.blocks
+    return bool(own) and block.joint == name.acts_on and block.variable.startswith(own.format(j=name.joint))
+
+
 def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
     """Blocks that bend an effect's law, in its own variable, more than any real part does: then it is another law.
 
@@ -89,19 +134,12 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
     """
     if not isinstance(key, EffectName):
         return ()
-    blocks = evidence.terms[evidence.of_key[key][0]].traits.blocks
-    if not blocks:
-        return ()
-    joint, own = key.acts_on, blocks.format(j=key.joint)
     moves = _moves(evidence, best)
     law = moves.get(key, 0.0)
     return tuple(
         block
         for block, move in moves.items()
-        if isinstance(block, Block)
-        and block.joint == joint
-        and block.variable.startswith(own)
-        and move > LAW_MOST * law
+        if isinstance(block, Block) and _is_own(evidence, key, block) and move > LAW_MOST * law
     )
 
 

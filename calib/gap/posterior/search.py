@@ -54,11 +54,14 @@ class Search:
 
     def run(self, known: Iterable[frozenset[Key]] = ()) -> list[Weighed]:
         """All sets that were weighed, best first; `known`: sets to start from besides."""
-        for start in [*self._starts(), *known]:
+        expanded: set[frozenset[Key]] = set()
+        for start in [
+            *known,
+            *self._starts(),
+        ]:  # one after the other: many that fit anything would cut off the few
             wanted = {*start, *self.forced}  # in the evidence's order: a set's own differs from run to run
             self._weigh([self._plain(key) for key in self.evidence.of_key if key in wanted])
-        expanded: set[frozenset[Key]] = set()
-        self._improve(expanded)
+            self._improve(expanded)
         best = max(self.seen.values(), key=lambda one: one.log)
         for number, _ in best.members:
             if not self.evidence.terms[number].is_name:

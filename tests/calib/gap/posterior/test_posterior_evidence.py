@@ -123,3 +123,33 @@ def test_a_spring_and_a_play_of_one_joint_are_never_in_one_set() -> None:
     assert {evidence.terms[k].key for k, _ in Search(evidence).run()[0].members} == set(names)
     for one in MergingSearch(evidence).run():
         assert not {names[0], names[1]} <= {evidence.terms[k].key for k, _ in one.members}
+
+
+def _weighed_as(evidence: Evidence, logs: dict[int, float]) -> list[Weighed]:
+    """Sets of one term each, with given log posteriors, the best first."""
+    sets = [Weighed(((number, 1),), 1.0, log) for number, log in logs.items()]
+    return sorted(sets, key=lambda one: -one.log)
+
+
+def test_a_name_needs_more_beside_one_that_it_cannot_be_told_from() -> None:
+    soft, bent = EffectName("joint_compliance", 3), EffectName("link_flexure", 3)
+    evidence = _evidence([_term(soft), _term(bent)], *_world(7, 1.0, 2))
+    found = _weighed_as(evidence, {0: 0.0, 1: -4.0})
+    assert decide(evidence, found).names == (soft,)
+    assert decide(evidence, found, {soft: (), bent: ()}).names == (soft,)
+    assert decide(evidence, found, {soft: (bent,), bent: (soft,)}).ambiguous == ((soft, bent),)
+    far = _weighed_as(evidence, {0: 0.0, 1: -6.0})
+    assert decide(evidence, far, {soft: (bent,), bent: (soft,)}).names == (soft,)
+
+
+def test_what_follows_a_laws_own_variable_is_that_effect_however_it_is_bent() -> None:
+    soft = EffectName("joint_compliance", 2)
+    own, other = Block(2, "load"), Block(2, "q2")
+    for block, names in ((own, (soft,)), (other, ())):
+        terms = [_term(soft, traits=Traits("load")), _term(block)]
+        evidence = _evidence(terms, *_world(8, 1.0, 2))
+        found = decide(evidence, _weighed_as(evidence, {0: 0.0, 1: -2.0}))
+        assert found.names == names
+        assert found.probability[soft] > (0.99 if names else 0.8)
+    evidence = _evidence([_term(soft, traits=Traits("load")), _term(own)], *_world(9, 1.0, 2))
+    assert decide(evidence, _weighed_as(evidence, {0: -1.0, 1: 0.0})).names == ()  # no law comes near
