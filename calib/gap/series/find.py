@@ -46,7 +46,7 @@ def examine(
     progress = _rising(advance or quiet)
     progress("reading the runs", 0.0)
     recording = plausible(arm, prepare(arm, log))
-    rows, known = _rows(Physics(arm, recording), known_laws(arm))
+    rows, known = _rows(Physics(arm, recording), recording, known_laws(arm))
     warnings = [*recording.warnings, *without_motion(rows.table)]
     parts, scene = split(recording, rows.table), Scene(rows, known)
     fit = fitted(scene, known, parts, candidates, progress)
@@ -77,15 +77,18 @@ def examine(
     )
 
 
-def _rows(physics: Physics, known: Sequence[Law]) -> tuple[Rows, tuple[Law, ...]]:
-    """Rows, and what the file has, each law in the form that leaves least of them: what is found then adds up to its total."""
+def _rows(physics: Physics, recording: Recording, known: Sequence[Law]) -> tuple[Rows, tuple[Law, ...]]:
+    """Rows, and what the file has, each law in the form that leaves least of the rows that decide: what is found then adds up to
+    its total.
+    """
     rows, model = Rows(physics, known), list(known)
+    deciding = split(recording, rows.table).deciding
     for place, law in enumerate(known):
         kept = model.copy()
-        least = float(np.linalg.norm(rows.residual(kept))) if other_forms(law) else 0.0
+        least = float(np.linalg.norm(rows.residual(kept)[deciding])) if other_forms(law) else 0.0
         for other in other_forms(law):
             kept[place] = other
-            if (left := float(np.linalg.norm(rows.residual(kept)))) < least:
+            if (left := float(np.linalg.norm(rows.residual(kept)[deciding]))) < least:
                 least, model[place] = left, other
     return (rows if model == list(known) else Rows(physics, model)), tuple(model)
 
