@@ -303,7 +303,7 @@ def _open_can(
             reason = "; ".join(dict.fromkeys([str(problem) or type(problem).__name__, *log_messages]))
             remedy = _can_remedy(interface, channel, bitrate)
             raise PortMissing(f"CAN bus {name}: cannot open it: {reason}; {remedy}") from None
-    return _CanFrameLink(bus, name, carried, hears_itself=interface == "udp_multicast")
+    return CanFrameLink(bus, name, carried, hears_itself=interface == "udp_multicast")
 
 
 def _open_slcan(name: str, channel: str, bitrate: int, carried: CanFormat, **options: object) -> FrameLink:
@@ -374,8 +374,11 @@ def _now(bus: can.BusABC) -> Callable[[], can.Message | None]:
     return lambda: bus._recv_internal(timeout=0)[0]
 
 
-class _CanFrameLink:
-    """Any python-can bus. Frames other than data frames of the wanted format are counted in `rejected`."""
+class CanFrameLink:
+    """Any python-can bus: what `open_can` and its like open, but for slcan.
+
+    Frames other than data frames of the wanted format are counted in `rejected`.
+    """
 
     def __init__(self, bus: can.BusABC, name: str, carried: CanFormat, hears_itself: bool) -> None:
         self.name = name
@@ -401,16 +404,20 @@ class _CanFrameLink:
             self._echoes.append((can_id, bytes(payload)))
 
     def receive(self) -> list[tuple[int, bytes]]:
-        frames: list[tuple[int, bytes]] = []
+        return [frame for _, frame in self.receive_timed()]
+
+    def receive_timed(self) -> list[tuple[float, tuple[int, bytes]]]:
+        """As `receive`, with when each frame came in seconds since 1970, where the interface says so."""
+        frames = []
         while (message := self._next()) is not None:
             if message.is_error_frame:
                 self._check_bus_off(message)
                 self.rejected += 1
             elif message.is_remote_frame or not self._is_wanted(message):
                 self.rejected += 1
-            else:
-                frames.append((message.arbitration_id, bytes(message.data)))
-        return self._without_echoes(frames) if self._echoes else frames
+            elif not self._is_echo(frame := (message.arbitration_id, bytes(message.data))):
+                frames.append((message.timestamp, frame))
+        return frames
 
     def _is_wanted(self, message: can.Message) -> bool:
         if self._is_fd or message.is_fd:
@@ -435,14 +442,12 @@ class _CanFrameLink:
         if message.arbitration_id & _SOCKETCAN_BUS_OFF:
             raise self._lost("bus off: wiring, termination (120 ohm at both ends) or bit rate is wrong")
 
-    def _without_echoes(self, frames: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
-        ours_removed = []
-        for frame in frames:
-            if self._echoes and frame in self._echoes:
-                self._echoes.remove(frame)
-            else:
-                ours_removed.append(frame)
-        return ours_removed
+    def _is_echo(self, frame: tuple[int, bytes]) -> bool:
+        """Whether it is our own; its memory ends with it."""
+        if not self._echoes or frame not in self._echoes:
+            return False
+        self._echoes.remove(frame)
+        return True
 
     def _lost(self, problem: object) -> LinkLost:
         return LinkLost(f"CAN bus {self.name}: lost: {problem}")

@@ -89,7 +89,7 @@ class MockProcess:
         except OSError as error:
             raise RigError(f'mock arm: no answer to "{do}": {error}.') from error
         if not line:
-            raise RigError(f'mock arm: its process ended before it answered "{do}".')
+            raise RigError(f'mock arm: its process ended before it answered "{do}": {self._last_words()}')
         answer: dict[str, Any] = json.loads(line)
         if not answer.pop("ok"):
             raise RigError(str(answer["error"]))
@@ -116,10 +116,14 @@ class MockProcess:
             raise RigError(f"mock arm: its process did not start within {_START_LIMIT_S:g} s.")
         line = out.readline()
         if not line:
-            message = self._process.stderr.read().decode(errors="replace") if self._process.stderr else ""
-            raise RigError(f"mock arm: its process ended at once: {message.strip() or 'no message'}")
+            raise RigError(f"mock arm: its process ended at once: {self._last_words()}")
         announcement: dict[str, Any] = json.loads(line)
         return announcement
+
+    def _last_words(self) -> str:
+        """What a process that has ended left on its standard error."""
+        words = self._process.stderr.read().decode(errors="replace").strip() if self._process.stderr else ""
+        return words or "no message"
 
     def _end_process(self) -> None:
         process = self._process

@@ -27,11 +27,12 @@ from control.model.description import load_arm
 from hil_mocks.cell import MockCell
 from hil_mocks.errors import MockError, RigError
 from hil_mocks.scenario import FaultTable, load_scenario
-from hil_mocks.wires import Pty, Wires
+from hil_mocks.wires import Pty, Wires, newest_of_each
 
 _MOST_CATCH_UP_TICKS = 50  # beyond this lateness, the simulation drops the lost time
 _PRIORITY = 60  # of SCHED_FIFO; the loop's is 80
 _LOOKS_PER_TICK = 2  # so that a board answers a COMMAND within half a millisecond
+_LATE_TICKS = 5  # later than any host's next question: real boards would have answered each
 
 
 class Pacer:
@@ -107,14 +108,27 @@ class Server:
         self._pacer = Pacer(self._mock.tick_s, time.monotonic())
         next_s = time.monotonic()
         while not self._is_ending:
-            self._wires.from_host(self._mock)
-            self._wires.to_host(self._mock)
-            for _ in range(self._pacer.due(time.monotonic())):
-                self._mock.tick()
-                self._wires.to_host(self._mock)
+            self._follow(self._pacer.due(time.monotonic()), time.time())
             self._look_at_sockets()
             next_s = max(next_s + look_s, time.monotonic())
             time.sleep(max(0.0, next_s - time.monotonic()))
+
+    def _follow(self, ticks: int, now_s: float) -> None:
+        """Run ticks up to now (seconds since 1970), with the host's frames between them as they came.
+
+        A mock that was late thus moves as boards would have that were not. What they would have sent meanwhile leaves after
+        it, the newest of each CAN id: a host that times frames by their arrival sees one long step, and none that is too fast.
+        """
+        mock, wires = self._mock, self._wires
+        wires.collect()
+        for left in range(ticks, 0, -1):
+            wires.pass_frames(mock, now_s - left * mock.tick_s)
+            mock.tick()
+        wires.from_host(mock)
+        if ticks > _LATE_TICKS:
+            for frames in mock.outgoing.values():
+                frames[:] = newest_of_each(frames)
+        wires.to_host(mock)
 
     def close(self) -> None:
         """Remove everything that was created."""
@@ -135,23 +149,23 @@ class Server:
 
     def _listen(self, source: socket.socket) -> None:
         if source is self._listener:
-            connection, _ = source.accept()
-            connection.setblocking(False)
-            self._unfinished[connection] = b""
-            self._selector.register(connection, selectors.EVENT_READ, "client")
+            with contextlib.suppress(OSError):  # it has left before it was let in
+                connection, _ = source.accept()
+                connection.setblocking(False)
+                self._unfinished[connection] = b""
+                self._selector.register(connection, selectors.EVENT_READ, "client")
             return
         try:
             received = source.recv(65536)
+            *lines, self._unfinished[source] = (self._unfinished[source] + received).split(b"\n")
+            for line in lines:
+                source.sendall(json.dumps(self._answered(line)).encode() + b"\n")
         except OSError:
             received = b""
-        if not received:
+        if not received:  # it has left, or does not read its answers
             self._selector.unregister(source)
             del self._unfinished[source]
             source.close()
-            return
-        *lines, self._unfinished[source] = (self._unfinished[source] + received).split(b"\n")
-        for line in lines:
-            source.sendall(json.dumps(self._answered(line)).encode() + b"\n")
 
     def _answered(self, line: bytes) -> dict[str, Any]:
         try:

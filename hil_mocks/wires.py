@@ -7,19 +7,28 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import select
 import sys
 import termios
 import tty
+from collections import deque
 from collections.abc import Collection, Iterator, Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol, cast
 from unittest.mock import patch
 
 import can
 
 from firmware_iface.errors import LinkLost
-from firmware_iface.link import CanFormat, FrameLink, open_can, open_extended_can, open_fd_can
+from firmware_iface.link import (
+    CanFormat,
+    CanFrameLink,
+    FrameLink,
+    open_can,
+    open_extended_can,
+    open_fd_can,
+)
 from hil_mocks.camera_wires import camera_wire, free_udp_port
 from hil_mocks.devices.camera import Transport
 from hil_mocks.devices.motor_inputs import Frame
@@ -27,7 +36,9 @@ from hil_mocks.devices.motor_inputs import Frame
 _BUS_OFF, _BIT_ERROR = 0x40, 0x88  # CAN_ERR_BUSOFF, CAN_ERR_BUSERROR | CAN_ERR_PROT of linux/can/error.h
 _OF_BOARDS = 0x080  # set in REPLY and PARAMETER_ANSWER, not in what the host sends (docs/motor_board.md)
 _MOST_LOOKS = 20_000  # some 10 ms
-_OPENERS = {CanFormat.EXTENDED: open_extended_can, CanFormat.FD: open_fd_can}
+_OPENERS = {
+    CanFormat.STANDARD: open_can, CanFormat.EXTENDED: open_extended_can, CanFormat.FD: open_fd_can
+}  # fmt: skip
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
 
@@ -46,12 +57,38 @@ class OnWires(Protocol):
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes: ...
 
 
+class Arrived(NamedTuple):
+    """A frame of the host, and when the kernel had it (seconds since 1970; 0 where nobody says)."""
+
+    at_s: float
+    carried: CanFormat
+    frame: Frame
+
+
+def newest_of_each(frames: Sequence[Frame]) -> list[Frame]:
+    """The newest frame of each id: a controller that did not get onto the bus has a new value take an old one's place."""
+    return list(dict(frames).items())
+
+
 def newest_frames(sent: bytes) -> bytes:
     """The last whole frames that a tty holds for a host that does not read; frames end with 0."""
     if len(sent) <= _ROOM_BYTES:
         return sent
     newest = sent[-_ROOM_BYTES:]
     return newest[newest.index(0) + 1 :]
+
+
+def _put_on(bus: FrameLink, sent: list[Frame]) -> None:
+    """Send and forget frames; those that a full bus does not take are sent later, the newest of each id."""
+    done = 0
+    try:
+        for can_id, payload in sent:
+            bus.send(can_id, payload)
+            done += 1
+    except LinkLost:
+        sent[:] = newest_of_each(sent[done:])
+    else:
+        sent.clear()
 
 
 class SerialWire(Protocol):
@@ -153,11 +190,11 @@ class Wires:
         is_multicast = can_interface == "udp_multicast"
         self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
         self._can_interface, self._can_channel = can_interface, can_channel
-        self._can = open_can(can_interface, can_channel, **self.can_options)
-        self._buses = {CanFormat.STANDARD: self._can} | {
-            carried: _OPENERS[carried](can_interface, can_channel, **self.can_options)
-            for carried in can_formats
+        self._buses = {
+            carried: cast(CanFrameLink, _OPENERS[carried](can_interface, can_channel, **self.can_options))
+            for carried in (CanFormat.STANDARD, *can_formats)
         }
+        self._arrived: deque[Arrived] = deque()
         self._cameras = [camera_wire(transport) for transport in cameras]
         self.camera_ports = tuple(camera.port for camera in self._cameras)
 
@@ -170,10 +207,24 @@ class Wires:
         for number, camera in enumerate(self._cameras):
             for request in camera.received():
                 robot.from_host_camera(number, request)
+        self.collect()
+        self.pass_frames(robot)
+
+    def collect(self) -> None:
+        """Take the host's frames from the kernel, in their order."""
+        found: list[Arrived] = []
         with contextlib.suppress(LinkLost):  # a bus that is off for the host
             for carried, bus in self._buses.items():
-                for can_id, payload in bus.receive():
-                    robot.from_host_can(can_id, payload, carried)
+                found += [Arrived(at_s, carried, frame) for at_s, frame in bus.receive_timed()]
+        if len(self._buses) > 1:
+            found.sort(key=lambda arrived: arrived.at_s)
+        self._arrived += found
+
+    def pass_frames(self, robot: OnWires, until_s: float = math.inf) -> None:
+        """Pass collected frames that had come by then (seconds since 1970) to the robot."""
+        while self._arrived and self._arrived[0].at_s <= until_s:
+            _, carried, (can_id, payload) = self._arrived.popleft()
+            robot.from_host_can(can_id, payload, carried)
 
     def serial_to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
         """Send the host the bytes that arrive by now, or within `ahead_s`."""
@@ -192,9 +243,7 @@ class Wires:
         self.serial_to_host(robot)
         for carried, bus in self._buses.items():
             if sent := robot.outgoing[carried]:
-                for can_id, payload in sent:
-                    bus.send(can_id, payload)
-                sent.clear()
+                _put_on(bus, sent)
         if robot.camera_outgoing:
             for camera, datagram in robot.camera_outgoing:
                 self._cameras[camera].send(datagram)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 
@@ -48,6 +49,11 @@ def test_a_mock_arm_in_real_time_speaks_obeys_and_ends() -> None:
         rig.clear_faults()
         rig.set_payload(0.5)
         assert len(rig.joint_rad()) == 3
+        assert rig.status()["time_s"] > 0.0
+        hasty = socket.socket(socket.AF_UNIX)
+        hasty.connect(rig._socket.getpeername())
+        hasty.sendall(b'{"do": "truth"}\n' * 50)
+        hasty.close()  # before it has read an answer: nobody else is concerned
         assert rig.status()["time_s"] > 0.0
         with pytest.raises(RigError, match='unknown request "dance"'):
             rig.ask("dance")
