@@ -57,6 +57,7 @@ class PolledLine:
         self._link = link
         self._queue: deque[Question] = deque()
         self._idle: list[Question] = []
+        self._starved: list[Question] = []
         self._waiting: Question | None = None
         self._sent_at_s = 0.0
         self._give_up_s = 0.0
@@ -69,8 +70,15 @@ class PolledLine:
             self._queue.append(question)
 
     def keep_asking(self, question: Question) -> None:
-        """Ask it whenever nothing else is to be asked."""
+        """Ask it whenever nothing else is to be asked; see `post_starved`."""
         self._idle.append(question)
+        self._starved.append(question)
+
+    def post_starved(self) -> None:
+        """Queue what was to be asked in idle time, and had none since the last call: a slow line asks all in turn."""
+        for question in self._starved:
+            self.post(question)
+        self._starved = self._idle[:]
 
     def update(self) -> None:
         """Take what has arrived, and send the next question if the line is free. Raises LinkLost, and what `attend` met."""
@@ -120,6 +128,8 @@ class PolledLine:
 
     def _send(self, question: Question) -> None:
         self._link.read()  # what came unasked answers nothing
+        if question in self._starved:
+            self._starved.remove(question)
         packet = question.packet()
         self._sent_at_s = self.clock.now_s()
         way_s = (len(packet) + question.answer_bytes) * _BITS_PER_BYTE / self.baud if self.baud else 0.0

@@ -133,6 +133,7 @@ class ServoLine(PolledLine):
     def post_cycle(self) -> None:
         """Queue the goal positions, and one servo's state in turn; the values are asked for in the rest of the cycle."""
         self.post(self._goals)
+        self.post_starved()
         self.post(self._servos[self._turn].state_question)
         self._turn = (self._turn + 1) % len(self._servos)
 

@@ -69,15 +69,17 @@ class RoboClaw:
         """Name in messages: `RoboClaw "base" (address 0x80) on /dev/ttyACM0`."""
         return f'RoboClaw "{self.name}" (address {self.address:#04x}) on {self._line.name}'
 
+    def post_duties(self) -> None:
+        """Queue the wanted duties: first in a cycle."""
+        self._line.post(self._duty)
+
     def post_cycle(self) -> None:
-        """Queue what a cycle needs: the duties first, currents, and in turn status, supply, time-out and temperature.
+        """Queue what else a cycle needs: currents, and in turn status, supply, time-out and temperature.
 
         The encoders are read in the rest of the cycle, again and again.
         """
-        line = self._line
-        line.post(self._duty)
-        line.post(self._currents)
-        line.post(self._slow[self._turn])
+        self._line.post(self._currents)
+        self._line.post(self._slow[self._turn])
         self._turn = (self._turn + 1) % len(self._slow)
 
     def stop_packet(self) -> bytes:

@@ -76,6 +76,9 @@ class RoboClawLine:
     def flush(self) -> None:
         """Queue the cycle's questions and send the first; the others follow while the loop waits."""
         for board in self._boards:
+            board.post_duties()
+        self._line.post_starved()
+        for board in self._boards:
             board.post_cycle()
         self._line.update()
 

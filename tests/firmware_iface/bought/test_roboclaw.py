@@ -138,6 +138,21 @@ def test_a_board_restart_is_told_by_its_saved_time_out(cable: Cable) -> None:
     assert isinstance(board.problems[0], BoardReset)
 
 
+def test_a_line_too_slow_for_the_cycle_still_brings_the_counts(cable: Cable) -> None:
+    line = PacketLine(cable.link, cable)
+    board = RoboClaw(line, 0x80, "base")
+    line.keep_asking(board.counts_question)
+    for _ in range(60):  # an answer a cycle: no idle time
+        board.post_duties()
+        line.post_starved()
+        board.post_cycle()
+        line.update()
+        cable.wait_until_s(cable.now_s() + 0.004)
+        line.update()
+    assert cable.now_s() - board.counted_at_s < 0.05
+    assert cable.now_s() - board.obeyed_at_s < 0.05
+
+
 def test_a_time_out_that_the_board_has_already_is_set_to_another(cable: Cable) -> None:
     cable.mocks[0].settings.timeout = 2
     board_on(cable).set_up(0.2, (10.0, 10.0))
