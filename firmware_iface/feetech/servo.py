@@ -52,7 +52,7 @@ class FeetechServo:
         self.resets = 0
         self.problems: list[LinkError] = []
         self._line = line
-        self._must_be_on = False
+        self._is_wanted = self._must_be_on = False  # the torque
         self._force = ForceLimit(line, self._force_written)
         self.values_question = self.state_question = self._question(
             lambda: wire.read(number, *STATE_SPAN), STATE_SPAN[1], self._take_state
@@ -70,8 +70,8 @@ class FeetechServo:
 
     def post_torque(self, is_on: bool) -> None:
         """Queue switching the torque, if it is not so already."""
-        if not is_on:
-            self._must_be_on = False
+        self._is_wanted = is_on
+        self._must_be_on &= is_on
         if self.is_torque_on is not is_on:
             self._line.post(self._torque[is_on])
             self._line.post(self.state_question)
@@ -93,7 +93,7 @@ class FeetechServo:
 
     def set_up(self, watchdog_s: float) -> None:
         """Torque off, no ramp and no speed limit. Nothing is stored; there is no watchdog to set."""
-        self._must_be_on = False
+        self._is_wanted = self._must_be_on = False
         self._write(TORQUE, b"\0")
         self._write(ACCELERATION, b"\0")
         self._write(GOAL_SPEED, b"\0\0")
@@ -118,7 +118,7 @@ class FeetechServo:
 
     def reboot(self) -> None:
         """There is no restart by the bus: torque off ends an overload."""
-        self._must_be_on = False
+        self._is_wanted = self._must_be_on = False
         self._write(TORQUE, b"\0")
 
     def _read(self, address: int, count: int) -> bytes:
@@ -146,7 +146,7 @@ class FeetechServo:
         self.supply_V, self.hardware_error, self.at_s = tenths_V * 0.1, error, sent_at_s
         self.is_torque_on = bool(torque)
         if self.is_torque_on:
-            self._must_be_on = True
+            self._must_be_on = self._is_wanted  # not by an answer from before it was switched off
         elif self._must_be_on:
             self._must_be_on = False
             self.resets += 1

@@ -87,11 +87,27 @@ def test_another_model_or_mode_and_a_silent_line_say_what_to_do() -> None:
 
 def test_a_torque_that_goes_off_by_itself_is_a_restart() -> None:
     cable = Cable()
-    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
-    cable.servo.table[40] = 1
-    servo.read_state()
-    assert servo.problems == []
+    line = FeetechLine(cable.link, cable)
+    servo = FeetechServo(line, 3, "elbow")
+    servo.post_torque(True)
+    for _ in range(20):
+        line.update()
+        cable.wait_until_s(cable.now_s() + 0.001)
+    assert (servo.is_torque_on, servo.problems) == (True, [])
     cable.servo.table[40] = 0
     servo.read_state()
     assert servo.resets == 1
     assert isinstance(servo.problems[0], BoardReset)
+
+
+def test_an_answer_from_before_the_torque_was_switched_off_makes_no_restart() -> None:
+    cable = Cable()
+    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
+    servo.post_torque(True)
+    cable.servo.table[40] = 1
+    servo.read_state()
+    servo.post_torque(False)
+    servo.read_state()  # it was asked before
+    cable.servo.table[40] = 0
+    servo.read_state()
+    assert (servo.problems, servo.resets) == ([], 0)
