@@ -30,6 +30,8 @@ class NodeBus(ABC, Generic[N]):
         """`link`: of the format that the boards use."""
         self.link, self.clock, self.name = link, clock, link.name
         self.nodes: dict[int, N] = {}
+        self.sent_at_s = clock.now_s()
+        """When the last command was sent."""
         self.problems: list[LinkError] = []
 
     @abstractmethod
@@ -47,12 +49,14 @@ class NodeBus(ABC, Generic[N]):
 
     def flush(self) -> None:
         """Send every board its command. Raises LinkLost."""
+        self.sent_at_s = self.clock.now_s()
         for node in self.nodes.values():
             for frame in node.frames():
                 self.link.send(*frame)
 
     def send(self, frame: Frame) -> None:
         """Send one frame. Raises LinkLost."""
+        self.sent_at_s = self.clock.now_s()
         self.link.send(*frame)
 
     def waits(self, is_so: Callable[[], bool], limit_s: float) -> bool:

@@ -27,7 +27,7 @@ class MoteusBus(NodeBus["Moteus"]):
 
 
 class Moteus:
-    """Keeps the latest values of a controller and its command; times are the host's, on arrival."""
+    """Keeps the latest values of a controller and its command; times are the host's, on arrival where nothing else is said."""
 
     def __init__(self, bus: MoteusBus, number: int, name: str, counts_per_turn: int) -> None:
         """`counts_per_turn`: the position comes as turns, and is made counts of so many a turn."""
@@ -41,6 +41,8 @@ class Moteus:
         self.mode, self.fault = int(Mode.STOPPED), 0
         self.is_switch_on = False
         self.at_s = -math.inf
+        self.counted_at_s = -math.inf
+        """When it was asked for the count: a reply that waited for a host that paused is of before the pause."""
         self.resets = 0
         self._milliseconds = 0
         self._started_s = math.inf  # of its counter of milliseconds, on the host's clock; not yet known
@@ -53,11 +55,6 @@ class Moteus:
     def where(self) -> str:
         """Name in messages: `moteus "elbow" (id 3) on socketcan:can0`."""
         return f'moteus "{self.name}" (id {self.number}) on {self._bus.name}'
-
-    @property
-    def counted_at_s(self) -> float:
-        """When the count came: with all other values."""
-        return self.at_s
 
     @property
     def is_known(self) -> bool:
@@ -154,7 +151,7 @@ class Moteus:
         self.supply_V = 0.1 * found[Register.VOLTAGE]
         self.temperature_degC = found[Register.TEMPERATURE]
         self.is_switch_on = bool(int(found[Register.AUX1_INPUTS]) & 1)
-        self.at_s = now_s
+        self.at_s, self.counted_at_s = now_s, self._bus.sent_at_s
         if self._has_restarted(int(found[Register.MILLISECONDS]), now_s):
             self.resets += 1
             self.wanted = wire.brake(self.number)
