@@ -46,7 +46,8 @@ class SpeedCheck:
         """
         acted_V, change_V = self._before_V, abs(self._last_V - self._before_V)
         self._before_V, self._last_V = self._last_V, sent_V
-        if not acted_V - acted_V == 0.0 == change_V - change_V:
+        # Nor with the first command that is none: a board that is asked late measures what that one does.
+        if not acted_V - acted_V == 0.0 == change_V - change_V or sent_V != sent_V:
             self._left_V = self._allowed_V = 0.0
             return True
         ohmic_V, emf_V = self._R * current_A, self._K * speed_rad_s

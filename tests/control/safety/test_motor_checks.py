@@ -82,6 +82,13 @@ def test_a_voltage_that_is_not_known_says_nothing_and_starts_anew() -> None:
     assert not answers[-1]
 
 
+def test_a_current_that_is_already_of_the_command_after_the_last_voltage_is_not_doubted() -> None:
+    check = SpeedCheck(R, K, BASE_rad_s)
+    for _ in range(100):
+        assert check.update(0.01, 0.43, 0.43 / R, 0.0, 0.0)
+    assert check.update(0.01, math.nan, 0.0, 0.0, 0.0)
+
+
 def test_a_board_that_sends_a_duty_cycle_is_not_doubted_when_the_supply_sags() -> None:
     check = SpeedCheck(R, K, BASE_rad_s)
     for _ in range(500):
