@@ -61,6 +61,16 @@ def test_all_values_come_with_the_reply_to_a_command() -> None:
     assert (board.temperature_degC, board.is_switch_on, board.mode) == (35.0, True, Mode.BRAKE)
 
 
+def test_a_count_that_waited_for_a_host_that_paused_is_of_before_the_pause() -> None:
+    cell = Cell()
+    cell.board.identify(False)
+    cell.bus.flush()
+    asked_s = cell.wired.now_s()
+    cell.wired.run(0.031)
+    cell.bus.update()
+    assert (cell.board.counted_at_s, cell.board.at_s) == (asked_s, cell.wired.now_s())
+
+
 def test_the_first_question_commands_nothing() -> None:
     cell = Cell()
     cell.board.identify(False)
