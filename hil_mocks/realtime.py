@@ -20,7 +20,7 @@ from hil_mocks.plant.hand import Point
 from hil_mocks.rig import ArmPorts, MockArm, MockHand, SteppedRig
 from hil_mocks.scenario import FaultTable
 
-_START_LIMIT_S = 60.0  # Python, MuJoCo and a busy machine; a process that ends is detected at once
+_START_LIMIT_S = 300.0  # Python, MuJoCo and a busy machine; a process that ends is detected at once
 _ANSWER_LIMIT_S = 15.0
 _END_LIMIT_S = 5.0
 
