@@ -13,6 +13,10 @@ from control.model.arm import Arm, Drive
 STOP_AFTER_CYCLES: Final = 12
 STOP_AFTER_LEAST_S: Final = 0.01
 STOP_AFTER_MOST_S: Final = 0.05
+STAYS_AFTER_S: Final = (
+    0.01  # of boards that stay at the last position: the motion waits for them, and does not leap ahead
+)
+STAYING_STOP_S: Final = 0.05  # in which such a board has lost most of its speed
 HARDER: Final = (
     2.0  # a board's stop brakes by this times the joint's acceleration limit, from its speed limit
 )
@@ -33,7 +37,7 @@ class BoardStop(NamedTuple):
 
     after_s: float
     time_s: float
-    follows: bool = True  # False in position mode, where the set-point stays the last one
+    follows: bool = True  # False where a board stays at the last position
 
     def bridge(self, pause_s: float) -> Bridge | None:
         """What a pause of the host meant for the motion; None if it was too short for the boards to stop."""
@@ -41,7 +45,7 @@ class BoardStop(NamedTuple):
         if over_s <= 0.0:
             return None
         if not self.follows:
-            return Bridge(0.0, 0.0)
+            return Bridge(0.0, max(0.0, 1.0 - over_s / STAYING_STOP_S))
         if over_s >= self.time_s:
             return Bridge(self.after_s + 0.5 * self.time_s, 0.0)
         share = 1.0 - over_s / self.time_s
@@ -68,10 +72,17 @@ def board_stop(arm: Arm, period_s: float) -> BoardStop:
     if not all(can_hold(drive) and arm.kind_of(drive).can_hold for drive in arm.drives):
         return BoardStop(after_s, BRAKED_STOP_S)
     finite_s = [time_s for time_s in times_s if 0.0 < time_s < math.inf]
-    follows = all(drive.pid.mode != "position" for drive in arm.drives)
+    follows = not any(_stays(arm, drive) for drive in arm.drives)
     return BoardStop(after_s, max(finite_s, default=DEFAULT_STOP_S), follows)
 
 
+def _stays(arm: Arm, drive: Drive) -> bool:
+    """Whether its board stays at the last position that it was told."""
+    return drive.pid.mode == "position" and not arm.kind_of(drive).moves_on
+
+
 def _after_s(arm: Arm, drive: Drive, period_s: float) -> float:
-    """A board that does not stop early obeys the last command until its watchdog: so long, the motion goes on."""
-    return stop_after_s(period_s) if arm.kind_of(drive).stops_early else arm.limits.watchdog_s
+    """A board that neither stops early nor stays goes on with the last command until its watchdog, and so does the motion."""
+    if arm.kind_of(drive).stops_early:
+        return stop_after_s(period_s)
+    return STAYS_AFTER_S if _stays(arm, drive) else arm.limits.watchdog_s

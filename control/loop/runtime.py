@@ -108,10 +108,13 @@ class Runtime(ArmState):
             self.fail(fault)
         if self.monitor.mode is Mode.OFF:
             return
-        measured = self.parts.measurement
+        measured, aim, paused_s = self.parts.measurement, self.aim, self.elapsed_s - self.parts.period_s
+        q_set_rad: Sequence[float] = aim.q_rad
+        if paused_s > 0.0:  # the boards have moved on with their last command
+            q_set_rad = [q + paused_s * v for q, v in zip(aim.q_rad, aim.speed_rad_s, strict=True)]
         found = self.parts.checks.watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
-            self.aim.q_rad, self.aim.speed_rad_s, missed_in_row,
+            q_set_rad, aim.speed_rad_s, missed_in_row,
             # The arm is where its boards' stop brought it: following is expected from the next cycle on.
             Expectation(self.drives.is_ready, self.monitor.is_homed, self.is_controlled() and self.bridge is None),
         )  # fmt: skip

@@ -37,6 +37,7 @@ class BoardKind:
     frees_in: tuple[
         str, ...
     ] = ()  # modes in which it frees its motor without the host: nothing stops the joint
+    moves_on: bool = False  # in position mode at the speed of the last command; else it stays at its position
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
 
 
@@ -124,6 +125,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             limits_current=True,
             needs_fd=True,
             may_be_absolute=True,
+            moves_on=True,
         ),
         "odrive": BoardKind(
             line="can",
@@ -139,6 +141,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             limits_current=True,
             needs_own_bus=True,
             may_be_absolute=True,
+            moves_on=True,
             frees_in=("current",),
             has_switch=False,
         ),

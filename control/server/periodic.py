@@ -1,7 +1,8 @@
 """The cycle timer: absolute deadlines, with a count of those missed.
 
 A deadline is the last one plus the period, never "now plus the period", so lateness does not accumulate; after a pause the
-missed deadlines are skipped, not made up in a burst, because a burst of old set-points is worse than a gap.
+missed deadlines are skipped, not made up in a burst, because a burst of old set-points is worse than a gap. So is one that is
+due within half a period after a pause: counts of boards that are timed by their arrival would look too fast.
 """
 
 from firmware_iface.clock import Clock
@@ -27,7 +28,10 @@ class PeriodicTimer:
         """Wait for the next deadline; returns the lateness at the start of the cycle in s."""
         self._clock.wait_until_s(self._deadline_s)
         late_s = self._clock.now_s() - self._deadline_s
-        self.skipped = int(late_s / self.period_s)
+        periods = late_s / self.period_s
+        self.skipped = int(
+            periods + (0.499 if periods >= 1.0 else 0.0)
+        )  # 0.499: rounding errors skip nothing
         self.missed += self.skipped
         self.missed_in_row = self.missed_in_row + self.skipped if self.skipped else 0
         self._deadline_s += (self.skipped + 1) * self.period_s + self.trim_s

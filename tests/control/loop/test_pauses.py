@@ -6,6 +6,7 @@ import pytest
 
 from control.hardware.board_stop import BoardStop, board_stop, stop_after_s
 from control.safety.table import Mode
+from procedures.mock.on_boards import on_boards
 from tests.cell import RIGHT, Cell, holding_cell, scenario, with_drives
 
 START = (-1.2, -0.6, 0.2)
@@ -28,12 +29,23 @@ def test_the_law_of_a_stop_is_continuous_and_ends_at_rest() -> None:
     assert stop.bridge(0.074) == pytest.approx((0.024 + 0.0375, 0.5))
     assert stop.bridge(0.124) == pytest.approx((0.074, 0.0))
     assert stop.bridge(9.0) == pytest.approx((0.074, 0.0))
-    assert BoardStop(0.024, 0.1, follows=False).bridge(0.05) == (0.0, 0.0)
+    staying = BoardStop(0.01, 0.1, follows=False)
+    assert staying.bridge(0.01001) == pytest.approx((0.0, 1.0), abs=1e-3)
+    assert staying.bridge(0.035) == pytest.approx((0.0, 0.5))
+    assert staying.bridge(0.2) == (0.0, 0.0)
 
 
 def test_the_boards_wait_some_cycles_and_brake_harder_than_a_motion() -> None:
     assert [stop_after_s(period_s) for period_s in (0.0005, 0.002, 0.01)] == [0.01, 0.024, 0.05]
     assert board_stop(RIGHT, 0.002) == (0.024, 0.1, True)
+
+
+def test_boards_that_stay_at_a_position_stop_the_motion_and_those_that_move_on_let_it_go_on() -> None:
+    watchdog_s = RIGHT.limits.watchdog_s
+    assert board_stop(on_boards(RIGHT, "dynamixel"), 0.01) == (0.01, 0.1, False)
+    assert board_stop(on_boards(RIGHT, "cia402"), 0.004) == (0.01, 0.1, False)
+    assert board_stop(on_boards(RIGHT, "moteus"), 0.004) == (watchdog_s, 0.1, True)
+    assert board_stop(on_boards(RIGHT, "roboclaw"), 0.01).after_s == watchdog_s
 
 
 @pytest.mark.parametrize("pause_s", [0.03, 0.06, 0.1, 0.15])
@@ -118,7 +130,7 @@ def test_a_pause_beyond_the_watchdog_is_a_fault_and_the_arm_has_not_sunk() -> No
 def test_a_host_that_stumbles_again_and_again_trips_nothing(pause_s: float) -> None:
     with moving_cell() as cell:
         cell.start_move((0.6, -0.2, 0.7))
-        for _ in range(300):
+        for _ in range(400):  # it is away for three quarters of the time
             cell.run(0.014)
             away(cell, pause_s)
             if cell.mode is Mode.HOLDING:

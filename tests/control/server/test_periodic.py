@@ -54,14 +54,17 @@ def test_after_a_pause_the_missed_deadlines_are_counted_and_there_is_no_burst(cl
     assert (beat.skipped, beat.missed, beat.missed_in_row) == (0, 19, 0)
 
 
-@pytest.mark.parametrize(("periods", "skipped"), [(0.999, 0), (1.001, 1), (1.999, 1), (2.001, 2)])
-def test_a_deadline_is_missed_when_the_next_one_has_come_too(
+@pytest.mark.parametrize(("periods", "skipped"), [(0.999, 0), (1.001, 1), (1.49, 1), (1.51, 2), (2.001, 2)])
+def test_a_deadline_is_missed_when_the_next_one_has_come_too_or_comes_within_half_a_period(
     clock: FakeClock, periods: float, skipped: int
 ) -> None:
     beat = PeriodicTimer(clock, PERIOD_S)
     clock.late_s = periods * PERIOD_S
     beat.wait()
     assert beat.skipped == skipped
+    begun_s, clock.late_s = clock.time_s, 0.0
+    beat.wait()
+    assert clock.time_s - begun_s >= 0.5 * PERIOD_S or skipped == 0
 
 
 def test_missed_in_a_row_grows_while_every_cycle_is_late_and_ends_with_one_in_time(clock: FakeClock) -> None:
