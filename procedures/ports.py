@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from calib.session.moves.ports import Sample, SeenTip, Vector
 from calib.session.plan import Target
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 SEATED_m = 2e-4  # a tip this close to the hand is seated
 CAMERA_PATIENCE_S = 2.0  # a marker may be hidden for a moment, a host may pause
 SEAT_PATIENCE = 3.0  # times the duration that the hand predicts
+ARRIVAL_MARGIN_S = 5.0
 CREEP = 0.1  # of the speed of other moves
 
 
@@ -128,3 +129,11 @@ class HandPort:
     def let_go(self) -> None:
         """Release the tip."""
         self._hand.let_go()
+
+
+def move_together(clients: Mapping[str, ArmClient], moves: Mapping[str, Any]) -> None:
+    """Motions of several arms that begin and end together (docs/socket.md); returns when all have arrived."""
+    first = next(iter(moves))
+    duration_s = clients[first].ask("move_together", moves=moves)["duration_s"]
+    for name in moves:
+        clients[name].arrive(duration_s + ARRIVAL_MARGIN_S)

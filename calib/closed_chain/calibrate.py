@@ -131,7 +131,7 @@ def choose_contacts(
     )
     x = np.zeros(len(problem.parameters))
     known = determinability(problem.sensitivity(x), problem.parameters)
-    rows = problem.by_contact(x) @ known.basis / noise_m
+    rows = problem.of_contacts(x)[1] @ known.basis / noise_m
     rank = known.rank
     experiment = Experiment(
         (), frozen(known.basis), frozen(np.eye(rank)), frozen(rows), frozen(np.zeros((1, 3, rank))), False

@@ -14,15 +14,11 @@ from calib.closed_chain.contacts import Contacts
 from calib.closed_chain.room import Room
 from calib.design.candidates import FREE_HEIGHT_M
 from calib.design.reach import Mask, body_points, is_above_floor, joint_box, postures, spread_poses
-from control.errors import ArmError
-from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
-from control.safety.body import ArmBody
 
 DRAWN = 6000  # poses of the first arm; one in ten gives a contact
 STARTS = 12  # from which postures of the second arm are searched
-AWAY_m = 0.04  # back along the last link, to where an arm moves before a hand brings its tip to the contact
 LEVER_m_rad = 0.1  # least way of the tip for a turn of the joints: 2 cm are then made up for within 0.2 rad
 CAVITY, APART = "cavity", "apart"  # setups of contacts in one place, and at a distance
 SEED = 0
@@ -77,17 +73,16 @@ def contact_candidates(
 
 def _clear(cell: Cell, pair: tuple[Placed, Placed], first: Array, second: Array, apart: Array) -> Candidates:
     """The contacts that are clear, that both arms can back off from, and to which there is a way from their rest poses."""
-    one, two = pair
-    room, backs = Room(cell, pair), (_Back(one.arm), _Back(two.arm))
+    room = Room(cell, pair)
     kept: list[int] = []
     away: tuple[list[Sequence[float]], list[Sequence[float]]] = ([], [])
     for row, (q1, q2) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
         if not room.is_clear(q1, q2):
             continue
-        off = backs[0].off(q1), backs[1].off(q2)
-        if off[0] is None or off[1] is None or not room.is_clear(off[0], off[1]):
+        off = room.backed_off((q1, q2))
+        if off is None or not room.is_clear(*off):
             continue
-        if room.way(room.rest_rad, (off[0], off[1])) is not None:
+        if room.way(room.rest_rad, off) is not None:
             kept.append(row)
             away[0].append(off[0])
             away[1].append(off[1])
@@ -103,24 +98,6 @@ def _clear(cell: Cell, pair: tuple[Placed, Placed], first: Array, second: Array,
         frozen(np.reshape(away[0], (len(kept), -1))),
         frozen(np.reshape(away[1], (len(kept), -1))),
     )
-
-
-class _Back:
-    """Poses with the tip a little back along the last link."""
-
-    def __init__(self, arm: Arm) -> None:
-        self._inverse, self._corners = InverseKinematics(arm), ArmBody(Placed(arm), 0.0)
-
-    def off(self, q_rad: Sequence[float]) -> Sequence[float] | None:
-        """Such a pose near `q_rad`; None if the arm cannot."""
-        last = self._corners.at(q_rad)[-2]
-        along = np.array([last.dx, last.dy, last.dz])
-        tip = np.array([last.x, last.y, last.z]) + along
-        back = tip - AWAY_m * along / np.linalg.norm(along)
-        try:
-            return self._inverse.nearest(back.tolist(), q_rad)
-        except ArmError:
-            return None
 
 
 def _is_fit(arm: Arm, q_rad: Array) -> Mask:

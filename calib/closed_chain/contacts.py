@@ -21,9 +21,10 @@ from calib.arrays import Array, frozen
 from calib.errors import PointsFileError, UnusablePointsError
 from calib.points.points import Points, make_points
 from calib.points.reading import read_points
+from calib.points.writer import DISTANCE, Key
 from control.model.arm import Arm
 
-DISTANCE, JOINED = "distance_m", "joined"
+JOINED = "joined"
 DISTANCE_MOST_m = 5.0
 TURNS_LIMIT_rad = 6 * math.pi
 
@@ -50,6 +51,16 @@ class Contacts:
     def __len__(self) -> int:
         """How many."""
         return len(self.name)
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Setup, point and repeat of each: contacts of a file are named by all three, planned ones by the point."""
+        found = []
+        for name, setup in zip(self.name, self.setup, strict=True):
+            rest = name.removeprefix(f"{setup}:")
+            point, _, repeat = rest.rpartition(":")
+            found.append((setup, name, 1) if rest == name else (setup, point, int(repeat)))
+        return tuple(found)
 
     def chosen(self, rows: npt.ArrayLike) -> Contacts:
         """Some of them, by index."""

@@ -157,14 +157,16 @@ class PairProblem:
         length = norms(self._gaps(x)[0])
         return np.abs(length - self.contacts.distance_m)
 
-    def by_contact(self, x: Array) -> Array:
-        """Derivatives (m, 3, k) of each contact: three residuals, or one and zeros."""
+    def of_contacts(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (m, 3) and their derivatives (m, 3, k) of each contact: three numbers, or one and zeros."""
         gap, by_whole = self._gaps(x)
         by_x = by_whole[:, :, self._places] * self._scale
-        found = np.array(by_x)
-        found[self._far] = 0.0
-        found[self._far, 0] = np.einsum("mi,mik->mk", _lengths(gap[self._far])[1], by_x[self._far])
-        return found
+        error, slopes, far = np.array(gap), np.array(by_x), self._far
+        length, along = _lengths(gap[far])
+        error[far], slopes[far] = 0.0, 0.0
+        error[far, 0] = length - self.contacts.distance_m[far]
+        slopes[far, 0] = np.einsum("mi,mik->mk", along, by_x[far])
+        return error, slopes
 
     def solution(self, x: Array) -> tuple[tuple[Arm, Arm], Frame]:
         """Both arms, and where the second base stands in the first. Gravity of the second is that of the first, as it stands."""

@@ -35,6 +35,17 @@ class ContactPlan:
     others: Candidates
 
 
+def pair_of(cell: Cell, asked: Sequence[str] | None = None) -> tuple[str, str]:
+    """The names of the two arms that are meant. ArmError if the cell has more and none are asked for."""
+    names = asked or cell.names
+    if len(names) != 2:
+        raise ArmError(f"cell {cell.name!r} has {', '.join(names)}: name two of them with --arms")
+    one, two = (cell.placed(name).name for name in names)
+    if one == two:
+        raise ArmError(f"--arms: expected two different arms, got {one} twice")
+    return one, two
+
+
 def plan_contacts(
     cell: Cell, names: tuple[str, str], distances_m: Sequence[float], count: int, plan: PairPlan | None = None
 ) -> ContactPlan:

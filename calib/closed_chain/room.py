@@ -7,12 +7,15 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from control.errors import ArmError
+from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.safety.body import ArmBody, pairs_between
 from control.safety.collision import least_gap
 
 MARGIN_m = 0.03  # beyond the cell's clearance: tips of uncalibrated arms are some 2 cm off
+AWAY_m = 0.04  # back along the last link, to where an arm moves before a hand brings its tip to the contact
 LOOKS = 30  # at a joint move of both
 Poses = Sequence[Sequence[float]]
 """Joint angles of the first and of the second arm [rad]."""
@@ -26,6 +29,7 @@ class Room:
         self._bodies = tuple(ArmBody(placed, cell.tool_length_m) for placed in pair)
         self._pairs = pairs_between(*self._bodies)
         self._least_m = cell.clearance_m + MARGIN_m
+        self._backs = (_Back(pair[0].arm), _Back(pair[1].arm))
 
     def is_clear(self, first_rad: Sequence[float], second_rad: Sequence[float]) -> bool:
         """Of a pose of both."""
@@ -36,6 +40,11 @@ class Room:
             least_gap(at, at, body.own_pairs, MARGIN_m).gap_m >= MARGIN_m
             for body, at in zip(self._bodies, (one, two), strict=True)
         )
+
+    def backed_off(self, poses_rad: Poses) -> Poses | None:
+        """Both tips a little back along the last links; None if an arm cannot."""
+        off = [back.off(q_rad) for back, q_rad in zip(self._backs, poses_rad, strict=True)]
+        return None if off[0] is None or off[1] is None else [off[0], off[1]]
 
     def is_way_clear(self, start_rad: Poses, end_rad: Poses) -> bool:
         """Of a joint move of both, which begin and end together; the ends themselves are not looked at."""
@@ -63,6 +72,24 @@ class Room:
         arrive = ((), ((rest[0], goal_rad[1]),), ((goal_rad[0], rest[1]),))
         for first, last in product(leave, arrive):
             yield (*first, rest, *last, goal_rad)
+
+
+class _Back:
+    """Poses with the tip a little back along the last link."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._inverse, self._corners = InverseKinematics(arm), ArmBody(Placed(arm), 0.0)
+
+    def off(self, q_rad: Sequence[float]) -> Sequence[float] | None:
+        """Such a pose near `q_rad`; None if the arm cannot."""
+        last = self._corners.at(q_rad)[-2]
+        along = np.array([last.dx, last.dy, last.dz])
+        tip = np.array([last.x, last.y, last.z]) + along
+        back = tip - AWAY_m * along / np.linalg.norm(along)
+        try:
+            return self._inverse.nearest(back.tolist(), q_rad)
+        except ArmError:
+            return None
 
 
 def _rest_rad(arm: Arm) -> Sequence[float]:

@@ -21,6 +21,7 @@ from control.files import append_whole, read_bytes, write_whole
 
 Key = tuple[str, str, int]
 POSE_COLUMNS = (*ORIENTATION, "frame")
+DISTANCE = "distance_m"  # between the tips of two arms in contact
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,7 @@ class Record:
 
     temperature_C of the drives, empty if not measured; approach: number of the side, from 1; take: 2 and more
     if earlier records of this pose were withdrawn. orientation: of the measured target, in the tip's frame.
+    distance_m: between the tips of two arms in contact.
     """
 
     setup: str
@@ -45,6 +47,7 @@ class Record:
     approach: int = 1
     take: int = 1
     orientation: tuple[float, float, float, float] | None = None
+    distance_m: float = 0.0
 
     @property
     def key(self) -> Key:
@@ -89,12 +92,20 @@ class PointsWriter:
     see `warnings`. SessionError if the file is of another arm or was not written by a session.
     """
 
-    def __init__(self, path: Path, joint_count: int, pose_frame: str = "") -> None:
-        """Open or create the file. pose_frame: "base" or "stream", the frame of full poses; empty: tips without orientations."""
+    def __init__(
+        self, path: Path, joint_count: int, pose_frame: str = "", has_distance: bool = False
+    ) -> None:
+        """Open or create the file. pose_frame: "base" or "stream", the frame of full poses; empty: tips without orientations.
+
+        has_distance: of two arms in contact.
+        """
         if path.name.endswith(".gz"):
             raise SessionError(f"{path}: a session writes plain .csv, not .gz; name another file")
         self._path, self._joint_count, self._pose_frame = path, joint_count, pose_frame
-        self._header = _line([*_header(joint_count), *(POSE_COLUMNS if pose_frame else ())])
+        self._has_distance = has_distance
+        more = (*(POSE_COLUMNS if pose_frame else ()), *((DISTANCE,) if has_distance else ()))
+        columns = [*_header(joint_count), *more]
+        self._header, self._take = _line(columns), columns.index("take")
         path.parent.mkdir(parents=True, exist_ok=True)
         self.warnings: tuple[str, ...] = self._mend()
         self._lines: dict[Key, str] = self._read()
@@ -108,6 +119,10 @@ class PointsWriter:
     def line(self, key: Key) -> str:
         """A record as a line of the file, without the line end."""
         return self._lines[key]
+
+    def take(self, line: str) -> int:
+        """The number of the take that a line of the file is."""
+        return int(next(csv.reader([line]))[self._take])
 
     def append(self, record: Record) -> None:
         """Write one record and wait for the disk."""
@@ -189,6 +204,7 @@ class PointsWriter:
             str(record.approach),
             str(record.take),
             *(self._pose(record) if self._pose_frame else ()),
+            *((f"{record.distance_m:g}",) if self._has_distance else ()),
         ]
 
     def _pose(self, record: Record) -> tuple[str, ...]:

@@ -1,21 +1,15 @@
-"""A session with an operator: asks, moves, records, saves; the front end answers.
-
-`conduct` is a generator: it yields messages (`calib.session.dialogue`) and is sent a Command for every Ask. It reads no
-keyboard and prints nothing, so that a terminal, a script and a screen run the same session. Nothing moves, and no drive is
-released, before an Ask was answered with GO. On every exit the hand has released the arm and the drives hold.
-"""
+"""A session of one arm: its tip in the cavities of a board, or at free poses (calib.session.conversation)."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from calib.errors import RegistrationError, SessionError
 from calib.session.boards_known import Boards
-from calib.session.commands import done_to
-from calib.session.dialogue import Ask, Command, Do, Message, Question, Recorded, Saying
+from calib.session.conversation import Answer, Conversation, Talk
+from calib.session.dialogue import Jog, Message, Question, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.jog import jogged
 from calib.session.measured import BoardSurvey
@@ -26,11 +20,6 @@ from calib.session.plan import Target
 from calib.session.residual_watch import ResidualWatch
 from calib.session.take import SessionSettings, take
 from control.errors import ArmError
-from control.server.channel import RuntimeGone
-from control.server.client import ArmFaulted
-
-Talk = Generator[Saying, Command, None]
-Answer = Generator[Saying, Command, bool]
 
 
 class Hand(Protocol):
@@ -72,34 +61,12 @@ def conduct(folder: SessionFolder, station: Station) -> Talk:
     return _Conductor(folder, station).run()
 
 
-class _Quit(Exception):
-    """The operator ended the session."""
-
-
-class _Conductor:
+class _Conductor(Conversation):
     def __init__(self, folder: SessionFolder, station: Station) -> None:
-        self._folder, self._station = folder, station
+        super().__init__(folder, station.watch)
+        self._station = station
         self._arm, self._boards = station.arm, station.boards
         self._survey = BoardSurvey(folder, station.boards, station.watch)
-        self._standing = ""  # the board's present setup
-        self._is_released = False
-
-    def run(self) -> Talk:
-        """The whole session."""
-        try:
-            yield from self._begin()
-            while True:
-                target = self._next()
-                if target is not None:
-                    yield from self._visit(target)
-                elif (yield from self._ask(Question.DONE, None)):
-                    self._lift()
-                    return
-        except _Quit:
-            if left := len(self._folder.state.left()):
-                yield Message(
-                    f"stopped; left: {left} of {len(self._folder.plan.targets)}; the same command resumes"
-                )
 
     def _begin(self) -> Talk:
         """Restore from disk, and find out whether the tip is at a point."""
@@ -120,7 +87,7 @@ class _Conductor:
             yield Message("the tip may be at a point: the arm first retracts it along the board's normal")
 
     def _next(self) -> Target | None:
-        target = self._folder.state.next(self._standing or self._folder.standing)
+        target = super()._next()
         if target is None or target.is_free or not self._boards.needs_seeing(target.setup):
             return target
         return self._boards.best_to_see(self._folder.state.left(), self._folder.points(), target.setup)
@@ -230,11 +197,6 @@ class _Conductor:
             return (yield from self._skip(target, error))
         return True
 
-    def _skip(self, target: Target, reason: ArmError) -> Answer:
-        self._folder.skip(target.key, str(reason))
-        yield Message(f"{target.name} is skipped: {reason}", is_warning=True)
-        return False
-
     def _record(self, target: Target) -> Talk:
         """Measure, check, save; then report."""
         station = self._station
@@ -250,34 +212,5 @@ class _Conductor:
         if not target.is_free:
             yield from self._survey.place(target.setup)
 
-    def _ask(self, question: Question, target: Target | None) -> Answer:
-        """Ask until the answer is GO (True), or another target is due (False)."""
-        while True:
-            command = yield Ask(question, target)
-            if command.do is Do.GO:
-                return True
-            if command.do is Do.QUIT:
-                raise _Quit
-            try:
-                yield from self._obey(command, target)
-            except (ArmFaulted, RuntimeGone):
-                raise
-            except (SessionError, RegistrationError, ArmError) as refusal:
-                yield Message(str(refusal), is_warning=True)
-            if self._next() != target:
-                return False
-
-    def _obey(self, command: Command, target: Target | None) -> Talk:
-        if command.do is Do.NOTE:
-            self._folder.note(command.text, target.key if target else None)
-            yield Message("noted")
-        elif command.jog is not None:
-            if self._is_released:
-                raise SessionError("the drives are off: move the arm by hand; jog needs the drives on")
-            self._arm.creep_to_q(jogged(command.jog, self._arm, self._station.geometry))
-        else:
-            changed = done_to(self._folder, command, target, self._standing or self._folder.standing)
-            for key in changed:
-                self._station.watch.forget(key)
-            names = ", ".join(self._folder.state.targets[key].name for key in changed)
-            yield Message(f"{command.do.value}: {names}")
+    def _jog(self, jog: Jog) -> None:
+        self._arm.creep_to_q(jogged(jog, self._arm, self._station.geometry))

@@ -22,10 +22,11 @@ class Question(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """The session waits for an answer: a Command."""
+    """The session waits for an answer: a Command. `arm`: which of two it is about."""
 
     question: Question
     target: Target | None
+    arm: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +62,11 @@ class Do(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Jog:
-    """A small move: along x, y or z of the base frame [m], or of a joint j1, j2, ... [rad]."""
+    """A small move: along x, y or z of the base frame [m], or of a joint j1, j2, ... [rad]; `arm`: which of two."""
 
     axis: str
     step: float
+    arm: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ point are distinguished by `take`, so that nothing is withdrawn twice.
 
 from __future__ import annotations
 
-import csv
 import datetime
 from collections import Counter
 from dataclasses import replace
@@ -51,7 +50,9 @@ class SessionFolder:
         try:
             if not self.is_resumed:
                 replace_file(folder / PLAN, to_json(self.plan, self.started).encode())
-            self._writer = PointsWriter(folder / POINTS, self.plan.joint_count, self.plan.pose_frame)
+            self._writer = PointsWriter(
+                folder / POINTS, self.plan.joint_count, self.plan.pose_frame, self.plan.board == "contact"
+            )
         except BaseException:
             self._journal.close()
             raise
@@ -151,7 +152,8 @@ class SessionFolder:
         key = (str(entry["setup"]), str(entry["point"]), int(entry["repeat"]))
         if "record" in entry:
             self._withdrawn[key] += 1
-            if key in self._writer.recorded and _take(self._writer.line(key)) == _take(entry["record"]):
+            withdrawn = self._writer.take(entry["record"])
+            if key in self._writer.recorded and self._writer.take(self._writer.line(key)) == withdrawn:
                 self._writer.withdraw(key)
         return state.marked(key, marks[entry["event"]])
 
@@ -188,11 +190,6 @@ def _kept(folder: Path, wanted: SessionPlan | None) -> tuple[SessionPlan, str]:
 
 def _named(key: Key) -> dict[str, object]:
     return {"setup": key[0], "point": key[1], "repeat": key[2]}
-
-
-def _take(line: str) -> str:
-    """The take of a record's line: its last value."""
-    return next(csv.reader([line]))[-1]
 
 
 def _now() -> str:

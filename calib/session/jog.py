@@ -16,6 +16,10 @@ AXES = "xyz"
 
 def jogged(jog: Jog, arm: ArmPort, geometry: Geometry) -> Sequence[float]:
     """Joint angles after the step. SessionError for an invalid step, ArmError if it is out of reach."""
+    if jog.arm:
+        raise SessionError(
+            f"jog: this session has one arm: expected an axis and a step, got {jog.arm!r} first"
+        )
     q_rad = arm.average(WINDOW_s).q_rad
     if jog.axis in AXES and jog.axis:
         _require_small(jog, LONGEST_m, "m")

@@ -20,7 +20,7 @@ from control.model.arm import Arm
 
 FORMAT = "session/1"
 FREE = "free"
-Board = Literal["known", "measured", "unknown"]
+Board = Literal["known", "measured", "unknown", "contact"]
 Seating = Literal["hand", "jog"]
 PoseFrame = Literal["", "base", "stream"]
 
@@ -29,7 +29,8 @@ PoseFrame = Literal["", "base", "stream"]
 class Target:
     """One record to take: a cavity of a setup, or in the setup `free` a pose. `approach`: number of the side, from 1.
 
-    q_rad: the angles of a free pose, or the posture for a cavity, None for the nearest.
+    q_rad: the angles of a free pose, or the posture for a cavity, None for the nearest; in a contact, of both arms.
+    distance_m: between the tips of a contact.
     """
 
     setup: str
@@ -37,6 +38,7 @@ class Target:
     repeat: int = 1
     approach: int = 1
     q_rad: tuple[float, ...] | None = None
+    distance_m: float = 0.0
 
     @property
     def key(self) -> Key:
@@ -58,7 +60,8 @@ class Target:
 class SessionPlan:
     """The plan of a session, fixed at its start and for every resumption.
 
-    board: its pose is known, measured with the camera, or unknown; seat: how the tip is seated;
+    board: its pose is known, measured with the camera, or unknown; "contact": there is none, two arms touch (calib.closed_chain).
+    seat: how the tip is seated;
     has_camera: whether the tip is measured; arm_sha256: of the arm's parameters (`fingerprint`).
     pose_frame: the frame in which full poses are measured, "stream" one of unknown place; empty: positions in the base frame.
     """
@@ -93,7 +96,7 @@ class SessionPlan:
             raise SessionError(f"{' '.join(map(str, twice))} is planned twice: use --repeats")
         if self.board == "measured" and not self.has_camera:
             raise SessionError("a board measured by the camera needs --camera")
-        if self.seat == "jog" and self.board != "known":
+        if self.seat == "jog" and self.board not in ("known", "contact"):
             raise SessionError(
                 f"--seat jog needs a board with a known pose, got {self.board}: guide the tip by hand"
             )
@@ -230,6 +233,8 @@ def _target_json(target: Target) -> dict[str, object]:
         entry["approach"] = target.approach
     if target.q_rad is not None:
         entry["q_rad"] = list(target.q_rad)
+    if target.distance_m:
+        entry["distance_m"] = target.distance_m
     return entry
 
 
@@ -242,6 +247,7 @@ def _target(entry: Mapping[str, object]) -> Target:
         int(str(entry["repeat"])),
         int(str(entry.get("approach", 1))),
         angles,
+        float(str(entry.get("distance_m", 0.0))),
     )
 
 

@@ -101,7 +101,7 @@ class ResidualWatch:
         x, noise_m = np.zeros(len(scales)), NOISE_m
         for _ in range(STEPS):
             residual, slopes = self._linearised(before, pose, scales, x)
-            weights = _weights(residual, noise_m) / noise_m**2
+            weights = weights_of(residual, noise_m) / noise_m**2
             information = np.einsum("m,mik,mil->kl", weights, slopes, slopes) + np.eye(len(x))
             aim = residual + slopes @ x
             x = np.linalg.solve(information, np.einsum("m,mik,mi->k", weights, slopes, aim))
@@ -145,7 +145,7 @@ def _moved(pose: BoardPose, scales: Array, x: Array) -> tuple[BoardPose, Array]:
     return BoardPose(np.asarray(rotation_of(turn) @ pose.rotation), pose.origin_m + shift), remaining
 
 
-def _weights(residual_m: Array, noise_m: float) -> Array:
+def weights_of(residual_m: Array, noise_m: float) -> Array:
     """Huber's weights: 1, and less for residuals beyond some times the noise."""
     return np.minimum(1.0, CLIP * noise_m / np.maximum(norms(residual_m), FLOOR_m))
 

@@ -56,6 +56,17 @@ RECORDING = (
             option("--replay", metavar="SCRIPT", help="read answers from a file, one per line"),
             option("--json", action="store_true", help="print questions and records as JSON lines"),
             SOCKET,
+            option(
+                "--cell",
+                metavar="C",
+                help="two arms in contact: the cell.toml that `serve` runs (docs/two_arms.md)",
+            ),
+            option(
+                "--contacts",
+                metavar="FILE",
+                help="with --cell: planned contacts, from `armwright plan-contacts`",
+            ),
+            option("--arms", nargs=2, metavar="ARM", help="with --cell: two arms of more"),
         ),
         "Each record is on disk before it is confirmed. The same command resumes; docs/session.md.",
         module="calibration.session",

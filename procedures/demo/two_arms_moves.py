@@ -3,32 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.closed_chain.candidates import Candidates
-from calib.closed_chain.contacts import contact_points
 from calib.closed_chain.room import Poses, Room
 from calib.design.order import short_path
 from calib.errors import CalibrationError
-from calib.points.writer import write_points
-from calib.session.standstill import wait_for_rest
 from calib.validation.tracks import Track
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
 from control.model.cell import Cell
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import Waypoints
 from procedures.mock.cell_bench import CellBench
-from procedures.ports import HandPort, RuntimePort
 
-AVERAGE_s = 0.1
-STILL_rad, STILL_s, PATIENCE_s, WINDOW_s = 1e-4, 0.05, 10.0, 0.02
 DETOUR_rad = 4.0  # what a way by the rest poses costs
 RADIUS_m = 0.05
 CENTRE_m = (
@@ -40,69 +30,6 @@ WAYPOINTS = 16
 SAMPLE_s = 0.01
 TURNS = 20  # steps to the best turn
 HELD_m = (0.4, 0.06, 0.4)  # where the first tip holds meanwhile, in the frame of the cell
-
-
-@dataclass(frozen=True, slots=True)
-class Contact:
-    """One contact as it was measured: joints of the first arm, then of the second, and the signs of their last motions."""
-
-    setup: str
-    name: str
-    distance_m: float
-    q_rad: tuple[float, ...]
-    direction: tuple[int, ...]
-
-
-class Contacting:
-    """Both arms of a cell at planned contacts; the operator's hands bring the tips together where the models say."""
-
-    def __init__(self, cell: Cell, names: tuple[str, str], bench: CellBench) -> None:
-        self._cell, self._names, self._bench = cell, names, bench
-        self._kinematics = [Kinematics(cell.placed(name).arm) for name in names]
-        self._ports = [RuntimePort(bench.clients[name]) for name in names]
-        self._hands = [HandPort(bench.hand(name), bench.wait) for name in names]
-        self._room = Room(cell, (cell.placed(names[0]), cell.placed(names[1])))
-
-    def take(self, planned: Candidates) -> Iterator[Contact]:
-        """Each contact as measured; one that no clear way leads to is left out."""
-        contacts = planned.contacts
-        for k in _in_order(planned, self._room, poses_now(self._bench, self._names)):
-            name = contacts.name[k]
-            away = (planned.first_away_rad[k].tolist(), planned.second_away_rad[k].tolist())
-            if not go(self._bench, self._room, self._names, away):
-                continue
-            touching = (contacts.first_rad[k].tolist(), contacts.second_rad[k].tolist())
-            self._seat(touching, float(contacts.distance_m[k]))
-            point = self._recorded(contacts.setup[k], name, float(contacts.distance_m[k]))
-            for port, hand in zip(self._ports, self._hands, strict=True):
-                port.hold()
-                hand.let_go()
-            self._bench.together(dict(zip(self._names, away, strict=True)))
-            yield point
-
-    def _seat(self, touching_rad: Sequence[Sequence[float]], distance_m: float) -> None:
-        """One tip after the other by hand, drives off meanwhile; both then hold.
-
-        The places are real: the cavity, or the ends of the bar, are where the nominal models say that they are.
-        """
-        first, second = (
-            np.array(self._cell.placed(name).in_cell(model.tip(*q_rad)))
-            for name, model, q_rad in zip(self._names, self._kinematics, touching_rad, strict=True)
-        )
-        way = second - first
-        places = (first, first + distance_m * way / max(float(np.linalg.norm(way)), 1e-9))
-        for name, port, hand, place in zip(self._names, self._ports, self._hands, places, strict=True):
-            port.release()
-            hand.seat(self._bench.standing.placed(name).in_base(place.tolist()))
-            port.hold()
-
-    def _recorded(self, setup: str, name: str, distance_m: float) -> Contact:
-        for port in self._ports:
-            wait_for_rest(port, STILL_rad, STILL_s, PATIENCE_s, WINDOW_s)
-        means = [port.average(AVERAGE_s) for port in self._ports]
-        q_rad = tuple(q for mean in means for q in mean.q_rad)
-        direction = tuple(sign for mean in means for sign in mean.direction)
-        return Contact(setup, name, distance_m, q_rad, direction)
 
 
 def go(bench: CellBench, room: Room, names: tuple[str, str], goal_rad: Poses) -> bool:
@@ -124,8 +51,9 @@ def poses_now(bench: CellBench, names: tuple[str, str]) -> Poses:
     return [bench.clients[name].status()["joint_rad"] for name in names]
 
 
-def _in_order(planned: Candidates, room: Room, here_rad: Poses) -> list[int]:
-    """The order of the contacts with little joint travel, and few detours."""
+def in_order(planned: Candidates, room: Room) -> list[int]:
+    """The order of the contacts from the rest poses with little joint travel, and few detours."""
+    here_rad = room.rest_rad
     both = np.hstack((planned.first_away_rad, planned.second_away_rad))
     places = [here_rad, *zip(planned.first_away_rad.tolist(), planned.second_away_rad.tolist(), strict=True)]
     q = np.vstack((np.concatenate(here_rad), both))
@@ -134,20 +62,6 @@ def _in_order(planned: Candidates, room: Room, here_rad: Poses) -> list[int]:
         if not room.is_way_clear(places[i], places[j]):
             ways[i, j] = ways[j, i] = ways[i, j] + DETOUR_rad
     return [k - 1 for k in short_path(ways)[1:]]
-
-
-def write_taken(path: Path, taken: Sequence[Contact]) -> None:
-    """Write contacts.csv."""
-    write_points(
-        path,
-        contact_points(
-            [one.setup for one in taken],
-            [one.name for one in taken],
-            np.array([one.q_rad for one in taken]),
-            [one.distance_m for one in taken],
-            np.array([one.direction for one in taken]),
-        ),
-    )
 
 
 def circle_beside(cell: Cell, names: tuple[str, str], bench: CellBench) -> Track:

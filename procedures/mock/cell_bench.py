@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from calib.arm_problem.frames import rotation_of
 from control.errors import ArmError
 from control.hardware.shared_bus import CellConnection, connect_cell
+from control.kinematics.rotation import quaternion_of
 from control.loop.runtime import Runtime
 from control.model.arm import Arm, Vector3
-from control.model.cell import Cell
+from control.model.cell import Cell, Placed
 from control.model.description import arm_text
 from control.recording.layout import about_cell, about_columns, layout_of
 from control.recording.record import FileSink
@@ -20,9 +25,11 @@ from hil_mocks.cell import SteppedCell
 from hil_mocks.rig import MockHand, MockPorts
 from hil_mocks.scenario import Scenario
 from procedures.mock.arm import wired_to
+from procedures.ports import move_together
 
 Wired = Callable[[Arm, MockPorts], Arm]
 PERIOD_S = 0.0025  # 400 Hz: what six boards on one bus allow
+SHIFT_m, TURN_rad = 0.004, 0.007  # a base that was placed by tape measure, against its file
 
 
 class CellBench:
@@ -56,6 +63,13 @@ class CellBench:
         self.wait(0.05)
         return self.clients
 
+    def home(self, cell: Cell) -> None:
+        """Start a runtime that knows `cell`, and home one arm after the other."""
+        for client in self.start(cell).values():
+            client.enable()
+        for client in self.clients.values():
+            client.home()
+
     def _assembled(self, cell: Cell, connection: CellConnection) -> CellAssembly:
         self.recording.mkdir(parents=True)
         of_arms = {}
@@ -82,10 +96,7 @@ class CellBench:
     def together(self, poses_rad: Mapping[str, Sequence[float]], speed: float = 1.0) -> None:
         """A joint move of several arms, which begin and end together; ArmError if it is refused."""
         moves = {name: {"q_rad": list(q_rad), "speed": speed} for name, q_rad in poses_rad.items()}
-        first = next(iter(self.clients.values()))
-        answer = first.ask("move_together", moves=moves)
-        for name in moves:
-            self.clients[name].arrive(answer["duration_s"] + 5.0)
+        move_together(self.clients, moves)
 
     def hand(self, name: str) -> MockHand:
         """The operator's hand at an arm's tip; its places are in the arm's base frame."""
@@ -117,3 +128,14 @@ class CellBench:
         """End the runtime and the mock."""
         self._end()
         self.rig.close()
+
+
+def as_bolted_down(cell: Cell, seed: int) -> Cell:
+    """The cell as it truly stands: every base but the first some millimetres and tenths of a degree off (seeded)."""
+    draw = np.random.default_rng(seed)
+    moved = [cell.arms[0]]
+    for placed in cell.arms[1:]:
+        x, y, z = (np.array(placed.origin_m) + draw.normal(0.0, SHIFT_m, 3)).tolist()
+        rows = rotation_of(draw.normal(0.0, TURN_rad, 3)) @ np.array(placed.rotation)
+        moved.append(Placed(placed.arm, (x, y, z), quaternion_of(rows.tolist())))
+    return dataclasses.replace(cell, arms=tuple(moved))

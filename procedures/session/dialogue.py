@@ -15,7 +15,7 @@ HELP = """\
   redo [[SETUP] POINT [N]]   measure a point again (without a name: the last); the journal keeps the withdrawn record
   bad  [[SETUP] POINT [N]]   withdraw a record; N is the repeat (default: all repeats)
   note TEXT                  record a remark
-  jog AXIS STEP              x, y or z in mm, j1, j2, ... in degrees: jog z -5
+  jog [ARM] AXIS STEP        x, y or z in mm, j1, j2, ... in degrees: jog z -5; ARM: which of two
   status, board              progress; a drawing of the board
   auto [N]                   mock arm only: answer N questions, or all, with Enter
   quit                       stop here; the same command resumes
@@ -86,17 +86,19 @@ def _about_point(do: Do, rest: str) -> Command:
 
 
 def _jog(rest: str) -> Jog:
-    axis, _, number = rest.lower().partition(" ")
-    unit = MM if axis in ("x", "y", "z") else DEGREE
+    words = rest.split()
     try:
+        *arm, axis, number = words
         step = float(number)
     except ValueError:
-        step = math.nan
-    if not axis or not math.isfinite(step):
+        arm, axis, step = [], "", math.nan
+    if len(arm) > 1 or not math.isfinite(step):
         raise BadCommand(
-            "jog: expected an axis and a step, such as `jog z -5` (mm) or `jog j2 0.5` (degrees)"
+            "jog: expected an axis and a step, such as `jog z -5` (mm) or `jog j2 0.5` (degrees), with two arms"
+            " `jog left z -5`"
         )
-    return Jog(axis, unit * step)
+    axis = axis.lower()
+    return Jog(axis, (MM if axis in ("x", "y", "z") else DEGREE) * step, *arm)
 
 
 def _count(text: str) -> int:

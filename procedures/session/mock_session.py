@@ -38,8 +38,8 @@ def mock_session(arm: Arm, folder: SessionFolder, boards: Boards, name: str | No
     """Start the mock arm of a session's folder; the scenario is saved there, so that a resumed session has the
     same arm. SessionError if it is resumed with another scenario, or belongs to a real arm.
     """
-    scenario = _saved_scenario(arm, folder, name)
-    bench = SteppedBench(arm, scenario, _free_log(folder.path))
+    scenario = saved_scenario(folder, name, was_homed=not arm.can_home)
+    bench = SteppedBench(arm, scenario, free_log(folder.path))
     try:
         client = bench.start(arm)
         client.enable()
@@ -57,20 +57,21 @@ def mock_session(arm: Arm, folder: SessionFolder, boards: Boards, name: str | No
         bench.close()
 
 
-def _saved_scenario(arm: Arm, folder: SessionFolder, name: str | None) -> Path:
+def saved_scenario(folder: SessionFolder, name: str | None, was_homed: bool) -> Path:
+    """The scenario of a session's mock, saved in its folder. SessionError if another one is wanted, or the arm is real."""
     file = folder.path / SCENARIO
     if not file.exists():
         if folder.points() is not None:
             raise SessionError(f"{folder.path}: this session belongs to a real arm: omit --mock")
-        write_whole(file, seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed=not arm.can_home))
-    elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed=not arm.can_home):
+        write_whole(file, seeded_scenario(name or DEFAULT_SCENARIO, None, was_homed))
+    elif name is not None and file.read_bytes() != seeded_scenario(name, None, was_homed):
         raise SessionError(
             f"{folder.path}: this session was started with another scenario ({file}): omit --scenario"
         )
     return file
 
 
-def _free_log(folder: Path) -> Path:
+def free_log(folder: Path) -> Path:
     """A new folder for this run's recording: none is overwritten."""
     number = 1
     while (folder / "log" / str(number)).exists():

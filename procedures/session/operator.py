@@ -6,15 +6,13 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from calib.session.boards_known import Boards
-from calib.session.conduct import Talk
+from calib.session.conversation import Talk
 from calib.session.dialogue import GO, Ask, Command, Question, Recorded, Saying
 from calib.session.folder import SessionFolder
-from calib.session.plan import Target
 from calib.session.state import Mark
-from control.model.arm import Table
 from procedures.session.dialogue import HELP, Auto, BadCommand, View, parse_command
 from procedures.session.drawing import board_text, status_text
+from procedures.session.words import Words
 
 Say = Callable[[str], None]
 
@@ -25,15 +23,14 @@ class Operator:
     def __init__(
         self,
         folder: SessionFolder,
-        boards: Boards,
+        words: Words,
         lines: Iterator[str],
         say: Say,
-        table: Table | None = None,
         may_auto: bool = False,
     ) -> None:
         """`may_auto`: a mock hand seats the tip, so questions may be answered automatically."""
-        self._folder, self._boards, self._lines, self._say = folder, boards, lines, say
-        self._table, self._may_auto = table, may_auto
+        self._folder, self._words, self._lines, self._say = folder, words, lines, say
+        self._may_auto = may_auto
         self._auto: int | None = 0  # questions still to be answered automatically, None: all
 
     def run(self, talk: Talk) -> None:
@@ -96,7 +93,7 @@ class Operator:
             self._say(status_text(state))
         else:
             setup = ask.target.setup if ask.target is not None else self._folder.standing
-            self._say(board_text(state, self._boards.cavities_m, setup, ask.target))
+            self._say(board_text(state, self._words.cavities_m, setup, ask.target))
 
     def _prompt(self, ask: Ask) -> str:
         state, target = self._folder.state, ask.target
@@ -107,35 +104,7 @@ class Operator:
             )
         done = len(state.targets) - len(state.left())
         where = f"[{done + 1}/{len(state.targets)}] {target.name}"
-        return f"{where}: {self._question(ask.question, target)}"
-
-    def _question(self, question: Question, target: Target) -> str:
-        """The request to the operator as text."""
-        if question is Question.BOARD:
-            return f"set the board to {self._tilt(target.setup)}; Enter when it is in place"
-        if question is Question.NEXT:
-            side = (
-                f" from side {target.approach}"
-                if self._folder.plan.approaches > 1 and not target.is_free
-                else ""
-            )
-            where = "the pose" if target.is_free else f"above the cavity{side}"
-            return f"hands off; Enter moves the arm to {where}"
-        if question is Question.TAKE:
-            return "hold the arm by hand; Enter turns its drives off"
-        if self._folder.plan.seat == "jog":
-            return f"jog the tip into cavity {target.point} (`jog z -5`); Enter when it is seated"
-        return f"seat the tip in cavity {target.point} and hold it there; Enter when it is seated"
-
-    def _tilt(self, setup: str) -> str:
-        if self._table is None:
-            return setup
-        angles = {
-            "normal": "normal: level",
-            "roll": f"roll: {np.degrees(self._table.roll_tilt_rad):.1f} deg about its x axis",
-            "pitch": f"pitch: {np.degrees(self._table.pitch_tilt_rad):.1f} deg about its y axis",
-        }
-        return angles.get(setup, setup)
+        return f"{where}: {self._words.question(ask, target)}"
 
     def _recorded(self, recorded: Recorded) -> str:
         """The record, the model error, and its agreement with earlier records."""
@@ -147,7 +116,7 @@ class Operator:
             text += f", {1e3 * verdict.off_m:.2f} mm from the prediction of the earlier points"
         if verdict.is_suspect:
             text = (
-                f"! {text}: {verdict.off_sd:.0f} standard deviations. Check that the tip is seated in"
-                f" {record.point}, the right cavity. `redo` measures again, Enter keeps the record"
+                f"! {text}: {verdict.off_sd:.0f} standard deviations. Check {self._words.check(record)}. `redo` measures again,"
+                " Enter keeps the record"
             )
         return text

@@ -67,7 +67,7 @@ class Reporter(Operator):
                 "done": state.count(Mark.DONE),
                 "left": state.count(Mark.LEFT),
                 "board": board(
-                    state, self._boards.cavities_m, setup, target.point if target is not None else ""
+                    state, self._words.cavities_m, setup, target.point if target is not None else ""
                 ),
             }
         )

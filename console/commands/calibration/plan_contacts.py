@@ -5,18 +5,18 @@ import sys
 from pathlib import Path
 
 from calib.closed_chain.contacts import DISTANCE_MOST_m
-from calib.closed_chain.planning import plan_contacts, plan_text, write_contacts
+from calib.closed_chain.planning import pair_of, plan_contacts, plan_text, write_contacts
 from calib.errors import CalibrationError
 from console.quantities import quantity
 from control.errors import ArmError
-from control.model.cell import Cell, load_cell
+from control.model.cell import load_cell
 from procedures.folders import require_writable
 
 
 def run(given: argparse.Namespace) -> int:
     """Plan, print what the contacts determine, write contacts.csv."""
     cell = load_cell(given.cell)
-    names, distances_m = _pair(cell, given.arms), _distances(given.distance or ["0mm"])
+    names, distances_m = pair_of(cell, given.arms), _distances(given.distance or ["0mm"])
     if given.count < 1:
         raise CalibrationError(f"--count: expected a number of contacts from 1 on, got {given.count}")
     out = Path(given.out) if given.out else None
@@ -31,18 +31,6 @@ def run(given: argparse.Namespace) -> int:
         write_contacts(out, plan.chosen.contacts)
         sys.stdout.write(f"written: {out}\n")
     return 0
-
-
-def _pair(cell: Cell, asked: list[str] | None) -> tuple[str, str]:
-    names = asked or list(cell.names)
-    if len(names) != 2:
-        raise ArmError(
-            f"plan-contacts: cell {cell.name!r} has {', '.join(names)}: name two of them with --arms"
-        )
-    one, two = (cell.placed(name).name for name in names)
-    if one == two:
-        raise ArmError(f"--arms: expected two different arms, got {one} twice")
-    return one, two
 
 
 def _distances(texts: list[str]) -> list[float]:

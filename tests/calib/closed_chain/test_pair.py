@@ -124,7 +124,7 @@ def test_chosen_contacts_say_more_than_others() -> None:
     def information(rows: list[int]) -> float:
         problem = PairProblem(ARMS, contacts, BASE)
         known = determinability(problem.sensitivity(np.zeros(38)), problem.parameters)
-        seen = (problem.by_contact(np.zeros(38))[rows] @ known.basis / NOISE_m).reshape(-1, known.rank)
+        seen = (problem.of_contacts(np.zeros(38))[1][rows] @ known.basis / NOISE_m).reshape(-1, known.rank)
         return float(np.linalg.slogdet(np.eye(known.rank) + seen.T @ seen)[1])
 
     others = [information(np.random.default_rng(k).permutation(60)[:15].tolist()) for k in range(8)]

@@ -10,9 +10,9 @@ import pytest
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import norms
-from calib.closed_chain.candidates import AWAY_m, Candidates, contact_candidates
+from calib.closed_chain.candidates import Candidates, contact_candidates
 from calib.closed_chain.planning import plan_contacts
-from calib.closed_chain.room import MARGIN_m
+from calib.closed_chain.room import AWAY_m, MARGIN_m
 from calib.errors import CalibrationError
 from console.main import main
 from control.model.cell import load_cell

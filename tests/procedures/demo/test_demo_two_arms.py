@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from calib.closed_chain.candidates import Candidates, contact_candidates
+from calib.closed_chain.conduct import conduct, contact_plan
 from calib.closed_chain.contacts import read_contacts
+from calib.session.conversation import unattended
+from calib.session.dialogue import Recorded
+from calib.session.folder import SessionFolder
 from control.model.cell import load_cell
 from control.recording.reading import Recording
-from procedures.demo.two_arms import as_bolted_down
-from procedures.demo.two_arms_moves import Contacting, write_taken
-from procedures.mock.cell_bench import CellBench
+from procedures.mock.cell_bench import CellBench, as_bolted_down
+from procedures.session.pair_station import MockPairHand, pair_station
 from tests.cell import scenario
 from tests.pair import APART
 
@@ -34,21 +37,17 @@ def test_contacts_are_those_of_the_true_arms(tmp_path: Path) -> None:
     try:
         for client in bench.start(PAIR).values():
             client.enable()
-        contacting = Contacting(PAIR, NAMES, bench)
-        seat = contacting._seat
-
-        def seen(touching_rad: tuple[list[float], list[float]], distance_m: float) -> None:
-            seat(touching_rad, distance_m)
-            apart_m = math.dist(bench.tip_m("left"), bench.tip_m("right"))
-            assert apart_m == pytest.approx(distance_m, abs=3e-4)
-            truth.append([q for name in NAMES for q in bench.rig.mock.robots[name].joint_rad()])
-
-        contacting._seat = seen  # type: ignore[method-assign]
-        taken = list(contacting.take(a_bar()))
+        hand = MockPairHand(PAIR, NAMES, bench)
+        station = pair_station(PAIR, NAMES, bench.clients, 1.0, 0.0, hand)
+        with SessionFolder(tmp_path, contact_plan(NAMES, "00", a_bar().contacts, "hand")) as folder:
+            for saying in unattended(conduct(folder, station)):
+                if isinstance(saying, Recorded):
+                    apart_m = math.dist(bench.tip_m("left"), bench.tip_m("right"))
+                    assert apart_m == pytest.approx(0.1, abs=5e-4)
+                    truth.append([q for name in NAMES for q in bench.rig.mock.robots[name].joint_rad()])
     finally:
         bench.close()
-    write_taken(tmp_path / "contacts.csv", taken)
-    contacts, _ = read_contacts(tmp_path / "contacts.csv", (PAIR.arms[0].arm, PAIR.arms[1].arm))
+    contacts, _ = read_contacts(tmp_path / "points.csv", (PAIR.arms[0].arm, PAIR.arms[1].arm))
     assert contacts.distance_m.tolist() == [0.1]
     assert np.hstack((contacts.first_rad, contacts.second_rad)) == pytest.approx(np.array(truth), abs=3e-3)
     rows = {name: Recording.open(bench.recording / f"{name}.armlog").row_count for name in NAMES}

@@ -26,6 +26,7 @@ from control.model.table import board_cavities, table_of
 from procedures.session.dialogue import HELP, Auto, BadCommand, View, parse_command
 from procedures.session.drawing import board_text, status_text
 from procedures.session.operator import Operator
+from procedures.session.words import BoardWords
 
 RIGHT = load_arm("right")
 CAVITIES = board_cavities(table_of(RIGHT))
@@ -178,7 +179,8 @@ def talked(
         answers.append((yield Ask(Question.DONE, None)))
 
     with SessionFolder(tmp_path, plan) as folder:
-        Operator(folder, Boards(RIGHT, plan), iter(lines), said.append, may_auto=may_auto).run(talk())
+        words = BoardWords(plan, Boards(RIGHT, plan).cavities_m, None)
+        Operator(folder, words, iter(lines), said.append, may_auto=may_auto).run(talk())
     return answers, said
 
 

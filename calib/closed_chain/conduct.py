@@ -1,0 +1,225 @@
+"""A session of two arms in contact: led from contact to contact together, brought together by hand or jogged, recorded.
+
+The files are those of every session (calib.session.folder); points.csv is a contacts.csv (calib.closed_chain.contacts).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+from calib.closed_chain.contacts import Contacts
+from calib.closed_chain.room import Poses, Room
+from calib.closed_chain.watch import ContactWatch
+from calib.errors import SessionError
+from calib.points.writer import DISTANCE, Record
+from calib.session.conversation import Conversation, Talk
+from calib.session.dialogue import Jog, Message, Question, Recorded
+from calib.session.folder import SessionFolder
+from calib.session.jog import jogged
+from calib.session.moves.ports import Geometry, JogPort
+from calib.session.plan import Seating, SessionPlan, Target
+from calib.session.standstill import wait_for_rest
+from calib.session.take import SessionSettings, take
+from control.errors import ArmError
+from control.server.channel import RuntimeGone
+from control.server.client import ArmFaulted
+
+BACK_OFF, LEAD = 0.1, 1.0  # speeds, of the session's
+
+
+class PairHand(Protocol):
+    """Automatic hands at both tips: the mock's."""
+
+    def seat(self, target: Target) -> None:
+        """Return when both tips are where they touch, and both arms hold."""
+
+    def let_go(self) -> None:
+        """Release both arms."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairStation:
+    """Resources of a session of two arms. hand: None if the operator brings the tips together, on request.
+
+    `together`: a joint move of both, which begin and end together, at a fraction of the session's speed.
+    """
+
+    names: tuple[str, str]
+    arms: tuple[JogPort, JogPort]
+    geometry: tuple[Geometry, Geometry]
+    together: Callable[[Poses, float], None]
+    room: Room
+    watch: ContactWatch
+    hand: PairHand | None = None
+    settings: SessionSettings = field(default_factory=SessionSettings)
+    clock_offset_s: float = 0.0
+
+
+def contact_plan(names: tuple[str, str], fingerprint: str, contacts: Contacts, seat: Seating) -> SessionPlan:
+    """A session of planned contacts, in their order. SessionError for joined tools, which cannot back off from each other."""
+    if any(contacts.joined):
+        raise SessionError(
+            "the arms back off from each contact, and joined tools cannot: guide both by hand, and note their joint angles"
+        )
+    poses = zip(contacts.first_rad.tolist(), contacts.second_rad.tolist(), strict=True)
+    targets = tuple(
+        Target(setup, point, repeat, 1, (*first, *second), distance_m)
+        for (setup, point, repeat), (first, second), distance_m in zip(
+            contacts.keys, poses, contacts.distance_m.tolist(), strict=True
+        )
+    )
+    count = contacts.first_rad.shape[1] + contacts.second_rad.shape[1]
+    return SessionPlan(" and ".join(names), fingerprint, count, targets, "contact", seat)
+
+
+def conduct(folder: SessionFolder, station: PairStation) -> Talk:
+    """Record the remaining contacts. Ends on the operator's request; both arms then hold.
+
+    SessionError if an arm does not come to rest, ArmError if one cannot execute a motion.
+    """
+    return _Conductor(folder, station).run()
+
+
+class _Conductor(Conversation):
+    def __init__(self, folder: SessionFolder, station: PairStation) -> None:
+        super().__init__(folder, station.watch)
+        self._station = station
+        self._is_touching = bool(folder.is_at_point)
+
+    def _begin(self) -> Talk:
+        if (points := self._folder.points()) is not None:
+            keys = zip(points.setup, points.point, points.repeat, strict=True)
+            for key, q_rad, distance in zip(keys, points.q_rad.tolist(), points.extra[DISTANCE], strict=True):
+                self._station.watch.add(key, q_rad, float(distance))
+        if self._is_touching:
+            yield Message("the tips may touch: both arms first back off along their last links")
+
+    def _visit(self, target: Target) -> Talk:
+        away = self._station.room.backed_off(self._poses_of(target))
+        if away is None:
+            yield from self._skip(target, ArmError("an arm cannot back off from there along its last link"))
+            return
+        if not (yield from self._ask(Question.NEXT, target)):
+            return
+        self._standing = target.setup
+        try:
+            self._lift()
+            self._lead(away)
+        except (ArmFaulted, RuntimeGone):
+            raise
+        except ArmError as error:
+            yield from self._skip(target, error)
+            return
+        if self._station.hand is not None:
+            yield from self._seated_by(self._station.hand, target)
+        elif self._folder.plan.seat == "jog":
+            self._arrive(target)
+            if (yield from self._ask(Question.SEATED, target)):
+                yield from self._record(target)
+        else:
+            yield from self._guided(target)
+
+    def _lead(self, goal_rad: Poses) -> None:
+        """Move both on a way that is clear. ArmError, and nothing moves, if there is none."""
+        way = self._station.room.way(self._poses_now(), goal_rad)
+        if way is None:
+            raise ArmError("no way there on which the arms are clear of each other")
+        for poses in way:
+            self._station.together(poses, LEAD)
+
+    def _lift(self) -> None:
+        if not self._is_touching:
+            return
+        off = self._station.room.backed_off(self._poses_now())
+        if off is None:
+            raise SessionError(
+                "the arms cannot back off along their last links: jog one of them away from the other"
+            )
+        self._station.together(off, BACK_OFF)
+        self._is_touching = False
+        self._folder.lifted(self._standing or self._folder.standing)
+
+    def _seated_by(self, hand: PairHand, target: Target) -> Talk:
+        self._arrive(target)
+        try:
+            with self._held():
+                hand.seat(target)
+            yield from self._record(target)
+        finally:
+            hand.let_go()
+
+    def _guided(self, target: Target) -> Talk:
+        """The operator takes one tip to the contact, then the other; drives hold what a hand does not."""
+        with self._held():
+            for name, arm in zip(self._station.names, self._station.arms, strict=True):
+                if not (yield from self._ask(Question.TAKE, target, name)):
+                    return
+                self._arrive(target)
+                self._is_released = True
+                arm.release()
+                if not (yield from self._ask(Question.SEATED, target, name)):
+                    return
+                arm.hold()
+                self._is_released = False
+            yield from self._record(target)
+
+    @contextmanager
+    def _held(self) -> Iterator[None]:
+        """Both arms hold again on every exit."""
+        try:
+            yield
+        finally:
+            for arm in self._station.arms:
+                arm.hold()
+            self._is_released = False
+
+    def _arrive(self, target: Target) -> None:
+        """Note before the tips meet, for a resumption after a kill."""
+        if not self._is_touching:
+            self._folder.at_point(target.key)
+        self._is_touching = True
+
+    def _record(self, target: Target) -> Talk:
+        """Measure both arms, check, save; then report."""
+        record = self._taken(target)
+        verdict = self._station.watch.judge(record.q_rad, record.distance_m)
+        kept = self._folder.record(record)
+        self._station.watch.add(kept.key, kept.q_rad, kept.distance_m)
+        yield Recorded(kept, verdict)
+
+    def _taken(self, target: Target) -> Record:
+        """One record of both arms: first both rest, then each is averaged."""
+        station, how = self._station, self._station.settings
+        for arm in station.arms:
+            wait_for_rest(arm, how.still_limit_rad, how.still_s, how.patience_s, how.window_s)
+        one, two = (take(target, None, arm, how, None, station.clock_offset_s) for arm in station.arms)
+        return replace(
+            one,
+            q_rad=one.q_rad + two.q_rad,
+            q_sd_rad=one.q_sd_rad + two.q_sd_rad,
+            direction=one.direction + two.direction,
+            current_A=one.current_A + two.current_A,
+            temperature_C=one.temperature_C + two.temperature_C,
+            distance_m=target.distance_m,
+        )
+
+    def _jog(self, jog: Jog) -> None:
+        names = self._station.names
+        if jog.arm not in names:
+            got = jog.arm or "none"
+            raise SessionError(
+                f"jog: expected one of {', '.join(names)} first, as `jog {names[0]} z -5`, got {got}"
+            )
+        k = names.index(jog.arm)
+        arm = self._station.arms[k]
+        arm.creep_to_q(jogged(replace(jog, arm=""), arm, self._station.geometry[k]))
+
+    def _poses_now(self) -> Poses:
+        return [arm.average(self._station.settings.window_s).q_rad for arm in self._station.arms]
+
+    def _poses_of(self, target: Target) -> Poses:
+        q_rad, count = target.q_rad or (), len(self._station.room.rest_rad[0])
+        return [q_rad[:count], q_rad[count:]]
