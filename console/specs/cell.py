@@ -29,6 +29,13 @@ CELLS = (
                 help="way-points of an arm, as for `armwright run`",
             ),
             option(
+                "--beside",
+                action="append",
+                nargs=3,
+                metavar=("ARM", "OTHER", "FILE"),
+                help="way-points of an arm from where OTHER's tip is at that moment; `keep` as FILE: as the tips are now",
+            ),
+            option(
                 "--speed",
                 type=finite,
                 default=0.5,
@@ -36,7 +43,7 @@ CELLS = (
                 help="fraction of the joints' limits, with --to (default: 0.5)",
             ),
         ),
-        "Give --to or --run for each arm. All is checked before anything moves, the arms against each other too.",
+        "Give --to, --run or --beside for each arm. All is checked before anything moves, the arms against each other too.",
         module="cell.together",
     ),
     CommandSpec(

@@ -3,18 +3,24 @@
 Writes `paced` and `stops_along`; a stop elsewhere writes the set-point.
 """
 
+from collections.abc import Sequence
+
 from control.loop.arm_state import ArmState
-from control.motion.pace import Paced
+from control.motion.pace import Limited, Paced
 from control.motion.setpoint import Motion, SetPoint
 
 STOP_WITHIN_S = 0.4  # from full speed and pace it takes 0.3 s, the joints' own stops 0.25 s
 
 
-def begin(state: ArmState, motion: Motion, pace: float) -> None:
-    """Start `motion` now."""
+def begin(state: ArmState, motion: Motion, pace: float, beside: Sequence[Limited] = ()) -> None:
+    """Start `motion` now; `beside`: motions of other arms that keep its pace."""
     state.stops_along = False
-    limits = [limit.acceleration_rad_s2 for limit in state.parts.set_point_limits]
-    state.paced = Paced(motion, limits, pace)
+    state.paced = Paced(motion, limits_of(state), pace, beside)
+
+
+def limits_of(state: ArmState) -> Sequence[float]:
+    """Of each joint's acceleration [rad/s2]."""
+    return [limit.acceleration_rad_s2 for limit in state.parts.set_point_limits]
 
 
 def stop_along(state: ArmState) -> bool:

@@ -3,6 +3,8 @@
 Writes `paced`, `jogging`, `run_number`, `was_stopped` and `stop_reason`; the set-point through control.loop.set_points.
 """
 
+from collections.abc import Sequence
+
 from control.errors import ArmError
 from control.hardware.board_stop import Bridge
 from control.loop import set_points
@@ -11,6 +13,7 @@ from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail, lose_motion, refuse
 from control.loop.jogging import JogRequest
 from control.motion.lookout import Lookout
+from control.motion.pace import Limited
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Event, Mode
@@ -105,13 +108,13 @@ def _come_to_rest(state: ArmState, event: Event) -> None:
     state.on(event)
 
 
-def start(state: ArmState, motion: Motion, as_encoders: bool) -> None:
-    """Start a checked motion that begins, at rest, at the arm's position `seen`."""
+def start(state: ArmState, motion: Motion, as_encoders: bool, beside: Sequence[Limited] = ()) -> None:
+    """Start a checked motion that begins, at rest, at the arm's position `seen`; `beside`: others that keep its pace."""
     state.on(Event.MOVE)
     state.set_point, state.is_of_encoders = set_points.seen(state, as_encoders), as_encoders
     state.run_number += 1
     state.was_stopped, state.stop_reason = False, ""
-    begin(state, motion, state.override)
+    begin(state, motion, state.override, beside)
     state.lookout = Lookout(motion)
 
 

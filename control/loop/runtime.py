@@ -26,6 +26,7 @@ from control.loop.jogging import JogRequest
 from control.loop.parts import NOWHERE
 from control.loop.row import row_of
 from control.loop.watch import Expectation
+from control.motion.pace import Limited
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Event, Mode
@@ -331,10 +332,10 @@ class Runtime(ArmState):
         self.require_recording()
         homing.start(self)
 
-    def start(self, motion: Motion, as_encoders: bool = False) -> None:
-        """Start a checked motion that begins, at rest, at the arm's position `seen`."""
+    def start(self, motion: Motion, as_encoders: bool = False, beside: Sequence[Limited] = ()) -> None:
+        """Start a checked motion that begins, at rest, at the arm's position `seen`; `beside`: others that keep its pace."""
         self.require_recording()
-        motion_modes.start(self, motion, as_encoders)
+        motion_modes.start(self, motion, as_encoders, beside)
 
     def jog(self, request: JogRequest) -> None:
         """Start, change or renew a jog; ArmError says why it is refused, and then nothing changes."""

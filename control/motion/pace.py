@@ -14,21 +14,33 @@ from control.motion.setpoint import Motion, SetPoint
 RATE_per_s = 5.0  # from full speed to rest in 0.3 s if the joints can
 CURB_per_s2 = 50.0
 _ARRIVED = 1e-9
+Limited = tuple[Motion, Sequence[float]]
+"""A motion and the acceleration limits of its joints [rad/s2]."""
 _LOOK_S = 0.01  # steps of a look ahead
 
 
 class Paced:
     """A motion and its progress: `time_s` is the motion's own time, `pace` its present rate."""
 
-    __slots__ = ("_limits", "_rate", "motion", "pace", "time_s")
+    __slots__ = ("_beside", "_limits", "_rate", "motion", "pace", "time_s")
 
-    def __init__(self, motion: Motion, acceleration_rad_s2: Sequence[float], pace: float) -> None:
-        """Start a motion from rest at any pace from 0 to 1."""
+    def __init__(
+        self,
+        motion: Motion,
+        acceleration_rad_s2: Sequence[float],
+        pace: float,
+        beside: Sequence[Limited] = (),
+    ) -> None:
+        """Start a motion from rest at any pace from 0 to 1.
+
+        `beside`: motions of other arms that began with it and keep its pace, so that all stay where they should be to each other.
+        """
         self.motion = motion
         self.time_s = 0.0
         self.pace = pace
         self._rate = 0.0
         self._limits = tuple(acceleration_rad_s2)
+        self._beside = tuple(beside)
 
     @property
     def is_over(self) -> bool:
@@ -48,7 +60,11 @@ class Paced:
         self.time_s = time_s
         if before == wanted == 1.0:
             return SetPoint(q, speed, acceleration)
-        rate = self._next_rate(wanted, elapsed_s, speed, acceleration)
+        joints = [*zip(speed, acceleration, self._limits, strict=True)]
+        for other, limits in self._beside:
+            _, its_speed, its_acceleration = other.at(time_s)
+            joints += zip(its_speed, its_acceleration, limits, strict=True)
+        rate = self._next_rate(wanted, elapsed_s, joints)
         after = before + rate * elapsed_s
         if (after - wanted) * (before - wanted) <= 0.0 or abs(after - wanted) < _ARRIVED:
             after, rate = wanted, 0.0
@@ -61,7 +77,7 @@ class Paced:
 
     def can_rest(self, within_s: float) -> bool:
         """Whether pace 0 is reached in this time by the limits of the joints, or the end of the motion. Never raises."""
-        ahead = Paced(self.motion, self._limits, self.pace)
+        ahead = Paced(self.motion, self._limits, self.pace, self._beside)
         ahead.time_s, ahead._rate = self.time_s, self._rate
         try:
             for _ in range(math.ceil(within_s / _LOOK_S)):
@@ -82,15 +98,16 @@ class Paced:
         return SetPoint(q, tuple(v * r for v in speed), tuple(a * r * r for a in acceleration))
 
     def _next_rate(
-        self, wanted: float, elapsed_s: float, speed: Sequence[float], acceleration: Sequence[float]
+        self, wanted: float, elapsed_s: float, joints: Sequence[tuple[float, float, float]]
     ) -> float:
+        """By the speed, acceleration and acceleration limit of every joint of every arm."""
         left = wanted - self.pace
         # so that the rate also ends at zero
         rate = math.copysign(min(RATE_per_s, math.sqrt(2.0 * CURB_per_s2 * abs(left))), left)
         change = CURB_per_s2 * elapsed_s
         rate = min(max(rate, self._rate - change), self._rate + change)
         lower, upper = -math.inf, math.inf
-        for v, a, limit in zip(speed, acceleration, self._limits, strict=True):
+        for v, a, limit in joints:
             spent = a * self.pace * self.pace
             if v != 0.0:
                 bounds = ((-limit - spent) / v, (limit - spent) / v)

@@ -7,9 +7,10 @@ follow, and the velocity stays continuous. Other sections keep their speed. Afte
 excess of a few per mille is removed by slowing the whole path.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -242,17 +243,38 @@ class _Planner:
             if (factors <= _NEAR_ENOUGH).all():
                 break
             recipe = recipe.slowed((np.maximum(factors, 1.0) ** _CAUTION).tolist())
-        spline = recipe.spline()
-        seen = self._follower.follow(recipe, spline, start, _CHECK_RATE_HZ)
-        self._check(spline, seen.tip, seen.joints)
-        rest = max(float(self._factors(spline, seen.tip, seen.joints, causes).max()), 1.0)
-        spline = spline.stretched(rest) if rest > 1.0 else spline
+        seen, rest = self._checked(recipe, recipe.spline(), start, causes)
+        spline = recipe.spline().stretched(rest) if rest > 1.0 else recipe.spline()
         taken = np.diff(spline.times_s) / asked
         slowdowns = tuple(
             Slowdown(float(taken[i]), number, limit) for i, (_, number, limit) in sorted(causes.items())
         )
         joints = self._joint_path(seen, rest)
         return PlannedPath(spline, seen.at_waypoints, str(start.branch or ""), slowdowns, joints)
+
+    def as_timed(
+        self, recipe: TimedWaypoints, spline: CartesianSpline, start: Start
+    ) -> tuple[PlannedPath, float, str]:
+        """Check, and slow the whole path by one factor; with the factor and the limit. PathError if it cannot be run."""
+        self._follower.check(start)
+        causes: dict[int, tuple[float, int, str]] = {}
+        seen, rest = self._checked(recipe, spline, start, causes)
+        limit = max(causes.values())[2] if causes else ""
+        joints = self._joint_path(seen, rest)
+        path = PlannedPath(spline.stretched(rest), seen.at_waypoints, str(start.branch or ""), (), joints)
+        return path, rest, limit
+
+    def _checked(
+        self,
+        recipe: TimedWaypoints,
+        spline: CartesianSpline,
+        start: Start,
+        causes: dict[int, tuple[float, int, str]],
+    ) -> tuple[Followed, float]:
+        """The whole path followed and checked, and how many times slower it must be, at least 1."""
+        seen = self._follower.follow(recipe, spline, start, _CHECK_RATE_HZ)
+        self._check(spline, seen.tip, seen.joints)
+        return seen, max(float(self._factors(spline, seen.tip, seen.joints, causes).max()), 1.0)
 
     def _joint_path(self, seen: Followed, stretch: float) -> JointPath | None:
         """The joints' own path; None if the loop can follow the tip's."""
@@ -294,3 +316,36 @@ class _Planner:
             if factors[section] > causes.get(int(section), (1.0, 0, ""))[0]:
                 causes[int(section)] = (float(factors[section]), number, found[limit[sample]].limit)
         return factors
+
+
+def plan_in_time(
+    arm: Arm, spline: CartesianSpline, names: Sequence[str], q_near_rad: Sequence[float]
+) -> tuple[PlannedPath, float, str]:
+    """Plan a tip path whose time is given, as of one that another arm takes part in: it can only be slowed as a whole.
+
+    Args:
+        arm: its limits, geometry and table.
+        spline: positions [m] in the base frame, at rest at both ends.
+        names: of the spline's knots, for errors.
+        q_near_rad: the branch whose start is nearest to this pose is used.
+
+    Returns:
+        The path, how many times slower it is than asked (at least 1), and the limit that made it slower, or "".
+
+    Raises:
+        ArmError: as `plan_path`.
+    """
+    points = tuple(spline.at(time_s)[0] for time_s in spline.times_s)
+    waypoints, kinematics = Waypoints(points, None, tuple(names)), Kinematics(arm)
+    lengths_m = tuple(math.dist(a, b) for a, b in pairwise(points))
+    still = (0.0,) * len(points)
+    recipe = TimedWaypoints(points, points, lengths_m, still, still[1:], False)
+    follower = _follower(arm, waypoints, None, kinematics)
+    planner = _Planner(arm, kinematics, follower, waypoints, "normal")
+    problems: list[ArmError] = []
+    for start in islice(follower.starts(q_near_rad), _STARTS):
+        try:
+            return planner.as_timed(recipe, spline, start)
+        except ArmError as problem:
+            problems.append(problem)
+    raise problems[0]

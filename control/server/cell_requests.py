@@ -7,6 +7,7 @@ arms. Everything else is served as by the runtime of one arm (control.server.req
 from collections.abc import Mapping, Sequence
 
 from control.errors import ArmError
+from control.loop.active_motion import limits_of
 from control.loop.cell import CellRuntime
 from control.motion.pace import Stretched
 from control.motion.setpoint import Motion
@@ -98,7 +99,12 @@ class CellRequests:
         for name, motion in together.items():
             self._runtime.collisions.of_arms[name].require_clear(motion, together)
         for name, motion in together.items():
-            self._requests[name].begin(motion, planned[name], client)
+            others = [
+                (one, limits_of(self._runtime.runtimes[other]))
+                for other, one in together.items()
+                if other != name
+            ]
+            self._requests[name].begin(motion, planned[name], client, others)
         self._together = {name: self._runtime.runtimes[name].run_number for name in together}
         return {"ok": True, "duration_s": duration_s, "runs": self._together}
 

@@ -5,13 +5,14 @@ mode are looked at, and only then the request as a whole.
 """
 
 import base64
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
 from control.loop.runtime import Runtime
 from control.motion.joint_limits import JointLimits
+from control.motion.pace import Limited
 from control.motion.setpoint import Motion
 from control.safety.monitor import IllegalTransition
 from control.safety.table import CONTROLLED_MODES, Event, Mode
@@ -203,9 +204,9 @@ class Requests:
         self._runtime.require_recording()
         return self._motions.prepare(request)
 
-    def begin(self, motion: Motion, request: Planned, client: int) -> None:
-        """Start a prepared motion."""
-        self._runtime.start(motion, request.as_encoders)
+    def begin(self, motion: Motion, request: Planned, client: int, beside: Sequence[Limited]) -> None:
+        """Start a prepared motion; `beside`: those of other arms that keep its pace."""
+        self._runtime.start(motion, request.as_encoders, beside)
         self._own(request, client)
         if self.events is not None:
             self.events.requested(str(request.__struct_config__.tag), client)
