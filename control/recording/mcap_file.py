@@ -7,20 +7,22 @@ those of control.recording.mcap_schemas; the arm.toml is attached, and the metad
 from __future__ import annotations
 
 import hashlib
+import heapq
 import json
 import math
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import msgspec
 
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
+from control.model.cell import Cell, Placed
 from control.model.description import parse_arm
 from control.recording import mcap_scene as scene
 from control.recording.mcap_events import Events, mode_name
@@ -41,20 +43,58 @@ def to_mcap(
     report: Callable[[int], None] = lambda row: None,
 ) -> int:
     """Write every k-th cycle; return the count. Without `arm` there is no 3-D scene. `report` is called every thousand rows."""
+    with path.open("wb") as file:
+        writer = _opened(file)
+        written = _filled([_Export(recording, writer, arm)], every, report)[0]
+        writer.finish()
+    return written
+
+
+def cell_to_mcap(
+    recordings: Sequence[Recording],
+    path: Path,
+    cell: Cell,
+    every: int = 1,
+    report: Callable[[int], None] = lambda row: None,
+) -> int:
+    """Write every k-th cycle of all arms of a cell; return the count of the first.
+
+    An arm's topics and frames have its name before them, `/left/joints` and `left/base`; bases stand in the frame `cell`.
+    """
+    with path.open("wb") as file:
+        writer = _opened(file)
+        exports = [
+            _Export(one, writer, placed.arm, placed)
+            for one, placed in zip(recordings, cell.arms, strict=True)
+        ]
+        written = _filled(exports, every, report)[0]
+        writer.finish()
+    return written
+
+
+def _opened(file: BinaryIO) -> Any:
     from mcap.writer import Writer
 
-    with path.open("wb") as file:
-        writer: Any = Writer(file, enable_data_crcs=True)
-        writer.start(profile="", library=f"armwright {version('armwright')}")
-        export = _Export(recording, writer, arm)
-        written = 0
-        for number, row in enumerate(recording.rows()):
-            if number % every == 0:
-                export.add(row)
-                written += 1
-            if number % 1000 == 0:
-                report(number)
-        export.finish(written, every)
+    writer: Any = Writer(file, enable_data_crcs=True)
+    writer.start(profile="", library=f"armwright {version('armwright')}")
+    return writer
+
+
+def _filled(exports: Sequence[_Export], every: int, report: Callable[[int], None]) -> list[int]:
+    """Write the rows of all recordings by time; returns the count of each."""
+    written = [0] * len(exports)
+    merged = heapq.merge(*(one.rows(k) for k, one in enumerate(exports)))
+    for number, (t_s, k, count, row) in enumerate(merged):
+        if number == 0:
+            for export in exports:
+                export.origin = exports[k].start_ns, t_s
+        if count % every == 0:
+            exports[k].add(row)
+            written[k] += 1
+        if number % 1000 == 0:
+            report(number // len(exports))
+    for export, count in zip(exports, written, strict=True):
+        export.finish(count, every)
     return written
 
 
@@ -83,8 +123,11 @@ class _Columns:
 class _Export:
     """Writes rows into an open MCAP file."""
 
-    def __init__(self, recording: Recording, writer: Any, arm: Arm | None) -> None:
-        self._recording, self._writer, self._arm = recording, writer, arm
+    def __init__(
+        self, recording: Recording, writer: Any, arm: Arm | None, placed: Placed | None = None
+    ) -> None:
+        """`placed`: of an arm among others, whose name its topics and frames then have."""
+        self._recording, self._writer, self._arm, self._placed = recording, writer, arm, placed
         layout = recording.layout
         self._columns = _Columns({n: k for k, n in enumerate(layout.names)}, layout.joint_count)
         self._q, self._q_set = self._columns.group("q{}_rad"), self._columns.group("q{}_set_rad")
@@ -94,6 +137,9 @@ class _Export:
         self._faults = self._columns.group("drive_faults{}")
         self._start_ns = int(float(recording.header.get("started_unix_s", 0.0)) * scene.NS_PER_S)
         self._first_s = math.nan
+        self.origin: tuple[int, float] | None = (
+            None  # time of the day [ns] and of the loop of the first row of all arms
+        )
         self._next_scene_s = -math.inf
         self._events = Events(recording.modes)
         self._channels = self._registered(layout.joint_count)
@@ -109,16 +155,29 @@ class _Export:
             for schema in schemas.values()
         }
         return {
-            topic: int(self._writer.register_channel(topic, "json", ids[schema["title"]]))
+            topic: int(self._writer.register_channel(self._named(topic), "json", ids[schema["title"]]))
             for topic, schema in schemas.items()
         }
+
+    def _named(self, topic: str) -> str:
+        return topic if self._placed is None else f"/{self._placed.name}{topic}"
+
+    @property
+    def start_ns(self) -> int:
+        """When the recording began."""
+        return self._start_ns
+
+    def rows(self, number: int) -> Iterator[tuple[float, int, int, Row]]:
+        """Rows with their time before them, to be merged with those of other arms: time, `number`, count and row."""
+        at = self._columns.place["t_s"]
+        return ((row[at], number, count, row) for count, row in enumerate(self._recording.rows()))
 
     def add(self, row: Row) -> None:
         """One cycle."""
         at = self._columns.place
         t_s = row[at["t_s"]]
         if math.isnan(self._first_s):
-            self._first_s = t_s
+            self._start_ns, self._first_s = self.origin or (self._start_ns, t_s)
             if self._arm is not None:
                 self._write("/scene", scene.shapes(self._arm, self._start_ns), self._start_ns)
         time_ns = self._start_ns + round((t_s - self._first_s) * scene.NS_PER_S)
@@ -129,6 +188,8 @@ class _Export:
             self._scene(row, time_ns)
 
     def _write(self, topic: str, message: dict[str, Any], time_ns: int) -> None:
+        if self._placed is not None:
+            message = scene.of_arm(message, self._placed.name)
         self._writer.add_message(
             self._channels[topic],
             log_time=time_ns,
@@ -175,16 +236,19 @@ class _Export:
         if self._arm is None or self._kinematics is None:
             return
         for topic, message in scene.posed(self._arm, self._kinematics, joint_rad, wanted_rad, time_ns):
+            if topic == "/tf" and self._placed is not None:
+                message["transforms"].append(scene.standing(self._placed, time_ns))
             self._write(topic, message, time_ns)
 
     def finish(self, written: int, every: int) -> None:
-        """Attach the arm, write the metadata and close."""
+        """Attach the arm, write the metadata."""
+        before = "" if self._placed is None else f"{self._placed.name}."
         recording = self._recording
         if self._arm is not None and (text := _arm_text(recording, self._arm)):
             self._writer.add_attachment(
                 create_time=self._start_ns,
                 log_time=self._start_ns,
-                name="arm.toml",
+                name=f"{before}arm.toml",
                 media_type="application/toml",
                 data=text.encode(),
             )
@@ -195,8 +259,7 @@ class _Export:
             "cycles": written, "every": every, "program": f"armwright {version('armwright')}",
             "recorded_by": recording.header.get("program", ""),
         }  # fmt: skip
-        self._writer.add_metadata("armwright", {key: str(value) for key, value in about.items()})
-        self._writer.finish()
+        self._writer.add_metadata(f"{before}armwright", {key: str(value) for key, value in about.items()})
 
 
 def _commanded_paths(

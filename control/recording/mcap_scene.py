@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Link
+from control.model.cell import Placed
 
 Message = dict[str, Any]
 Point = tuple[float, float, float]
@@ -183,6 +184,28 @@ def _entity(name: str, frame: str, time_ns: int, **primitives: list[Message]) ->
         "timestamp": stamp(time_ns), "frame_id": frame, "id": name, "lifetime": {"sec": 0, "nsec": 0}, "frame_locked": True,
     }  # fmt: skip
     return {**head, **none, **primitives}
+
+
+CELL: Final = "cell"
+NAMED: Final = ("frame_id", "parent_frame_id", "child_frame_id", "id")
+
+
+def standing(placed: Placed, time_ns: int) -> Message:
+    """The base of an arm of a cell in the frame of the cell."""
+    w, x, y, z = placed.orientation
+    return _transform(stamp(time_ns), CELL, BASE, placed.origin_m, (x, y, z, w))
+
+
+def of_arm(message: Any, name: str) -> Any:
+    """The same message with the arm's name before its frames and entities; the frame of the cell is everybody's."""
+    if isinstance(message, list):
+        return [of_arm(part, name) for part in message]
+    if not isinstance(message, dict):
+        return message
+    return {
+        key: f"{name}/{part}" if key in NAMED and part != CELL else of_arm(part, name)
+        for key, part in message.items()
+    }
 
 
 def path(points_m: Sequence[Point], time_ns: int) -> Message:

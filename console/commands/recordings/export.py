@@ -1,9 +1,9 @@
-"""`armwright export`: a recording as log.csv.gz and MCAP, that of a cell as one table, or several as a LeRobot dataset."""
+"""`armwright export`: a recording as log.csv.gz and MCAP, that of a cell as one of each, or several as a LeRobot dataset."""
 
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from console.commands.progress import Bar
@@ -14,12 +14,14 @@ from control.errors import ArmError
 from control.files import make_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.recording.cell_folder import recordings_in
+from control.recording.cell_folder import recorded_cell, recordings_in
 from control.recording.export import export
 from control.recording.joined import FILE_NAME, join
+from control.recording.mcap_file import cell_to_mcap
 from control.recording.reading import Recording
 from control.recording.recorded_arm import recorded_arm
 
+MCAP_NAME = "cell.mcap"
 DATASET_RATE_Hz = 50  # usual for imitation learning; a recording has 500
 
 
@@ -82,22 +84,28 @@ def _existing(text: str) -> Path:
 
 
 def _joined(folder: Path, out: Path, given: argparse.Namespace) -> dict[str, int]:
-    """One table of all arms of a cell."""
-    recordings, file = recordings_in(folder), out / FILE_NAME
+    """All arms of a cell in one table and one MCAP file."""
+    recordings, files = recordings_in(folder), (out / FILE_NAME, out / MCAP_NAME)
     if given.arm:
         raise ArmError("--arm: not for a cell's folder, which has every arm's description")
     if given.every < 1:
         raise ArmError(f"--every: expected a cycle count of 1 or more, got {given.every}")
-    if file.exists():
-        raise ArmError(f"{file} already exists: choose another folder or remove it first")
+    for file in files:
+        if file.exists():
+            raise ArmError(f"{file} already exists: choose another folder or remove it first")
+    cell = recorded_cell(recordings)
     out.mkdir(parents=True, exist_ok=True)
     total = max(1, min(one.row_count for one in recordings))
     with Bar("export") as bar:
-        rows = make_whole(
-            file,
-            lambda part: join(recordings, part, given.every, lambda row: bar.advance("export", row / total)),
+
+        def half(begun: float) -> Callable[[int], None]:
+            return lambda row: bar.advance("export", begun + 0.5 * min(row / total, 1.0))
+
+        rows = make_whole(files[0], lambda part: join(recordings, part, given.every, half(0.0)))
+        cycles = make_whole(
+            files[1], lambda part: cell_to_mcap(recordings, part, cell, given.every, half(0.5))
         )
-    return {FILE_NAME: rows}
+    return {FILE_NAME: rows, MCAP_NAME: cycles}
 
 
 def _exported(given: argparse.Namespace, recording: Path, out: Path) -> dict[str, int]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import gzip
+import json
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from console.main import main
 from console.visualisation.reading_cell import read_log
 from control.model.description import load_arm
 from control.recording.cell_folder import new_folder, recordings_in
@@ -48,6 +50,31 @@ def test_rows_of_one_cycle_stand_in_one_row_with_the_arms_names_before_the_colum
     assert float(first["right.q2_rad"]) == pytest.approx(-0.002)
     assert float(first["left.q2_rad"]) != pytest.approx(-0.002)
     assert "right.mode" in first
+
+
+def test_one_mcap_file_has_the_arms_names_before_topics_and_frames_on_one_clock(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    assert main(["export", str(both(tmp_path)), "--out", str(tmp_path / "out")]) == 0
+    times: dict[str, list[float]] = {}
+    frames, parents = set(), {}
+    with (tmp_path / "out" / "cell.mcap").open("rb") as file:
+        reader = make_reader(file)
+        for _, channel, message in reader.iter_messages():
+            content = json.loads(message.data)
+            if channel.topic.endswith("/loop"):
+                times.setdefault(channel.topic, []).append(message.log_time * 1e-9 - content["t_s"])
+            for one in content.get("transforms", ()):
+                parents[one["child_frame_id"]] = one["parent_frame_id"], one["translation"]["y"]
+            frames |= {one["frame_id"] for one in content.get("entities", ())}
+        attached = {one.name for one in reader.iter_attachments()}
+    assert {*times} == {"/left/loop", "/right/loop"}
+    assert np.ptp([offset for of_arm in times.values() for offset in of_arm]) < 1e-6
+    assert parents["left/base"] == ("cell", 0.25)
+    assert parents["right/base"] == ("cell", -0.25)
+    assert parents["right/measured/link1"][0] == "right/base"
+    assert all(frame.split("/")[0] in ("left", "right") for frame in frames)
+    assert attached == {"left.arm.toml", "right.arm.toml"}
 
 
 def test_a_recording_whose_first_file_was_removed_begins_with_its_next(tmp_path: Path) -> None:
