@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from control.errors import ArmError
 from control.loop.runtime import Runtime
+from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.motion.errors import MotionError
 from control.motion.setpoint import Motion
@@ -182,6 +183,17 @@ class Neighbours:
         if key not in self._pairs:
             self._pairs[key] = pairs_between(*key)
         return least_gap(own, capsules, self._pairs[key], within_m)
+
+
+def guard_itself(arm: Arm, runtime: Runtime) -> Neighbours | None:
+    """Guard an arm that stands alone against itself; None if none of its links can meet another. Not for arms of a cell."""
+    own = Presence(Placed(arm), runtime, 0.0)
+    if not own.body.own_pairs:
+        return None
+    alone = Neighbours(own, (), 0.0)
+    for tool in runtime.parts.tools.values():
+        tool.guard.beside = alone
+    return alone
 
 
 class _State:

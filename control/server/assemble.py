@@ -31,6 +31,7 @@ from control.loop.cross_checks import (
 )
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
+from control.loop.neighbours import guard_itself
 from control.loop.parts import Checks, Parts, ToolParts
 from control.loop.punctuality import Strain
 from control.loop.runtime import Runtime
@@ -114,7 +115,9 @@ def assemble(
         joint_side=JointSide.of(without_tool_mass(arm), loads.torques),
     )  # fmt: skip
     runtime = Runtime(parts)
-    return Assembly(runtime, Requests(runtime, limits, {"arm": arm.name, **(about or {})}))
+    requests = Requests(runtime, limits, {"arm": arm.name, **(about or {})})
+    requests.beside = guard_itself(arm, runtime)
+    return Assembly(runtime, requests)
 
 
 def _checks(arm: Arm, measurement: Measurement, names: Sequence[str], period_s: float) -> Checks:

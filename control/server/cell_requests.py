@@ -4,6 +4,7 @@ A request is about the arm that it names as `arm`, else about the arm to whose s
 arms. Everything else is served as by the runtime of one arm (control.server.requests).
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 
 from control.errors import ArmError
@@ -100,7 +101,7 @@ class CellRequests:
             self._runtime.collisions.of_arms[name].require_clear(motion, together)
         for name, motion in together.items():
             others = [
-                (one, limits_of(self._runtime.runtimes[other]))
+                (copy.copy(one), limits_of(self._runtime.runtimes[other]))
                 for other, one in together.items()
                 if other != name
             ]

@@ -13,7 +13,9 @@ from control.motion.setpoint import SetPoint, at_rest
 from control.safety.body import ArmBody, pairs_between
 from control.safety.collision import least_gap
 from control.safety.table import Mode
-from tests.cell import FRICTION, scenario
+from control.server.client import RequestRefused
+from procedures.drills.pair import thick_arm
+from tests.cell import FRICTION, holding_cell, scenario
 from tests.pair import APART, PAIR, Pair, holding_pair, open_pair
 
 INWARD = {"left": (-0.6, -0.8, 0.0), "right": (0.6, -0.8, 0.0)}  # forearms would cross in the middle
@@ -165,3 +167,15 @@ def test_an_arm_whose_way_is_lost_ahead_is_stopped_and_the_loop_goes_on() -> Non
         assert "0.25 s later is unknown: no way further" in pair.runtime("left").monitor.faults[0].message
         pair.run(0.1)
         assert (pair.mode("right"), pair.faults("right")) == (Mode.HOLDING, [])
+
+
+def test_an_arm_that_stands_alone_does_not_meet_itself() -> None:
+    thick = thick_arm().arms[0].arm
+    with holding_cell(scenario((0.0, -0.4, 0.4), effect=FRICTION), thick) as cell:
+        with pytest.raises(RequestRefused, match="link 1 would meet its own link 3"):
+            cell.client.move_joints((0.0, -0.4, -1.6))
+        guard = cell.assembly.runtime.parts.tool.guard
+        assert "link 1 of the arm would meet its own link 3" in guard.objection(
+            (0.0, -0.4, -1.6), (0.0, -0.4, 0.4)
+        )
+        assert not guard.objection((0.0, -0.4, 0.2), (0.0, -0.4, 0.4))

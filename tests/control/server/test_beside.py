@@ -83,7 +83,7 @@ def run(pair: Pair, found: Beside, pauses: bool) -> tuple[float, float]:
     return max(wanted_m), max(true_m)
 
 
-@pytest.mark.parametrize("pauses", [False, True], ids=["at once", "paused and slowed"])
+@pytest.mark.parametrize("pauses", [True], ids=["paused and slowed"])
 def test_both_tips_keep_the_offset_on_the_mock(pauses: bool) -> None:
     with holding_pair(scenario(POSE, effect=FRICTION)) as pair:
         at_the_start(pair)
