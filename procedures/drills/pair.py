@@ -5,15 +5,20 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
 import msgspec
 
 from control.errors import ArmError
-from control.model.cell import load_cell
+from control.kinematics.kinematics import Kinematics
+from control.model.cell import Cell, cell_of_one, load_cell
+from control.model.description import load_arm
+from control.safety.body import ArmBody, pairs_between
+from control.safety.collision import least_gap
 from control.safety.table import Mode
+from control.server.client import ArmClient
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
 from hil_mocks.scenario import FaultTable, Start, load_scenario
@@ -30,6 +35,12 @@ ACROSS_rad = {"left": (-0.6, -0.8, 0.0), "right": (0.6, -0.8, 0.0)}  # both fore
 WATCHED_S = 1.0  # after the fault
 CAUGHT_UP_S = 1.0
 FOLLOWING_SPEED = 0.2  # of the leader, in its limits: jogs are slow
+FOLDED_rad = (0.0, -0.4, -1.6)  # the forearm of `thick_arm` on its shoulder
+INTO_SPEED = 0.2  # of the limits: a hand has the time to get into the way
+JOG_rad_s = 0.5  # share of the way there a second
+JOGGED_mm, JOGGED_S = 900.0, 3.0  # it is meant to move, and jogs are slow
+FOLLOWS_m = 1e-3  # an arm follows its set-points, whose links may touch
+TOUCHED_m = 0.02  # a third of the pair's clearance: stops on a path take room
 Way = list[tuple[float, Point]]
 
 
@@ -72,6 +83,23 @@ class PairStage:
         else:
             self.bench.clients["left"].ask("move_together", moves=moves)
         self.run(UNDER_WAY_S)
+
+    def watch_gap(self) -> Callable[[], None]:
+        """Complains when the arms, as they truly stand, come nearer than TOUCHED_m to each other."""
+        cell = self.bench.standing
+        one, two = (ArmBody(placed, cell.tool_length_m) for placed in cell.arms)
+        pairs = pairs_between(one, two)
+
+        def look() -> None:
+            robots = self.bench.rig.mock.robots
+            poses = (
+                body.at(robots[name].joint_rad()) for body, name in zip((one, two), cell.names, strict=True)
+            )
+            gap_m = least_gap(*poses, pairs, TOUCHED_m).gap_m
+            if gap_m < TOUCHED_m:
+                self.complaint = self.complaint or f"the arms came within {1e3 * gap_m:.0f} mm"
+
+        return look
 
     def wrong_rad(self) -> float:
         """By how much an arm that takes itself for homed is elsewhere than it says."""
@@ -142,22 +170,101 @@ def refused_ways(played: PairStage) -> None:
             played.complaint = f"served: {request}"
 
 
+def left_goes_to_the_middle(played: PairStage) -> None:
+    """The left arm is under way to where the right one could reach it."""
+    played.bench.clients["left"].move_joints(ACROSS_rad["left"], INTO_SPEED, waits=False)
+    played.run(UNDER_WAY_S)
+
+
+def jogged_into(played: PairStage) -> None:
+    """The left arm is jogged towards the right one, which holds in the middle, for as long as the drill is watched."""
+    client = played.bench.clients["left"]
+    speed = [JOG_rad_s * (to - at) for to, at in zip(ACROSS_rad["left"], FROM_rad, strict=True)]
+    client.ask("jog", joint_speed_rad_s=speed)
+    played.each_cycle += [lambda: renewed(client), played.watch_gap()]
+
+
+def renewed(client: ArmClient) -> None:
+    """Go on with a jog; refused once it has ended."""
+    with suppress(ArmError):
+        client.ask("jog_on")
+
+
+def guided_into(played: PairStage) -> None:
+    """A hand takes the right arm to the middle, and lets go when the runtime has stopped the left one."""
+    placed, hand = played.bench.standing.placed("right"), played.bench.hand("right")
+    played.bench.clients["right"].guide(True)
+    hand.seat(Kinematics(placed.arm).tip(*ACROSS_rad["right"]))
+
+    def let_go() -> None:
+        if played.found:
+            hand.let_go()
+            with suppress(ArmError):
+                played.bench.clients["right"].hold()
+            played.each_cycle.remove(let_go)
+
+    played.each_cycle += [let_go, played.watch_gap()]
+
+
+def one_holds(played: PairStage) -> None:
+    """An arm that stands alone holds."""
+    played.run(SETTLED_S)
+
+
+def folded(played: PairStage) -> None:
+    """A move that would fold the arm onto itself, then a jog there."""
+    channel, client = played.bench.channels[0], played.bench.clients["left"]
+    if channel.request({"do": "move_joints", "q_rad": list(FOLDED_rad)})["ok"]:
+        played.complaint = "a move through itself was served"
+    client.ask(
+        "jog", joint_speed_rad_s=[JOG_rad_s * (to - at) for to, at in zip(FOLDED_rad, FROM_rad, strict=True)]
+    )
+    body = ArmBody(played.bench.standing.arms[0], 0.0)
+
+    def look() -> None:
+        at = body.at(played.bench.rig.mock.robots["left"].joint_rad())
+        if (gap_m := least_gap(at, at, body.own_pairs, 0.0).gap_m) < -FOLLOWS_m:
+            played.complaint = played.complaint or f"two links are {-1e3 * gap_m:.0f} mm in each other"
+
+    played.each_cycle += [lambda: renewed(client), look]
+
+
+def thick_arm() -> Cell:
+    """The left arm alone, its shoulder beside axis 1, with thick links and an elbow that folds further."""
+    arm = load_arm("left")
+    links = [replace(link, radius_m=0.06) for link in arm.links]
+    links[0] = replace(links[0], L_m=0.15)
+    drives = list(arm.drives)
+    drives[2] = replace(drives[2], joint_lower_rad=-2.4)
+    return cell_of_one(replace(arm, links=tuple(links), drives=tuple(drives)))
+
+
+def the_pair() -> Cell:
+    """The supplied pair."""
+    return load_cell("pair")
+
+
+AT_REST = (right_in_the_middle, one_holds)  # no motion is under way
+
+
 @dataclass(frozen=True, slots=True)
 class PairDrill(Promise):
     """Off its path, and at rest, is an arm without a fault; one with a fault may brake, and sink."""
 
     begin: Callable[[PairStage], None] = both_move
     inject: Callable[[PairStage], None] = stop_pressed
+    cell: Callable[[], Cell] = the_pair
+    watched_s: float = WATCHED_S
 
     def run(self) -> Outcome:
         """Run it on a fresh pair."""
-        with pair_stage() as played:
+        with pair_stage(self.cell) as played:
             self.begin(played)
             begun_s = played.now_s
             played.ways = {name: way[-1:] for name, way in played.ways.items()}
             self.inject(played)
-            played.run(WATCHED_S)
-            asked = asked_ways(self.begin)
+            played.run(self.watched_s)
+            asked = asked_ways(self.begin, self.cell)
             sound = {name: way for name, way in played.ways.items() if name not in played.found}
             off_m = [
                 max(off_way_m(tip, asked[name]) for _, tip in (*way[::THINNED], way[-1]))
@@ -167,7 +274,7 @@ class PairDrill(Promise):
             is_standing = all(one is not None for one in stood)
             runtimes = played.bench.runtimes.values()
             lost = [] if all(runtime.monitor.is_homed for runtime in runtimes) else ["the zero"]
-            lost += ["the motion"] if self.begin is not right_in_the_middle else []
+            lost += ["the motion"] if self.begin not in AT_REST else []
             return Outcome(
                 self,
                 1e3 * max(off_m, default=0.0),
@@ -199,18 +306,31 @@ class PairDrill(Promise):
             most_mm=2.0, begin=right_in_the_middle, inject=refused_ways,
         )  # fmt: skip
         yield PairDrill(
+            "itself-rest", "an arm moved, and jogged, onto itself", REST, frozenset(),
+            most_mm=JOGGED_mm, begin=one_holds, inject=folded, cell=thick_arm, watched_s=JOGGED_S,
+        )  # fmt: skip
+        yield PairDrill(
+            "jogged-into-pair", "an arm jogged towards the other", REST, frozenset(),
+            most_mm=JOGGED_mm, begin=right_in_the_middle, inject=jogged_into, watched_s=JOGGED_S,
+        )  # fmt: skip
+        yield PairDrill(
+            "guided-into-pair", "a hand guides an arm into the way of the other", "one moves",
+            frozenset({"collision"}), within_s=JOGGED_S, most_mm=JOGGED_mm,
+            begin=left_goes_to_the_middle, inject=guided_into, watched_s=JOGGED_S,
+        )  # fmt: skip
+        yield PairDrill(
             "leader-unplugged-pair", "the left arm's encoder board unplugged, the right one follows it", PAIR, gone,
             begin=one_follows, inject=fault_of("left", "silent", "encoder"),
         )  # fmt: skip
 
 
 @contextmanager
-def pair_stage() -> Iterator[PairStage]:
-    """The supplied pair, homed and holding; its arms are those of the demo."""
+def pair_stage(cell: Callable[[], Cell]) -> Iterator[PairStage]:
+    """A cell, homed and holding; its arms are those of the demo."""
     demo = load_scenario("demo")
     scenario = msgspec.structs.replace(demo, start=Start(q_rad=FROM_rad, homed=True))
     with tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
-        bench = CellBench(load_cell("pair"), scenario, Path(folder), wired_as_real)
+        bench = CellBench(cell(), scenario, Path(folder), wired_as_real)
         try:
             for client in bench.start(bench.standing).values():
                 client.enable()
@@ -221,9 +341,9 @@ def pair_stage() -> Iterator[PairStage]:
 
 
 @cache
-def asked_ways(begin: Callable[[PairStage], None]) -> dict[str, tuple[Point, ...]]:
+def asked_ways(begin: Callable[[PairStage], None], cell: Callable[[], Cell]) -> dict[str, tuple[Point, ...]]:
     """The true ways of the twins' tips, from a little before the fault on."""
-    with pair_stage() as twin:
+    with pair_stage(cell) as twin:
         begin(twin)
         twin.ways = {name: way[-10:] for name, way in twin.ways.items()}
         twin.run(WATCHED_S)

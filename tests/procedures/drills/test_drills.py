@@ -39,6 +39,7 @@ USUAL = "rest, motion, session"
         "power-arm",
         "cut-recording",
         "over-temperature-pair",
+        "guided-into-pair",
     ],
 )
 def test_a_drill_goes_as_promised(name: str) -> None:
