@@ -59,7 +59,8 @@ def option(*flags: str, **details: Any) -> Option:
 
 
 def settle_arm(given: argparse.Namespace) -> None:
-    """Use the user's default arm if none was given. ConfigError."""
+    """Use the user's default arm if none was given; `has_arm` says whether one was. ConfigError."""
+    given.has_arm = getattr(given, "arm", None) not in (None, USERS_ARM)
     if getattr(given, "arm", None) == USERS_ARM:
         from console.user_config import default_arm
 

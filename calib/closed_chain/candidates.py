@@ -95,8 +95,8 @@ def _clear(cell: Cell, pair: tuple[Placed, Placed], first: Array, second: Array,
     )
     return Candidates(
         contacts,
-        frozen(np.reshape(away[0], (len(kept), -1))),
-        frozen(np.reshape(away[1], (len(kept), -1))),
+        frozen(np.reshape(away[0], (len(kept), first.shape[1]))),
+        frozen(np.reshape(away[1], (len(kept), second.shape[1]))),
     )
 
 

@@ -76,22 +76,8 @@ class PairProblem:
         self.names = names_of(arms)
         tips = self.models[1].tips(arms[1].dh, contacts.second_rad)
         self._centre = tips.mean(axis=0) if len(tips) else np.zeros(3)
-        everything = [
-            p
-            for name, arm in zip(self.names, arms, strict=True)
-            for p in _of_arm(name, arm, bounds or Bounds(), free_tools)
-        ]
-        everything += [
-            Parameter(f"{self.names[1]}_{BASE}_{kind}{axis}", unit, 0.0, math.inf)
-            for kind, unit in (("", "m"), ("r", "rad"))
-            for axis in AXES
-        ]
         self.joins = self._nominal_joins()
-        everything += [
-            Parameter(f"join_{name}_r{axis}", "rad", 0.0, math.inf)
-            for name in self.joins.names
-            for axis in AXES
-        ]
+        everything = self._all_parameters(bounds or Bounds(), free_tools)
         known = [p.name for p in everything]
         require_known_names(fixed, known)
         self._places = np.array([k for k, name in enumerate(known) if name not in fixed], dtype=np.intp)
@@ -103,6 +89,25 @@ class PairProblem:
         ]
         self._near = np.flatnonzero(contacts.distance_m == 0.0)
         self._far = np.flatnonzero(contacts.distance_m > 0.0)
+
+    def _all_parameters(self, bounds: Bounds, free_tools: Collection[str]) -> list[Parameter]:
+        """Of the first arm, of the second, of where its base stands, and of each join."""
+        of_arms = [
+            p
+            for name, arm in zip(self.names, self.arms, strict=True)
+            for p in _of_arm(name, arm, bounds, free_tools)
+        ]
+        base = [
+            Parameter(f"{self.names[1]}_{BASE}_{kind}{axis}", unit, 0.0, math.inf)
+            for kind, unit in (("", "m"), ("r", "rad"))
+            for axis in AXES
+        ]
+        joins = [
+            Parameter(f"join_{name}_r{axis}", "rad", 0.0, math.inf)
+            for name in self.joins.names
+            for axis in AXES
+        ]
+        return [*of_arms, *base, *joins]
 
     def __len__(self) -> int:
         """How many rows of three residuals."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arm_problem.frames import Frame
 from calib.closed_chain.calibrate import PairPlan, choose_contacts
-from calib.closed_chain.candidates import Candidates, base_of, contact_candidates
+from calib.closed_chain.candidates import DRAWN, Candidates, base_of, contact_candidates
 from calib.closed_chain.contacts import Contacts, contact_points
 from calib.closed_chain.pair_problem import PairProblem
 from calib.errors import CalibrationError
@@ -47,16 +47,22 @@ def pair_of(cell: Cell, asked: Sequence[str] | None = None) -> tuple[str, str]:
 
 
 def plan_contacts(
-    cell: Cell, names: tuple[str, str], distances_m: Sequence[float], count: int, plan: PairPlan | None = None
+    cell: Cell,
+    names: tuple[str, str],
+    distances_m: Sequence[float],
+    count: int,
+    plan: PairPlan | None = None,
+    drawn: int = DRAWN,
 ) -> ContactPlan:
     """Plan `count` contacts. CalibrationError if the arms can meet at fewer places."""
     first, second = (cell.placed(name).arm for name in names)
     arms, base, plan = (first, second), base_of(cell, names), plan or PairPlan()
-    found = contact_candidates(cell, names, distances_m)
+    found = contact_candidates(cell, names, distances_m, drawn)
     if len(found.contacts) < count:
         raise CalibrationError(
             f"{count} contacts were requested, but there are only {len(found.contacts)} places that both arms reach, clear of"
-            " each other by clearance_m and 0.03 m"
+            f" each other by clearance_m and 0.03 m (only the last tool_length_m of an arm, {cell.tool_length_m:g} m"
+            " here, may come near the other's)"
         )
     rows = choose_contacts(arms, found.contacts, plan, count, NOISE_m, base)
     rest = [row for row in range(len(found.contacts)) if row not in set(rows)]

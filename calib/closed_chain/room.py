@@ -28,6 +28,9 @@ class Room:
         self.rest_rad: Poses = [_rest_rad(placed.arm) for placed in pair]
         self._bodies = tuple(ArmBody(placed, cell.tool_length_m) for placed in pair)
         self._pairs = pairs_between(*self._bodies)
+        self._own_pairs = [
+            _apart(body, q_rad) for body, q_rad in zip(self._bodies, self.rest_rad, strict=True)
+        ]
         self._least_m = cell.clearance_m + MARGIN_m
         self._backs = (_Back(pair[0].arm), _Back(pair[1].arm))
 
@@ -37,8 +40,8 @@ class Room:
         if least_gap(one, two, self._pairs, self._least_m).gap_m < self._least_m:
             return False
         return all(
-            least_gap(at, at, body.own_pairs, MARGIN_m).gap_m >= MARGIN_m
-            for body, at in zip(self._bodies, (one, two), strict=True)
+            not pairs or least_gap(at, at, pairs, MARGIN_m).gap_m >= MARGIN_m
+            for pairs, at in zip(self._own_pairs, (one, two), strict=True)
         )
 
     def backed_off(self, poses_rad: Poses) -> Poses | None:
@@ -72,6 +75,12 @@ class Room:
         arrive = ((), ((rest[0], goal_rad[1]),), ((goal_rad[0], rest[1]),))
         for first, last in product(leave, arrive):
             yield (*first, rest, *last, goal_rad)
+
+
+def _apart(body: ArmBody, rest_rad: Sequence[float]) -> tuple[tuple[int, int], ...]:
+    """Pairs of the arm's own links that the margin is for: those of a wrist whose axes meet always touch."""
+    at = body.at(rest_rad)
+    return tuple(pair for pair in body.own_pairs if least_gap(at, at, (pair,), MARGIN_m).gap_m >= MARGIN_m)
 
 
 class _Back:

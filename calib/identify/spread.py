@@ -31,7 +31,8 @@ BANDWIDTH = 1.06  # Silverman, Density Estimation, 1986, eq. (3.28): 1.06 sigma 
 class NoiseScale:
     """`variance_m2` times (J'J)^-1 is the covariance; the variance has `freedom` degrees of freedom.
 
-    NaN and 0 if there are no more residuals than unknowns. `curvature` times J'J is the mean Hessian of the objective.
+    NaN and 0 if there are no more residuals than unknowns, or so few that they do not tell. `curvature` times J'J is the mean
+    Hessian of the objective.
     """
 
     variance_m2: float
@@ -73,6 +74,8 @@ def noise_scale(objective: Objective, residuals: Array, leverage: Array) -> Nois
         if abs(curvature - before) < SETTLED * before:
             break
     variance = float(np.mean(scores)) / curvature**2
+    if not variance <= (float(np.max(distances)) / (1.0 - LEVERAGE_LIMIT)) ** 2:
+        return NoiseScale(math.nan, 0.0, math.inf)  # too few residuals: the rounds do not settle
     return NoiseScale(variance, _freedom(scores, bends, left / (dimension * len(distances))), curvature)
 
 

@@ -164,6 +164,8 @@ def _two_arms(given: argparse.Namespace) -> int:
             raise CalibrationError(
                 f"--{name} is not for `armwright demo two-arms`, which runs a cell on the stepped clock"
             )
+    if given.has_arm:
+        raise CalibrationError("--arm is not for `armwright demo two-arms`: its arms are those of --cell")
     cell = load_cell(given.cell or "pair")
     drawn = seeded_scenario(given.scenario or "demo", given.seed, was_homed=False)
     out = free_folder(Path(given.out or "out/demo-two-arms"))

@@ -33,6 +33,8 @@ def run(given: argparse.Namespace) -> int:
             raise SessionError(
                 f"--{name} is for one arm at a board: with --cell, the contacts are in --contacts"
             )
+    if given.has_arm:
+        raise SessionError("--arm is for one arm at a board: the arms are those of --cell")
     cell = load_cell(given.cell)
     names = pair_of(cell, given.arms)
     identity, interface = _identity(cell, names), Interface.of(given)

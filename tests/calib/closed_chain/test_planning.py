@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.arms import FOUR, SIX
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import norms
 from calib.closed_chain.candidates import Candidates, contact_candidates
@@ -15,7 +17,7 @@ from calib.closed_chain.planning import plan_contacts
 from calib.closed_chain.room import AWAY_m, MARGIN_m
 from calib.errors import CalibrationError
 from console.main import main
-from control.model.cell import load_cell
+from control.model.cell import Cell, Placed, load_cell
 from control.safety.body import ArmBody, pairs_between
 from control.safety.collision import least_gap
 
@@ -60,7 +62,7 @@ def test_arms_are_clear_of_each_other_with_a_margin() -> None:
 def test_the_command_writes_what_calibrate_pair_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calib.closed_chain.planning.contact_candidates", lambda *_: candidates())
+    monkeypatch.setattr("calib.closed_chain.planning.contact_candidates", lambda *_, **__: candidates())
     file = tmp_path / "plan.csv"
     assert main(["plan-contacts", "--count", "12", "--distance", "0mm", "100mm", "--out", str(file)]) == 0
     assert "They determine 22 of 38 parameters" in capsys.readouterr().out
@@ -72,3 +74,17 @@ def test_the_command_writes_what_calibrate_pair_reads(
         CalibrationError, match=r"9999 contacts were requested, but there are only \d+ places"
     ):
         plan_contacts(PAIR, NAMES, (0.0,), 9999)
+
+
+def test_arms_of_other_kinds_meet_too_and_where_none_can_it_is_said() -> None:
+    """Four joints, and six by modified DH with a wrist whose axes meet: its links there touch all the time."""
+    arms = (Placed(FOUR, (0.0, 0.3, 0.0)), Placed(SIX, (0.0, -0.3, 0.0)))
+    mixed = Cell("mixed", arms, clearance_m=0.01, tool_length_m=0.1)
+    found = contact_candidates(mixed, ("four", "six"), (0.0,), drawn=60)
+    assert len(found.contacts) >= 5
+    assert found.contacts.second_rad.shape[1] == 6
+    untouchable = dataclasses.replace(mixed, clearance_m=0.2)
+    with pytest.raises(
+        CalibrationError, match=r"there are only 0 places.*tool_length_m of an arm, 0.1 m here"
+    ):
+        plan_contacts(untouchable, ("four", "six"), (0.0,), 3, drawn=20)
