@@ -44,11 +44,19 @@ def step_in_box(hessian: Array, gradient: Array, lower: Array, upper: Array) -> 
 def _solved(hessian: Array, gradient: Array, bound: Array, is_held: Mask) -> tuple[Array, Array]:
     """The minimum over the free variables, and the gradient there; 0 along the free ones."""
     if not is_held.any():
-        return np.asarray(np.linalg.solve(hessian, -gradient)), np.zeros_like(gradient)
+        return _newton(hessian, gradient), np.zeros_like(gradient)
     d = np.where(is_held, bound, 0.0)
     free = np.flatnonzero(~is_held)
     slope = gradient + hessian @ d
     if len(free):
-        d[free] = np.linalg.solve(hessian[free[:, None], free], -slope[free])
+        d[free] = _newton(hessian[free[:, None], free], slope[free])
         slope = gradient + hessian @ d
     return d, slope
+
+
+def _newton(hessian: Array, gradient: Array) -> Array:
+    """The step to the minimum; along what the points do not determine, none."""
+    try:
+        return np.asarray(np.linalg.solve(hessian, -gradient))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(hessian, -gradient, rcond=None)[0])
