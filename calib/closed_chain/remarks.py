@@ -23,7 +23,7 @@ def remarks(found: PairFound) -> Iterator[str]:
     is_enough = found.numbers_count >= SPARE * found.known.rank
     if len(after):
         left_m, nominal_m = float(np.median(after)), float(np.median(before))  # some contacts may be none
-        if left_m > EXPLAINED * nominal_m:
+        if left_m > max(EXPLAINED * nominal_m, LEAST_m):
             yield (
                 f"This does not explain the contacts: left out, half of them stay open by {1e3 * left_m:.2f} mm or more, with"
                 f" nominal arms by {1e3 * nominal_m:.2f} mm. Check distance_m (in m), the order of the joints, and that both tips"
