@@ -103,6 +103,13 @@ class MoteusDrive(NodeDrive):
             )
         self._faults = 0
 
+    def require_force_limit(self) -> None:
+        """Nothing to look for: each command carries its largest torque."""
+
+    def limit_force(self, current_A: float) -> None:
+        """At most so much current from the next command on."""
+        self._most_Nm = current_A * abs(self._torque_Nm_A)
+
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
         self._faults |= EMERGENCY_STOP

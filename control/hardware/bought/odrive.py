@@ -114,6 +114,16 @@ class OdriveDrive(NodeDrive):
             )
         self._faults = 0
 
+    def require_force_limit(self) -> None:
+        """Nothing to look for: every axis takes a limit of its current."""
+
+    def limit_force(self, current_A: float) -> None:
+        """At most so much current from now on; does not wait."""
+        speed_turns_s, before_A = self._limits
+        self._limits = (speed_turns_s, current_A)
+        if current_A != before_A:
+            self._axis.limit(*self._limits)
+
     def emergency_stop(self) -> None:
         """Hold the position now, and until the fault is acknowledged: without power a loaded arm would drop."""
         self._faults |= EMERGENCY_STOP

@@ -21,8 +21,6 @@ ON_VESC = replace(GRIPPER, motor_node=-1, board="hand", encoder_counts_per_rev=1
 CLAWS = on_boards(RIGHT, "roboclaw")
 VESCS = on_boards(RIGHT, "vesc")
 VESCS = replace(VESCS, boards=(*VESCS.boards, Board("hand", "vesc", 9)))
-DRIVES = on_boards(RIGHT, "cia402")
-DRIVES = replace(DRIVES, boards=(*DRIVES.boards, Board("hand", "cia402", 9)))
 ON_SERVO = replace(
     GRIPPER, motor_node=-1, board="hand", encoder_counts_per_rev=4096, travel_per_turn_m=0.2, torque_constant_Nm_A=1.0,
     resistance_ohm=4.0, supply_V=12.0, current_limit_A=1.5, rotor_inertia_kg_m2=1e-3,
@@ -35,12 +33,20 @@ def on_servos(kind: str) -> Arm:
     return replace(arm, boards=(*arm.boards, hand), gripper=ON_SERVO)
 
 
+def on_can(kind: str) -> Arm:
+    arm = on_boards(RIGHT, kind)
+    gripper = replace(ON_VESC, encoder_counts_per_rev=4096)
+    return replace(arm, boards=(*arm.boards, Board("hand", kind, 9)), gripper=gripper)
+
+
 ARMS = {
     "roboclaw": replace(CLAWS, gripper=ON_CLAW),
     "vesc": replace(VESCS, gripper=ON_VESC),
     "dynamixel": on_servos("dynamixel"),
     "feetech": on_servos("feetech"),
-    "cia402": replace(DRIVES, gripper=replace(ON_VESC, encoder_counts_per_rev=4096)),
+    "cia402": on_can("cia402"),
+    "moteus": on_can("moteus"),
+    "odrive": on_can("odrive"),
 }
 
 
