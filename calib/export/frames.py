@@ -113,7 +113,7 @@ def bodies_of(arm: Arm) -> tuple[Body, ...]:
 
 
 def tip_in_last(arm: Arm, bodies: tuple[Body, ...]) -> Vector3:
-    """The tip in the last body's frame."""
+    """The tip in the last body's frame; its axes are those of the last DH frame, `body_T_dh`."""
     return bodies[-1].body_T_dh.of(arm.tool.position_m)
 
 

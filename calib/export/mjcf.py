@@ -24,7 +24,8 @@ def mjcf_text(arm: Arm) -> str:
     place = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=BASE)
     for body, end in zip(bodies, ends_m(arm, bodies), strict=True):
         place = _add_body(place, arm, body, end)
-    tip = ET.SubElement(place, "body", name=TIP, pos=numbers(tip_in_last(arm, bodies)))
+    at, turned = numbers(tip_in_last(arm, bodies)), numbers(bodies[-1].body_T_dh.quaternion)
+    tip = ET.SubElement(place, "body", name=TIP, pos=at, quat=turned)
     ET.SubElement(tip, "site", name=TIP, size="0.005")
     _add_motors(root, arm)
     return document(root, about(arm))

@@ -30,7 +30,8 @@ def urdf_text(arm: Arm) -> str:
     for body in bodies:
         _add_joint(root, arm, body, parent)
         parent = body.name
-    _joint(root, f"{TIP}_fixed", "fixed", parent, TIP, tip_in_last(arm, bodies), _ORIGIN)
+    turned = bodies[-1].body_T_dh.rpy_rad
+    _joint(root, f"{TIP}_fixed", "fixed", parent, TIP, tip_in_last(arm, bodies), turned)
     return document(root, about(arm))
 
 

@@ -58,6 +58,11 @@ class Camera:
     stream: Annotated[CameraStream | None, "absent: frames of docs/camera.md"] = None
 
     @property
+    def measures_orientation(self) -> bool:
+        """Whether it sends orientations beside positions; a camera of docs/camera.md sends positions only."""
+        return self.stream is not None
+
+    @property
     def has_own_frame(self) -> bool:
         """Whether it measures in a frame whose place to the arm's base is unknown."""
         return self.stream is not None and not self.stream.is_placed
