@@ -41,6 +41,11 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         yield f"The gap could not be evaluated: on {found.judged_on} nothing moves that any channel shows."
     else:
         yield f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {after} after."
+    if "turn_rad" in found.noise_floor:
+        yield (
+            "Measured orientations count beside the tip, each by its own noise:"
+            f" {1e3 * found.noise_floor['turn_rad']:.2g} mrad about an axis, {1e3 * found.noise_floor['tip_m']:.2g} mm along one."
+        )
     yield from _as_written(found)
     yield from _maps(found)
     blind = [

@@ -22,7 +22,7 @@ from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.gap.run_file import RunFile, write_log
 from procedures.iso9283.run_rows import RunRows
-from procedures.ports import RuntimePort
+from procedures.ports import RuntimePort, camera_said
 
 REST_s = 0.1  # of a run after its motion
 CAMERA_PATIENCE = 10  # in averages: a marker may be hidden for a moment
@@ -87,7 +87,9 @@ def record(bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> No
 class _Recorder:
     def __init__(self, bench: Bench, out: Path) -> None:
         self._bench, self._out = bench, out
-        self._points = PointsWriter(out / "points.csv", bench.arm.joint_count)
+        camera = bench.arm.camera
+        pose_frame = "base" if camera is not None and camera.measures_orientation else ""
+        self._points = PointsWriter(out / "points.csv", bench.arm.joint_count, pose_frame)
         self._rows = RunRows(bench.recording)
         self._port = RuntimePort(bench.client, bench.speed, as_encoders=True)
         self._gentle = RuntimePort(bench.client, GENTLE * bench.speed, as_encoders=True)
@@ -125,14 +127,15 @@ class _Recorder:
         self._gentle.move_to_q(step.q_rad)
         client.wait(SETTLE_s)
         mean = client.average(AVERAGE_s)  # angles and tip from the same time: an integral may still creep
-        tip_m = mean.tip_m
-        if tip_m is None and self._bench.has_camera:
+        if mean.tip_m is None and self._bench.has_camera:
             mean = self._seen()
-            tip_m = mean.tip_m
+        seen = (
+            mean.target if mean.tip_m is not None else None
+        )  # a target in the camera's own frame tells nothing here
         self._points.append(
             Record(
                 step.setup, step.point, step.repeat, mean.q_rad, mean.q_std_rad, mean.direction, mean.current_A, mean.t_s,
-                step.payload_kg, tip_m,
+                step.payload_kg, mean.tip_m, orientation=None if seen is None else seen.orientation,
             )
         )  # fmt: skip
 
@@ -143,7 +146,8 @@ class _Recorder:
             if mean.tip_m is not None:
                 return mean
         raise ArmError(
-            f"no camera frame within {CAMERA_PATIENCE * AVERAGE_s:g} s: check that the camera is on and sees the tip"
+            f"no tip from the camera within {CAMERA_PATIENCE * AVERAGE_s:g} s{camera_said(self._bench.client)}: check that"
+            " it is on and sees the tip"
         )
 
     _last: tuple[float, ...] | None = None

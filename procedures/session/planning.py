@@ -50,8 +50,8 @@ def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None
 
 
 def _pose_frame(camera: Camera | None) -> PoseFrame:
-    """The frame of full poses; a camera of docs/camera.md sends positions only."""
-    if camera is None or camera.stream is None:
+    """The frame of full poses."""
+    if camera is None or not camera.measures_orientation:
         return ""
     return "stream" if camera.has_own_frame else "base"
 

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from calib.arm_problem.assembly import ORIENTATION_NOISE_rad
+from calib.arrays import Array
 from calib.gap.finding import Nameable
 from calib.gap.plan.plan import AVERAGE_s, RecordingPlan, Visit
 from calib.gap.poses.find import find
@@ -13,6 +15,8 @@ from calib.points.points import Points, make_points
 from control.dynamics.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
 from control.errors import MissingModel
 from control.kinematics.kinematics import Kinematics
+from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.rotation import exponentials, quaternions
 from control.model.arm import Arm
 
 CAMERA_Hz = 100.0
@@ -60,7 +64,18 @@ def as_recorded(arm: Arm, visits: tuple[Visit, ...], duration_s: float) -> Point
         current,
         np.linspace(0.0, duration_s, len(q)),
         payload,
+        orientation=_orientations(arm, q, draw),
     )
+
+
+def _orientations(arm: Arm, q: Array, draw: np.random.Generator) -> Array | None:
+    """Quaternions (m, 4) of the last frame, as averages of the camera have them; None if it sends positions only."""
+    camera = arm.camera
+    if camera is None or not camera.measures_orientation:
+        return None
+    noise = (camera.orientation_noise_rad or ORIENTATION_NOISE_rad) / np.sqrt(AVERAGE_s * CAMERA_Hz)
+    turned = exponentials(draw.normal(0.0, noise, (len(q), 3)))
+    return quaternions(turned @ PoseKinematics(Kinematics(arm)).batch(q).rotation)
 
 
 def in_short(arm: Arm, plan: RecordingPlan) -> str:

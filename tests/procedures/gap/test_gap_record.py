@@ -19,11 +19,19 @@ from calib.gap.plan.plan import RecordingPlan, Run, Visit
 from calib.points.points import Points
 from calib.points.reading import read_points
 from console.main import main
+from control.kinematics.kinematics import Kinematics
+from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.rotation import logarithms, matrices, quaternions
+from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm
+from hil_mocks.devices.mocap.scene import BASE_m, BASE_turn_rad, TARGET_turn_rad
+from hil_mocks.devices.mocap.scene import rotation_of as turn_of
 from procedures.gap.recording import Bench, note_plan, record
 from procedures.mock.bench import SteppedBench
 
-RIGHT = load_arm("right")
+PLACE = tuple(quaternions(turn_of(BASE_turn_rad)[None])[0].tolist())
+STREAM = CameraStream("vicon", "tool", "base", origin_m=BASE_m, orientation=PLACE)
+RIGHT = dataclasses.replace(load_arm("right"), camera=Camera(1.4e-4, 1e-3, stream=STREAM))
 POSES = ((0.10, 0.20, 0.30), (0.16, 0.14, 0.36))
 SCENARIO = """
 name = "tiny"
@@ -115,6 +123,12 @@ def test_poses_are_reached_and_their_directions_are_those_of_the_approach(record
     assert np.isfinite(recorded.points.tip_m).all()
     assert np.isfinite(recorded.points.t_s).all()
     assert np.isfinite(recorded.points.current_A).all()
+
+
+def test_a_camera_that_measures_orientations_has_them_recorded_in_the_base_frame(recorded: Recorded) -> None:
+    link = PoseKinematics(Kinematics(RIGHT)).batch(recorded.points.q_rad).rotation
+    seen = np.swapaxes(link, 1, 2) @ matrices(recorded.points.orientation)
+    assert np.abs(logarithms(seen @ turn_of(TARGET_turn_rad).T)).max() < 2e-3
 
 
 def test_runs_are_whole_on_one_clock_and_repeats_are_told_by_their_set_points(recorded: Recorded) -> None:

@@ -15,6 +15,7 @@ from calib.gap.poses.find import find
 from calib.gap.poses.floor import Floor, noise_floor
 from calib.gap.poses.measured import Fit, Left, by_joints
 from calib.gap.posterior.term import Block, Term, on_joint
+from calib.gap.words import in_words
 from control.model.arm import Arm, Camera
 
 TURN_NOISE_rad = 3e-4
@@ -35,6 +36,7 @@ def test_an_effect_of_a_joint_whose_axis_holds_the_tip_is_named_by_the_orientati
     assert named[EffectName("encoder_scale", 6)]["scale"][0] == pytest.approx(0.008, rel=0.15)
     assert len(named) == 2  # it and the geometry
     assert found.finding.noise_floor == {"tip_m": NOISE_m, "turn_rad": TURN_NOISE_rad}
+    assert any("orientations count beside the tip" in sentence for sentence in in_words(found.finding))
     assert (
         found.finding.after_si["turn_rad"] < 1.3 * TURN_NOISE_rad < 0.5 * found.finding.before_si["turn_rad"]
     )
