@@ -82,11 +82,11 @@ def solvers(arm: Arm, margin_rad: float = LIMIT_MARGIN_rad) -> Iterator[Solver]:
 
 
 def _require_volume(arm: Arm) -> None:
-    """Iso9283Error for an arm whose tip moves on a surface: two joints, or parallel axes only."""
-    if InverseKinematics(arm).held.nearest[:1] == (0,):
+    """Iso9283Error for an arm whose tip moves on a surface."""
+    if not InverseKinematics(arm).moves_freely:
         raise Iso9283Error(
-            f"arm {arm.name}: its tip moves on a surface, and the test cube of ISO 9283 needs three directions: three joints or"
-            " more, whose axes are not all parallel"
+            f"arm {arm.name}: its tip moves on a surface, as with two joints or axes that are all parallel; the test cube of"
+            " ISO 9283 needs three directions"
         )
 
 

@@ -27,7 +27,9 @@ class DampedRates:
         self._nearest = rows[list(task.nearest)]
         u, s, vt = np.linalg.svd(exact) if task.exact else (np.eye(0), np.empty(0), np.eye(rows.shape[1]))
         self.margin_m = (
-            float(s[-1]) if task.exact else float(np.linalg.svd(self._nearest, compute_uv=False)[-1])
+            float(s[-1])
+            if task.exact
+            else float(np.linalg.svd(self._nearest, compute_uv=False)[task.rank - 1])
         )
         weakness = max(0.0, 1.0 - (self.margin_m / SAFE_M) ** 2)
         gain = s / (s * s + MOST_M**2 * weakness) if s.size else s

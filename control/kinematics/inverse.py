@@ -18,10 +18,10 @@ from control.kinematics import inverse_errors as errors
 from control.kinematics.joint_range import JointRange, travel_rad, turned_toward
 from control.kinematics.kinematics import Kinematics
 from control.kinematics.newton import ACCURACY_M, Newton
-from control.kinematics.numeric_inverse import Descent, descend, seeds
+from control.kinematics.numeric_inverse import Descent, can_move_freely, descend, seeds
 from control.kinematics.planar_inverse import BRANCHES, Branch, PlanarInverse, planar_inverse
 from control.kinematics.pose_kinematics import PoseKinematics
-from control.kinematics.pose_solver import Task, task_of
+from control.kinematics.pose_solver import POSITION_TOLERANCE_M, Task, task_of
 from control.model.arm import Arm, Vector3
 
 __all__ = ["BRANCHES", "Branch", "InverseKinematics", "Solution"]
@@ -73,10 +73,21 @@ class InverseKinematics:
         """What the joints hold of the tip where its orientation matters; up to three joints hold the position only."""
         return task_of(self.poses, self.poses.joint_count > 3)
 
+    @cached_property
+    def moves_freely(self) -> bool:
+        """Whether the joints move the tip in all directions: not two joints, parallel axes only, or the tip on the third axis."""
+        return self.has_branches or can_move_freely(self.kinematics)
+
+    @property
+    def follows_position(self) -> bool:
+        """Whether a tip position alone fixes the joint angles, so that the loop can follow it: three joints that move freely."""
+        return len(self._rest) == 3 and self.moves_freely
+
     def prepare(self) -> None:
         """Compile now what jogs and status need, and not between two cycles."""
         self.poses.at(*self._rest)
-        self.held.freedom(len(self._rest))
+        if not self.follows_position:
+            self.held.freedom(len(self._rest))
 
     @property
     def has_branches(self) -> bool:
@@ -216,11 +227,12 @@ class InverseKinematics:
 
     def _nearest_numeric(self, target: Vector3, q_near: Sequence[float]) -> tuple[float, ...]:
         limits = np.array(self._range.limits)
+        enough_m = ACCURACY_M if self.moves_freely else POSITION_TOLERANCE_M
         best = Descent(tuple(q_near), math.inf)
         for start in seeds(limits, [q_near, self._rest]):
             end = descend(self.kinematics, target, start, limits)
             best = min(best, end, key=lambda descent: descent.distance_m)
-            if best.distance_m <= ACCURACY_M:
+            if best.distance_m <= enough_m:
                 self._check_weakest(target, best.q)
                 return best.q
         raise errors.out_of_reach(self._name, target, best.distance_m)
@@ -237,8 +249,8 @@ class InverseKinematics:
         return end.q
 
     def _check_weakest(self, target: Vector3, q: Sequence[float]) -> None:
-        """Raise NearSingular if an arm of three joints or more cannot move its tip in every direction."""
-        if len(q) < 3:
+        """Raise NearSingular if the tip cannot be moved in every direction, and could in other poses."""
+        if not self.moves_freely:
             return
         weakest = float(np.linalg.svd(self.kinematics.tip_jacobian(*q)[1], compute_uv=False)[-1])
         limit, pose = self._singular_margin_m, "losing a direction of motion"

@@ -22,7 +22,8 @@ def spelled(point: Sequence[float]) -> str:
 
 def out_of_reach(name: str, point: Sequence[float], distance_m: float) -> OutOfReach:
     """Return the error for a point that lies `distance_m` outside."""
-    message = f"arm {name}: {spelled(point)} is out of reach by {distance_m:.4f} m; choose a point nearer to the arm"
+    off = f"{distance_m:.4f}" if distance_m >= 1e-4 else f"{distance_m:.1g}"
+    message = f"arm {name}: {spelled(point)} is out of reach by {off} m; choose a point nearer to the arm"
     return OutOfReach(message, distance_m)
 
 

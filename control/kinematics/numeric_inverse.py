@@ -18,6 +18,8 @@ Residual = Callable[[Array], tuple[Array, Array]]
 """The tip's error (k,) [m] in a pose, and the tip's Jacobian (k, n) [m/rad]."""
 _STEPS = 100
 _SEEDS = 12
+PROBES = 24
+RANK_M = 1e-6  # m/rad: no real arm is so near to having lost a direction everywhere
 _STALLED = 1e-12  # converged if a step reduces the error by less than this share
 
 
@@ -27,6 +29,14 @@ class Descent:
 
     q: tuple[float, ...]
     distance_m: float
+
+
+def can_move_freely(kinematics: Kinematics) -> bool:
+    """Whether the joints move the tip in three directions in some pose."""
+    n = kinematics.joint_count
+    probes = np.random.default_rng(0).uniform(-np.pi, np.pi, (PROBES, n)).tolist()
+    rows = np.array([kinematics.tip_jacobian(*q)[1] for q in probes])
+    return n >= 3 and float(np.linalg.svd(rows, compute_uv=False)[:, -1].max()) > RANK_M
 
 
 def descend(kinematics: Kinematics, point: Sequence[float], start: Sequence[float], limits: Array) -> Descent:

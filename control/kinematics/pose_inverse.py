@@ -17,6 +17,7 @@ from control.kinematics.kinematics import Kinematics
 from control.kinematics.numeric_inverse import Array, descended, seeds
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.pose_solver import (
+    POSITION_TOLERANCE_M,
     TURN_LENGTH_M,
     SolvedPoses,
     Targets,
@@ -28,7 +29,6 @@ from control.kinematics.pose_solver import (
 from control.kinematics.rotation import Quaternion, checked_quaternion
 from control.model.arm import Arm, Vector3
 
-POSITION_TOLERANCE_M = 1e-4  # where the joints cannot hold all: a way-point read off this arm is nearer
 ORIENTATION_TOLERANCE_RAD = 2e-3  # the same: three decimals of a quaternion
 SINGULAR_MARGIN_M = 0.005  # m/rad, as for positions
 _SCATTERED, _SCATTERED_TURNED = 12, 40  # starting poses: with orientation, fewer of them lead to the target

@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.kinematics import rotation as rotations
+from control.kinematics.numeric_inverse import PROBES, RANK_M
 from control.kinematics.pose_kinematics import PoseKinematics, Poses
 
 Array = NDArray[np.float64]
 ACCURACY = 1e-9  # m and rad
+POSITION_TOLERANCE_M = 1e-4  # where the joints cannot hold all: a way-point read off this arm is nearer
 # A turn of 1 rad counts as much as 0.1 m, about a hand's length, where metres and radians have to be weighed.
 TURN_LENGTH_M = 0.1
 _POSITION, _ORIENTATION = (0, 1, 2), (3, 4, 5)
@@ -29,16 +31,18 @@ _QUADRATIC = 1e-6  # rad: after a step this small, the next error is far below t
 _LINEAR = 1e-10  # rad: the same where nearest rows converge only linearly
 _POSTURE_WEIGHT = 1e-8  # m^2: of the posture beside the nearest rows; moves the tip by nothing that shows
 _RIDGE = 1e-13  # m^2: keeps singular poses solvable; slows convergence there
-_PROBES = 24
-_RANK_M = 1e-6  # m/rad: no real arm is so near to having lost a direction everywhere
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Rows of the tip (0 to 2 position, 3 to 5 orientation) that are held exactly, and those held as nearly as possible."""
+    """Rows of the tip (0 to 2 position, 3 to 5 orientation) that are held exactly, and those held as nearly as possible.
+
+    `rank`: in how many directions the joints can move the exact rows, or, without any, the nearest ones.
+    """
 
     exact: tuple[int, ...]
     nearest: tuple[int, ...]
+    rank: int
 
     @property
     def has_orientation(self) -> bool:
@@ -47,6 +51,8 @@ class Task:
 
     def freedom(self, joint_count: int) -> int:
         """Number of directions that are left to the posture."""
+        if not self.exact:
+            return joint_count - self.rank
         return max(joint_count - len(self.exact) - len(self.nearest), 0)
 
 
@@ -71,15 +77,17 @@ class SolvedPoses:
 def task_of(kinematics: PoseKinematics, has_orientation: bool) -> Task:
     """What this arm's joints can hold: rows that they can move independently in some pose are held exactly."""
     wanted = (_POSITION, _ORIENTATION) if has_orientation else (_POSITION,)
-    probes = np.random.default_rng(0).uniform(-np.pi, np.pi, (_PROBES, kinematics.joint_count))
+    probes = np.random.default_rng(0).uniform(-np.pi, np.pi, (PROBES, kinematics.joint_count))
     jacobians = scaled(kinematics.batch(probes).jacobian)
     for count in range(len(wanted), 0, -1):
         exact = sum(wanted[:count], ())
         if len(exact) <= kinematics.joint_count:
             smallest = np.linalg.svd(jacobians[:, exact], compute_uv=False)[:, -1]
-            if smallest.max() > _RANK_M:
-                return Task(exact, sum(wanted[count:], ()))
-    return Task((), sum(wanted, ()))
+            if smallest.max() > RANK_M:
+                return Task(exact, sum(wanted[count:], ()), len(exact))
+    rows = sum(wanted, ())
+    sizes = np.linalg.svd(jacobians[:, rows], compute_uv=False)
+    return Task((), rows, max(int((sizes > RANK_M).sum(axis=1).max()), 1))
 
 
 def scaled(jacobians: Array) -> Array:
@@ -90,7 +98,7 @@ def scaled(jacobians: Array) -> Array:
 def margins(task: Task, jacobians: Array) -> Array:
     """Least travel of the tip per radian in its weakest direction (m,) [m/rad]: the distance from a singular pose."""
     rows = task.exact or task.nearest
-    return np.asarray(np.linalg.svd(scaled(jacobians)[:, rows], compute_uv=False)[:, -1])
+    return np.asarray(np.linalg.svd(scaled(jacobians)[:, rows], compute_uv=False)[:, task.rank - 1])
 
 
 def errors(targets: Targets, tip: Poses) -> Array:

@@ -209,7 +209,7 @@ class Jogging:
             return JointJog(set_point, self._limits.joints)
         if self._guard is None:
             raise ArmError("a tip jog needs every joint homed: home the arm first (`armwright home`)")
-        if len(set_point.q_rad) != 3:
+        if not self._inverse.follows_position:
             guard = RestGuard(self._guard.resting_pose, self._guard.objection)
             inverse, limits = self._inverse, self._limits
             return PoseJog(

@@ -216,7 +216,9 @@ def _follower(
 ) -> Follower:
     """Positions of three joints have branches or scalar solutions; everything else follows a posture."""
     if arm.joint_count == 3 and waypoints.orientations is None:
-        return BranchFollower(inverse or InverseKinematics(arm), kinematics, waypoints)
+        inverse = inverse or InverseKinematics(arm)
+        if inverse.follows_position:
+            return BranchFollower(inverse, kinematics, waypoints)
     poses = inverse.poses if inverse is not None else PoseKinematics(kinematics)
     return PostureFollower(arm, PoseInverse(arm, poses), waypoints)
 

@@ -13,11 +13,19 @@ from control.errors import ArmError
 from control.kinematics import inverse_errors as problems
 from control.kinematics.pose_inverse import (
     ORIENTATION_TOLERANCE_RAD,
-    POSITION_TOLERANCE_M,
+    SINGULAR_MARGIN_M,
     PoseInverse,
     TipPose,
 )
-from control.kinematics.pose_solver import TURN_LENGTH_M, Targets, joint_rates, margins, solve
+from control.kinematics.pose_solver import (
+    POSITION_TOLERANCE_M,
+    TURN_LENGTH_M,
+    SolvedPoses,
+    Targets,
+    joint_rates,
+    margins,
+    solve,
+)
 from control.model.arm import Arm
 from control.motion import checks
 from control.motion.errors import PathError
@@ -122,15 +130,23 @@ class PostureFollower:
             travel_rad = float(np.abs(found.q_rad - poses[-1]).max())
             if travel_rad > JUMP_RAD or not found.is_solved[0]:
                 where, number = checks.place(self._waypoints, spline.times_s, time_s)
-                off_m = float(np.linalg.norm(found.error[0, :3]))
-                problem = (
-                    problems.jump(self._name, position, travel_rad, JUMP_RAD)
-                    if found.is_solved[0]
-                    else problems.out_of_reach(self._name, position, off_m)
-                )
+                problem = self._lost(position, found, travel_rad)
                 raise PathError(f"{where}: {problem}; nothing was moved", number)
             poses.append(found.q_rad)
         return fractions, [tuple(q[0].tolist()) for q in poses]
+
+    def _lost(self, position: Sequence[float], found: SolvedPoses, travel_rad: float) -> ArmError:
+        """Why no pose follows the one before."""
+        off_m = float(np.linalg.norm(found.error[0, :3]))
+        if found.is_solved[0]:
+            return problems.jump(self._name, position, travel_rad, JUMP_RAD)
+        if off_m > POSITION_TOLERANCE_M:
+            return problems.out_of_reach(self._name, position, off_m)
+        margin = float(
+            margins(self._task, found.tip.jacobian)[0]
+        )  # so near, Newton's method only fails there
+        pose = "losing a direction of motion"
+        return problems.near_singular(self._name, position, "arm", margin, SINGULAR_MARGIN_M, "m/rad", pose)
 
     # ---- samples
 

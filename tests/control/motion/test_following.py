@@ -1,14 +1,16 @@
 """Paths of arms of two to seven joints: tip and orientation as asked for, rates that fit, limits, what is refused and where."""
 
 from dataclasses import replace
+from math import pi
 
 import numpy as np
 import pytest
 
-from benchmarks.arms import ARMS, FIVE, FOUR, SEVEN, SIX, TWO
+from benchmarks.arms import ARMS, FIVE, FOUR, SEVEN, SIX, TWO, arm_of
 from benchmarks.tip_paths import circle_in_place, tip_of, turned_in_place
 from control.errors import ArmError
 from control.kinematics import rotation
+from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.model.arm import Arm
@@ -199,3 +201,17 @@ def test_angular_velocity_is_continuous_and_with_its_acceleration_fits_the_rotat
     ends = spline.sample(np.array([0, 1]), np.array([1.0, 1.5])).velocity_rad_s
     starts = spline.sample(np.array([1, 2]), np.array([0.0, 0.0])).velocity_rad_s
     np.testing.assert_allclose(ends, starts, atol=1e-9)
+
+
+def test_a_third_joint_that_does_not_move_the_tip_leaves_it_its_surface() -> None:
+    rest = (0.24, 1.14, -0.03)
+    rows = [(0.0, 0.0, 0.121, 0.0), (0.0, pi / 2, 0.0, -pi / 2), (0.258, 0.0, 0.159, -pi / 2)]
+    arm = arm_of("on its last axis", rows, "modified", rest, tool_m=(0.0, 0.0, 0.039))
+    kinematics = Kinematics(arm)
+    taught = [np.round(kinematics.tip(*(np.array(rest) + 0.1 * k)), 6).tolist() for k in range(3)]
+    planned = plan_path(arm, taught, 0.1)
+    assert np.abs(kinematics.tips(np.array(planned.q_waypoints_rad)) - taught).max() < 1e-4
+    assert (
+        np.abs(kinematics.tip(*InverseKinematics(arm).nearest(taught[1], rest)) - np.array(taught[1])).max()
+        < 1e-4
+    )
