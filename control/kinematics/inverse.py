@@ -39,7 +39,7 @@ class Solution:
 
 
 class InverseKinematics:
-    """Joint angles for tip positions of one arm, to 1e-9 m.
+    """Joint angles for tip positions of one arm, to 1e-9 m; to 0.1 mm where the tip moves on a surface (`moves_freely`).
 
     `elbow_margin_rad` and `shoulder_margin_m` are the required distances from singular poses; for arms
     of another structure, `singular_margin_m` is the least tip travel per radian in the weakest direction.

@@ -167,3 +167,20 @@ def test_ports_that_keep_their_names_are_suggested_first() -> None:
     assert usual_ports(3, here) == ("/dev/serial/by-id/usb-FTDI-if00",)
     assert usual_ports(6, here) == ("/dev/ttyACM0", "/dev/ttyACM1")
     assert usual_ports(3, []) == ("/dev/ttyACM0",)
+
+
+def test_a_model_whose_joints_do_not_move_its_tip_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    joints = "".join(
+        f'<joint name="{parent}{child}" type="continuous"><origin xyz="0 0 0.1"/><parent link="{parent}"/>'
+        f'<child link="{child}"/><axis xyz="0 0 1"/></joint>'
+        for parent, child in ("ab", "bc")
+    )
+    (tmp_path / "spin.urdf").write_text(
+        f'<robot name="spin"><link name="a"/><link name="b"/><link name="c"/>{joints}</robot>'
+    )
+    out = tmp_path / "arm.toml"
+    assert main(["arm", "--from-urdf", str(tmp_path / "spin.urdf"), "--out", str(out)]) == 2
+    assert "no joint moves its tip" in capsys.readouterr().err
+    assert not out.exists()
