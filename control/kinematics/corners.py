@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from control.errors import MissingModel
 from control.kinematics import chain
 from control.kinematics.straight_line import compile_function
 from control.kinematics.tracing import Graph, Symbol
@@ -26,11 +27,16 @@ class Corners:
     """
 
     def __init__(self, arm: Arm) -> None:
+        """MissingModel if nothing of the arm moves: the tip and all frames lie on all axes."""
         self._arm = arm
         graph = Graph()
         names = [graph.variable(f"q{i}") for i in range(1, arm.joint_count + 1)]
         self._inputs = names
         self._traced, self.first_free, self.radii_m = _traced(arm, names)
+        if not self._traced:
+            raise MissingModel(
+                f"arm {arm.name}: no joint moves its tip or a link: check d_m and L_m of its links, and the tip"
+            )
         self.joints, self.start_m = _carried(arm, names)
 
     @cached_property

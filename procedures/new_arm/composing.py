@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arm_import import SerialArm, arm_links, friction_effects
-from control.errors import ArmError
 from control.kinematics.corners import Corners
 from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
 from procedures.new_arm.answers import Answers
@@ -70,12 +69,8 @@ def _limits(serial: SerialArm) -> tuple[Limits, list[str]]:
 
 
 def _floor_below(arm: Arm, rest: tuple[float, ...], limits: Limits) -> tuple[Limits, list[str]]:
-    """A base link whose origin is not on the floor: the floor is then below the arm at rest. ArmError if nothing moves."""
-    lowest = min((float(corner[2, 0]) for corner in Corners(arm).batch(np.array([rest]))), default=math.nan)
-    if math.isnan(lowest):
-        raise ArmError(
-            f"arm {arm.name}: no joint moves its tip, which lies on all axes: name another link with --tip"
-        )
+    """A base link whose origin is not on the floor: the floor is then below the arm at rest."""
+    lowest = min(float(corner[2, 0]) for corner in Corners(arm).batch(np.array([rest])))
     if lowest >= limits.floor_z_m:
         return limits, []
     floor = round(lowest - BELOW_REST_m, 3)
