@@ -25,12 +25,14 @@ def look_at_last_recording(folder: Path) -> list[Finding]:
     newest = max(files, key=lambda path: path.stat().st_mtime)
     try:
         recording = Recording.open(newest)
-        columns = _columns(recording)
+        with np.errstate(invalid="ignore"):  # damaged rows
+            columns = _columns(recording)
     except (ArmError, OSError, ValueError) as error:
         return [Finding(Level.WARN, GROUP, newest.name, "cannot be read", "", str(error))]
     if columns is None or len(columns) < 2:
         return []
-    return _judged(newest.name, columns, float(recording.header.get("period_s", 0.002)))
+    with np.errstate(all="ignore"):
+        return _judged(newest.name, columns, float(recording.header.get("period_s", 0.002)))
 
 
 def _columns(recording: Recording) -> NDArray[np.float64] | None:
@@ -46,7 +48,7 @@ def _columns(recording: Recording) -> NDArray[np.float64] | None:
 
 def _judged(name: str, columns: NDArray[np.float64], period_s: float) -> list[Finding]:
     t_s, missed, late_s, age_s, switches, page_faults = columns.T
-    duration_s = max(float(t_s[-1] - t_s[0]), period_s)
+    duration_s = max(float(t_s[-1] - t_s[0]), 1e-6)
     age_s = age_s[np.isfinite(age_s)]
     p50, p99 = (float(np.quantile(age_s, share)) if len(age_s) else float("nan") for share in (0.5, 0.99))
     late_p99 = float(np.quantile(late_s, 0.99))
