@@ -92,10 +92,10 @@ class PairStage:
 
         def look() -> None:
             robots = self.bench.rig.mock.robots
-            poses = (
+            first, second = (
                 body.at(robots[name].joint_rad()) for body, name in zip((one, two), cell.names, strict=True)
             )
-            gap_m = least_gap(*poses, pairs, TOUCHED_m).gap_m
+            gap_m = least_gap(first, second, pairs, TOUCHED_m).gap_m
             if gap_m < TOUCHED_m:
                 self.complaint = self.complaint or f"the arms came within {1e3 * gap_m:.0f} mm"
 
