@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.calibration.trust_coverage import AMONG, ROUGHNESS, session
+from benchmarks.calibration.trust_coverage import AMONG, ROUGHNESS, Session, session
 from benchmarks.gap.static.cases import ARM, NOISE_m
+from benchmarks.gap.static.physics import Hidden
 from benchmarks.gap.static.rough_cases import Rough, several
 from benchmarks.studies import add_options
 from calib.arrays import Array
@@ -27,6 +28,7 @@ from calib.trust.trust import MapRequest, trust_in
 from control.kinematics.inverse import InverseKinematics
 
 VISITS = 30
+SERVO_ROUNDS = 3  # until encoders stand where they are commanded to; effects are milliradians
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,7 @@ def figures_of_case(cases: Cases, number: int) -> tuple[PoseFigures, ...]:
     seed = cases.first_seed + number
     rng = np.random.default_rng(seed + 5)
     hidden = several(rng, int(rng.integers(3, 7)), AMONG) if cases.sort == "rough" else ()
-    with Rough(seed, ROUGHNESS):
-        made = session(seed, hidden, np.tile(cases.q_rad, (VISITS, 1)))
+    made = _commanded(seed, hidden, np.tile(cases.q_rad, (VISITS, 1)))
     arm = calibrate(ARM, made.points, CalibrationPlan(starts_count=2)).arm
     trust = trust_in(arm, made.points, MapRequest(poses_count=300, is_checked=False))
     names = [f"P{k + 1}" for k in range(len(cases.q_rad))] * VISITS
@@ -57,6 +58,16 @@ def figures_of_case(cases: Cases, number: int) -> tuple[PoseFigures, ...]:
         return pose_figures(trust.predictor, arm, programme, "points.csv")
     except UnusablePointsError:  # few poses of an arm with effects may look like another arm's
         return ()
+
+
+def _commanded(seed: int, hidden: tuple[Hidden, ...], encoder_rad: Array) -> Session:
+    """The session whose visits have these encoder angles, as a servo brings them about; effects move the joints."""
+    joint_rad = encoder_rad
+    for _ in range(SERVO_ROUNDS):
+        with Rough(seed, ROUGHNESS):
+            made = session(seed, hidden, joint_rad)
+        joint_rad = joint_rad + encoder_rad - made.unseen.q_rad
+    return made
 
 
 def poses_rad() -> Array:

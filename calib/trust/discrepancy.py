@@ -10,6 +10,7 @@ regression, Stat. Comput. 30, 2020) and a field over the tip's place. Nothing is
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Iterator
@@ -24,8 +25,16 @@ from calib.arm_problem.link_bending import beams, bending_m
 from calib.arrays import Array
 from calib.design.reach import joint_box
 from calib.points.points import Points
+from calib.trust.flanks import Gears, even_odds
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.static_pose import ROUNDING_Nm, gravity_Nm, resting, statics_of
+from control.dynamics.static_pose import (
+    CURRENT_NOISE_A,
+    ROUNDING_Nm,
+    gravity_Nm,
+    known_torque_per_A,
+    resting,
+    statics_of,
+)
 from control.errors import MissingModel
 from control.model.arm import Arm
 
@@ -111,6 +120,7 @@ class Discrepancy:
         rng = np.random.default_rng(SEED)
         sample = lower + (upper - lower) * rng.random((SAMPLE, len(lower)))
         self._statics = _statics_of(arm)
+        self.odds = even_odds(arm.joint_count)
         self._load_Nm = _largest_load_Nm(arm, sample, self._statics)
         self._bending = self._bending_scales(sample)
         self._waves, self._phases = _field_waves(arm, rng)
@@ -163,31 +173,59 @@ class Discrepancy:
         yield "direction", DIRECTION_rad, np.column_stack((side, wear))
 
     def _gears(self, at: Conditions) -> tuple[Array, Array]:
-        """Gravity torque over the largest, and the gear's flank (0 unclear), (m, n) each."""
-        if self._load_Nm is None:
+        """Gravity torque over the largest, and the mean of the gear's flank, (m, n) each."""
+        found = self._at_rest(at)
+        if found is None or self._load_Nm is None:
             return np.zeros(at.q_rad.shape), np.sign(at.direction)
+        scale_Nm = np.where(self._load_Nm > 0.0, self._load_Nm, np.inf)
+        return np.asarray(found.state.gravity_Nm / scale_Nm), found.expected()
+
+    def _at_rest(self, at: Conditions) -> Gears | None:
+        """The state of the gears; None without masses."""
+        if self._statics is None:
+            return None
         moving_Nm = 0.0 if at.moving_Nm is None else at.moving_Nm
-        state = resting(
-            self._arm, at.q_rad, at.direction, at.current_A, at.payload_kg, moving_Nm, self._statics
-        )
-        is_loaded = self._load_Nm > 0.0
-        return np.where(
-            is_loaded, state.gravity_Nm / np.where(is_loaded, self._load_Nm, 1.0), 0.0
-        ), state.flank
+        arm, statics = self._arm, self._statics
+        state = resting(arm, at.q_rad, at.direction, at.current_A, at.payload_kg, moving_Nm, statics)
+        return Gears(state, self.odds, CURRENT_NOISE_A * np.nan_to_num(known_torque_per_A(arm)))
+
+    def knowing(self, odds: Array) -> Discrepancy:
+        """The same with these odds (n, SHARES) of each joint's share of friction on the link's side."""
+        other = copy.copy(self)
+        other.odds = odds
+        return other
+
+    def by_play(self, at: Conditions, dh: Array, tool_m: Array) -> Array:
+        """The tip's displacement [m] by each joint's play, (m, 3, n)."""
+        return self._model.slopes(dh, at.q_rad, tool_m).by_dh[:, :, list(self._model.theta_places)]
 
     def unclear(self, at: Conditions, dh: Array, tool_m: Array) -> Array:
-        """The tip's displacement [m] by each joint's play, (m, 3, n), where its gear's flank is unclear; else 0."""
-        by_joint = self._model.slopes(dh, at.q_rad, tool_m).by_dh[:, :, list(self._model.theta_places)]
-        return np.asarray(by_joint * (self._gears(at)[1] == 0.0)[:, None, :])
+        """The same (m, 3, n), by the standard deviation of where its gear lies."""
+        return self.by_play(at, dh, tool_m) * np.sqrt(1.0 - self._gears(at)[1] ** 2)[:, None, :]
+
+    def odds_of(self, at: Conditions, left_m: Array, moves_m: Array, noise_m: float) -> Array:
+        """Odds (n, SHARES) by what is left (m, 3) at poses where full play moves the tip by moves_m (m, 3, n)."""
+        found = self._at_rest(at)
+        if found is None:
+            return self.odds
+        here_m = np.einsum("mij,mj->mi", moves_m, found.is_open * found.expected())
+        return found.told(left_m + here_m, moves_m, noise_m)
+
+    def strayed(self, at: Conditions, count: int, rng: np.random.Generator) -> Array:
+        """Draws of each gear's place between its flanks, -1 .. 1, beyond the mean, (count, m, n)."""
+        found = self._at_rest(at)
+        if found is None:
+            return np.where(at.direction == 0.0, rng.uniform(-1.0, 1.0, (count, *at.q_rad.shape)), 0.0)
+        return found.drawn(count, rng) - found.expected()
+
+    def play_places(self) -> list[int]:
+        """The column of each joint's play."""
+        named = zip(self.sources, self.slices, strict=True)
+        return [part.start for source, part in named if source.follows == "direction"]
 
     def plays_rad(self, weights: Array) -> Array:
         """Half the play of each joint (n,), by weights (columns,) of the columns."""
-        own = [
-            s.start
-            for source, s in zip(self.sources, self.slices, strict=True)
-            if source.follows == "direction"
-        ]
-        return np.asarray(np.abs(weights[own]))
+        return np.asarray(np.abs(weights[self.play_places()]))
 
     def _bending_scales(self, sample: Array) -> dict[int, float]:
         """For each link that can bend: its displacement of the tip for EI = 1, root mean square over the travel."""

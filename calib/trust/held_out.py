@@ -65,6 +65,7 @@ def _predicted(
 ) -> tuple[Array, Array]:
     """What is left at the poses `held` (h, 3), and its predicted covariance (h, 3, 3)."""
     found = posterior_of(problem, at, discrepancy, ~held)
+    discrepancy = discrepancy.knowing(found.odds)
     design, wanted = linearised(problem, at, discrepancy, found.x)
     rows = design[held]
     loose = loose_play_m2(discrepancy, at, problem.solution(found.x), found)[held]

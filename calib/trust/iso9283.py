@@ -70,12 +70,14 @@ def pose_figures(
 def _drawn(predictor: Predictor, at: Conditions, commanded_m: Array, seed: int) -> Array:
     """Attained minus commanded position (3,) or (m, 3) of each draw and visit, (DRAWS, m, 3)."""
     error, columns, posterior = predictor.at(at), predictor.columns(at), predictor.posterior
-    same = (posterior.draws(DRAWS, seed) - posterior.mean) @ columns.reshape(-1, columns.shape[2]).T
+    drawn, rng = posterior.draws(DRAWS, seed), np.random.default_rng(seed + 1)
+    same = (drawn - posterior.mean) @ columns.reshape(-1, columns.shape[2]).T
     measuring_m2 = max(0.0, posterior.noise_m**2 - predictor.repeat_m**2)
-    scatter = np.linalg.cholesky(error.random_m2 + (measuring_m2 + 1e-18) * np.eye(3))
-    normal = np.random.default_rng(seed + 1).standard_normal((DRAWS, len(at), 3))
+    scatter = np.linalg.cholesky(predictor.seated_m2(at) + (measuring_m2 + 1e-18) * np.eye(3))
+    normal = rng.standard_normal((DRAWS, len(at), 3))
     usual = error.tip_m + error.expected_m - commanded_m
-    return np.asarray(usual + same.reshape(DRAWS, -1, 3) + np.einsum("mij,dmj->dmi", scatter, normal))
+    play = predictor.drawn_play_m(at, drawn, rng)
+    return np.asarray(usual + same.reshape(DRAWS, -1, 3) + play + np.einsum("mij,dmj->dmi", scatter, normal))
 
 
 def _repeatability(off: Array) -> Array:

@@ -32,7 +32,8 @@ Mask = npt.NDArray[np.bool_]
 class Posterior:
     """Normal distribution of the unknowns z = (x, f): mean (k,), covariance (k, k); x are the first `x_count`.
 
-    noise_m: standard deviation of one axis that nothing explains; sizes: of each source, in its unit.
+    noise_m: standard deviation of one axis that nothing explains; sizes: of each source, in its unit. `odds`: of friction's
+    shares, for `Discrepancy.knowing`.
     """
 
     mean: Array
@@ -40,6 +41,7 @@ class Posterior:
     x_count: int
     noise_m: float
     sizes: Array
+    odds: Array
 
     @property
     def x(self) -> Array:
@@ -71,8 +73,24 @@ def posterior_of(
         logs = evidence.best(logs)
         found = evidence.posterior(logs)
         x = np.clip(found.x, -1.0 * _limits(problem), _limits(problem))
+        odds = _share_odds(problem, at, discrepancy, found, rows)
+        discrepancy = discrepancy.knowing(odds)
         loose_m2 = loose_play_m2(discrepancy, at, problem.solution(x), found)
     return found
+
+
+def _share_odds(
+    problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, found: Posterior, rows: Mask
+) -> Array:
+    """What the rows say about the shares of friction, given the play that the posterior expects."""
+    design, wanted = linearised(problem, at, discrepancy, found.x)
+    solved, plays = (
+        problem.solution(found.x),
+        found.mean[found.x_count :][discrepancy.play_places()],
+    )
+    moves_m = discrepancy.by_play(at, solved.dh, solved.tool_m) * plays
+    left_m = design @ found.mean - wanted
+    return discrepancy.odds_of(at, left_m * rows[:, None], moves_m * rows[:, None, None], found.noise_m)
 
 
 def linearised(
@@ -110,7 +128,7 @@ class Evidence:
         flat, y = design.reshape(-1, design.shape[2]), wanted.ravel()
         self._gram, self._moment, self._power, self._count = flat.T @ flat, flat.T @ y, float(y @ y), len(y)
         self._x_precision = 1.0 / x_variance
-        self._slices = discrepancy.slices
+        self._slices, self._odds = discrepancy.slices, discrepancy.odds
         self._widths = np.array([source.count for source in discrepancy.sources])
         usual = np.array([NOISE_m, *(source.usual for source in discrepancy.sources)])
         self._usual = np.log(usual)
@@ -128,7 +146,7 @@ class Evidence:
         """The unknowns' distribution, given noise and sizes."""
         mean, covariance, _ = self._solved(logs)
         sizes = np.exp(logs)
-        return Posterior(mean, covariance, len(self._x_precision), float(sizes[0]), sizes[1:])
+        return Posterior(mean, covariance, len(self._x_precision), float(sizes[0]), sizes[1:], self._odds)
 
     def _solved(self, logs: Array) -> tuple[Array, Array, float]:
         """Mean, covariance, log determinant of the precision."""

@@ -119,11 +119,21 @@ class Predictor:
 
     def scatter_m2(self, poses: Conditions) -> Array:
         """Covariance (m, 3, 3) of what differs from visit to visit: repeatability, loose gears, encoder steps."""
+        return self.seated_m2(poses) + loose_play_m2(self._discrepancy, poses, self._solved, self.posterior)
+
+    def seated_m2(self, poses: Conditions) -> Array:
+        """The same for gears that lie on their flanks."""
         slopes = self._model.slopes(self._arm.dh, poses.q_rad)
         by_joint = slopes.by_dh[:, :, list(self._model.theta_places)]
         steps = by_joint * encoder_steps_rad(self._arm) / math.sqrt(12.0)
-        loose = loose_play_m2(self._discrepancy, poses, self._solved, self.posterior)
-        return np.asarray(np.einsum("mik,mjk->mij", steps, steps) + loose + self.repeat_m**2 * np.eye(3))
+        return np.asarray(np.einsum("mik,mjk->mij", steps, steps) + self.repeat_m**2 * np.eye(3))
+
+    def drawn_play_m(self, poses: Conditions, drawn: Array, rng: np.random.Generator) -> Array:
+        """Displacement of the tip (d, m, 3) by gears whose flank is unclear, of each of the posterior's draws (d, k)."""
+        by_play = self._discrepancy.by_play(poses, self._solved.dh, self._solved.tool_m)
+        plays = drawn[:, self.posterior.x_count :][:, self._discrepancy.play_places()]
+        strayed = self._discrepancy.strayed(poses, len(drawn), rng)
+        return np.asarray(np.einsum("mij,dmj,dj->dmi", by_play, strayed, plays, optimize=True))
 
 
 def _is_tied(problem: ArmProblem) -> bool:

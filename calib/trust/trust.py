@@ -94,8 +94,9 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
     warnings = require_usable(arm, points, problem, choice)
     at = Conditions.recorded(arm, points)
     advance("identifying, with what the geometry lacks", 0.1)
-    discrepancy = Discrepancy(arm)
-    posterior = posterior_of(problem, at, discrepancy)
+    unknown = Discrepancy(arm)
+    posterior = posterior_of(problem, at, unknown)
+    discrepancy = unknown.knowing(posterior.odds)
     floor, freedom = noise_floor(arm, points, problem, posterior.x), 3 * len(problem) - posterior.x_count
     measuring_m, repeat_m = _noises_m(floor, posterior.noise_m, freedom)
     poses = workspace_poses(arm, (), request.poses_count)
@@ -107,7 +108,7 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
         for direction in DIRECTIONS
     )
     advance("predicting poses that are left out", 0.6)
-    coverage = coverage_of(problem, at, discrepancy) if request.is_checked else None
+    coverage = coverage_of(problem, at, unknown) if request.is_checked else None
     groups = importances(predictor, problem, discrepancy, Conditions.of(poses, 1.0, request.payloads_kg[0]))
     advance("done", 1.0)
     return Trust(

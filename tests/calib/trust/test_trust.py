@@ -14,12 +14,14 @@ from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.points.points import make_points
 from calib.trust.discrepancy import Conditions, Discrepancy
+from calib.trust.flanks import SHARES, Gears, even_odds
 from calib.trust.held_out import ELLIPSOID_95
 from calib.trust.iso9283 import pose_figures
 from calib.trust.posterior import Evidence, linearised, posterior_of
 from calib.trust.prediction import TipError
 from calib.trust.task import planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in, within_95_m
+from control.dynamics.static_pose import RestingPose
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Effect
 from control.motion.waypoints import Waypoints
@@ -73,10 +75,26 @@ def test_play_is_no_systematic_error_where_nothing_tells_the_flank() -> None:
     loose = trust.discrepancy.unclear(recorded(PLAY).unseen, ARM.dh, np.array(ARM.tool.position_m))
     error = trust.predictor.at(recorded(PLAY).unseen)
     scatter_m = np.sqrt(np.trace(error.random_m2, axis1=1, axis2=2))
-    is_loose = np.abs(loose[:, :, 2]).max(axis=1) > 0.1
+    moved = np.abs(loose[:, :, 2]).max(axis=1)  # by the standard deviation of where the gear lies
+    is_loose, is_sure = moved > 0.1, moved < 1e-3
     assert is_loose.any()
-    assert not is_loose.all()
-    assert scatter_m[is_loose].min() > 5.0 * scatter_m[~is_loose].max()
+    assert is_sure.any()
+    assert scatter_m[is_loose].min() > 5.0 * scatter_m[is_sure].max()
+
+
+def test_poses_with_visible_play_tell_the_share_of_friction_on_the_links_side() -> None:
+    rng = np.random.default_rng(3)
+    gravity, held = rng.uniform(-0.5, 0.5, (200, 1)), rng.choice((-1.0, 1.0), (200, 1))
+    open_ones = np.zeros(gravity.shape)
+    state = RestingPose(gravity, held, open_ones, open_ones, np.zeros(gravity.shape, dtype=bool))
+    gears = Gears(state, even_odds(1), np.array([0.01]))
+    move = np.tile([[[1e-3], [0.0], [0.0]]], (200, 1, 1))
+    left = move[:, :, 0] * np.sign(gravity + 0.3 * held) + rng.normal(0.0, 2e-4, (200, 3))
+    odds = gears.told(left, move, 2e-4)
+    assert odds[0] @ SHARES == pytest.approx(0.3, abs=0.03)
+    known = dataclasses.replace(gears, odds=odds)
+    clear = np.abs(gravity + 0.3 * held) > 0.1
+    assert np.allclose(known.expected()[clear], np.sign(gravity + 0.3 * held)[clear], atol=0.05)
 
 
 def test_a_map_without_points_far_from_the_table_says_so() -> None:
