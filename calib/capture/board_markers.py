@@ -9,8 +9,7 @@ import numpy as np
 
 from calib.arrays import frozen, norms
 from calib.boards.markers import Markers
-from calib.capture.tracks import Body, Capture, CaptureError, relative
-from control.kinematics.rotation import matrices
+from calib.capture.tracks import Body, Capture, CaptureError, placed_m, relative
 from control.model.arm import Arm
 from control.model.table import board_cavities, table_of
 
@@ -26,7 +25,6 @@ def board_markers(arm: Arm, capture: Capture, setup: str, base_body: str) -> Mar
             f' base_body = "{base_body}" and origin_m'
         )
     base = capture.body(base_body) if base_body else None
-    (turn,), origin = matrices(np.array([stream.orientation])), np.array(stream.origin_m)
     names, places = [], []
     cavities = board_cavities(table_of(arm))
     for full, track in capture.markers.items():
@@ -42,7 +40,7 @@ def board_markers(arm: Arm, capture: Capture, setup: str, base_body: str) -> Mar
                 f"{capture.path}: marker {full} moves: expected markers that stand in the board's cavities"
             )
         names.append(name)
-        places.append(turn @ seen.mean(axis=0) + origin)
+        places.append(placed_m(stream, seen.mean(axis=0)))
     if not names:
         there = ", ".join(capture.markers) or "none"
         raise CaptureError(

@@ -34,15 +34,14 @@ class Motion:
         runs = [one for one in log.runs if run is None or one.name == run]
         if not runs:
             raise CaptureError(f'{log.sources[0]}: no run "{run}": expected one of {", ".join(names)}')
-        t_s = np.concatenate([one.t_s + begin_s for one, begin_s in zip(runs, _begins_s(runs), strict=True)])
+        t_s = np.concatenate([one.t_s + begin_s for one, begin_s in zip(runs, begins_s(runs), strict=True)])
         if len(t_s) < 10 or not (np.diff(t_s) > 0.0).all():
             raise CaptureError(
                 f"{log.sources[0]}: its runs have clocks of their own, or too few samples: give the captured one with --run"
                 f" ({', '.join(names)})"
             )
         q_rad = np.concatenate([one.q_rad for one in runs])
-        leaps = np.abs(np.diff(q_rad, axis=0)).max(axis=1) > LEAP_rad + FASTEST_rad_s * np.diff(t_s)
-        first = int(np.flatnonzero(leaps)[-1]) + 1 if leaps.any() else 0
+        first = after_leaps(t_s, q_rad)
         if len(t_s) - first < 10:
             raise CaptureError(f"{log.sources[0]}: an angle leaps at its end: nothing is left behind it")
         said = (
@@ -75,19 +74,25 @@ class Motion:
         ]
 
 
-def _begins_s(runs: Sequence[Run]) -> list[float]:
+def after_leaps(t_s: Array, q_rad: Array) -> int:
+    """The first sample behind the last leap of an angle; homing gives a joint its zero."""
+    leaps = np.abs(np.diff(q_rad, axis=0)).max(axis=1) > LEAP_rad + FASTEST_rad_s * np.diff(t_s)
+    return int(np.flatnonzero(leaps)[-1]) + 1 if leaps.any() else 0
+
+
+def begins_s(runs: Sequence[Run]) -> list[float]:
     """What to add to each run's times: where runs begin at 0 again, their cycles say how long after the run before."""
-    begins, cycles = [0.0], [one.extra.get("cycle") for one in runs]
+    found, cycles = [0.0], [one.extra.get("cycle") for one in runs]
     for before, after, first, then in zip(runs[:-1], runs[1:], cycles[:-1], cycles[1:], strict=True):
         is_later = float(after.t_s[0]) > float(before.t_s[-1])
         if is_later or not first or not then or len(before) < 2:
-            begins.append(begins[-1] if is_later else 0.0)
+            found.append(found[-1] if is_later else 0.0)
             continue
         counts = [float(text) for text in (first[0], first[-1], then[0])]
         period_s = float(np.ptp(before.t_s)) / max(counts[1] - counts[0], 1.0)
-        end_s = begins[-1] + float(before.t_s[-1])
-        begins.append(end_s + (counts[2] - counts[1]) * period_s - float(after.t_s[0]))
-    return begins
+        end_s = found[-1] + float(before.t_s[-1])
+        found.append(end_s + (counts[2] - counts[1]) * period_s - float(after.t_s[0]))
+    return found
 
 
 def _speeds(t_s: Array, values: Array) -> Array:

@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.errors import CalibrationError
+from control.kinematics.rotation import matrices
+from control.model.camera import CameraStream
 
 Mask = npt.NDArray[np.bool_]
 IN_LINE = 0.1  # sine of the angle between two edges
@@ -107,6 +109,14 @@ def _motions(shape: Array, places: Array) -> tuple[Array, Array]:
     right[:, 2] *= sign[:, None]
     rotation = np.swapaxes(left @ right, 1, 2)
     return rotation, centre - rotation @ middle
+
+
+def placed_m(stream: CameraStream, seen_m: Array) -> Array:
+    """Places (..., 3) in the frame of a stream that a calibration has placed, in the arm's base frame."""
+    if stream.origin_m is None:
+        raise CaptureError("[camera.stream] has no origin_m: calibrate first")
+    (turn,) = matrices(np.array([stream.orientation]))
+    return np.asarray(seen_m @ turn.T + np.array(stream.origin_m))
 
 
 def relative(body: Body, base: Body) -> Body:

@@ -31,7 +31,9 @@ CSV_JOINT = (
     "i{}_A",
     "u{}_V",
     "temperature{}_C",
+    "counted{}_s",
 )
+DIGITS, STAMP_DIGITS = 9, 12  # a board that is on for ten days stamps 1e6 s, to the microsecond
 CSV_REST = ("cycle", "mode", "late_s", "busy_s", "missed")
 
 
@@ -44,12 +46,13 @@ def to_csv(
     empty where nothing was measured. `report` is called every thousand rows.
     """
     names = _csv_columns(recording.layout)
+    digits = [STAMP_DIGITS if name.startswith("counted") else DIGITS for name in names]
     with open_text(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         written = 0
         for row in _run_rows(recording, every, report):
-            writer.writerow([csv_cell(row[name]) for name in names])
+            writer.writerow([csv_cell(row[name], n) for name, n in zip(names, digits, strict=True)])
             written += 1
     return written
 
@@ -74,7 +77,7 @@ def _csv_columns(layout: Layout) -> list[str]:
     ]
     return [
         *CSV_SCALARS[:2],
-        *(n.format(j) for n in CSV_JOINT for j in joints),
+        *(name for n in CSV_JOINT for j in joints if (name := n.format(j)) in layout.names),
         *CSV_SCALARS[2:],
         *CSV_REST,
         *(name for name in more if name in layout.names),
@@ -89,11 +92,11 @@ def open_text(path: Path) -> TextIO:
     return path.open("w", encoding="utf-8", newline="")
 
 
-def csv_cell(value: float) -> str:
-    """A number of a recording; empty for NaN."""
+def csv_cell(value: float, digits: int = DIGITS) -> str:
+    """A number of a recording; empty for what is not there yet: NaN, or a time before all others."""
     if isinstance(value, int):
         return str(value)
-    return "" if math.isnan(value) else f"{value:.9g}"
+    return f"{value:.{digits}g}" if math.isfinite(value) else ""
 
 
 def _rows(recording: Recording) -> Iterator[Row]:

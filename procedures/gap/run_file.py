@@ -12,11 +12,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from calib.gap.log import Run
 from calib.points.writer import replace_file
 from control.model.arm import Arm
 from procedures.gap.timing import Aligned, Raw, aligned, clocks_of
 
 TIP = ("x_m", "y_m", "z_m")
+GROUPS = {"q{}_rad": "q_rad", "q{}_set_rad": "q_set_rad", "i{}_A": "current_A", "u{}_V": "voltage_V"}
 
 
 class RunFile:
@@ -68,23 +70,33 @@ def write_log(out: Path, arm: Arm, names: Sequence[str]) -> tuple[str, ...]:
     if not runs:
         return ()
     clocks = clocks_of(arm, [raw for _, raw in runs])
-    header = ["run", "t_s", *_joint_names(n), *TIP, "payload_kg"]
-    lines = [",".join(header)]
-    for name, raw in runs:
-        lines += _lines(name, aligned(arm, raw, clocks), raw.payload_kg)
-    replace_file(out / "log.csv", ("\n".join(lines) + "\n").encode())
+    text = log_text(n, [(name, aligned(arm, raw, clocks), raw.payload_kg) for name, raw in runs])
+    replace_file(out / "log.csv", text.encode())
     return clocks.in_words()
 
 
-def _lines(name: str, run: Aligned, payload_kg: float) -> list[str]:
-    table = np.column_stack((run.t_s, run.q_rad, run.q_set_rad, run.current_A, run.voltage_V, run.tip_m))
-    end = f"{payload_kg:g}"
-    return [",".join([name, *(_cell(x) for x in row), end]) for row in table.tolist()]
+def log_text(joint_count: int, runs: Sequence[tuple[str, Aligned | Run, float]]) -> str:
+    """log.csv of runs by their names, each with its payload [kg]; without the quantities that none of them has."""
+    groups = [[getattr(run, name) for _, run, _ in runs] for name in GROUPS.values()]
+    has = [any(np.isfinite(values).any() for values in group) for group in groups]
+    has[-1] |= any(isinstance(run, Run) and run.is_commanded for _, run, _ in runs)  # then none: driver off
+    names = [
+        name
+        for name, is_there in zip(_joint_names(joint_count), np.repeat(has, joint_count), strict=True)
+        if is_there
+    ]
+    lines = [",".join(["run", "t_s", *names, *TIP, "payload_kg"])]
+    for at, (name, run, payload_kg) in enumerate(runs):
+        there = [group[at] for group, is_there in zip(groups, has, strict=True) if is_there]
+        table = np.column_stack((run.t_s, *there, run.tip_m))
+        end = f"{payload_kg:g}"
+        lines += [",".join([name, *(_cell(x) for x in row), end]) for row in table.tolist()]
+    return "\n".join(lines) + "\n"
 
 
 def _joint_names(n: int) -> list[str]:
     """Column names by quantity."""
-    return [form.format(j) for form in ("q{}_rad", "q{}_set_rad", "i{}_A", "u{}_V") for j in range(1, n + 1)]
+    return [form.format(j) for form in GROUPS for j in range(1, n + 1)]
 
 
 def _cell(value: float, digits: int = 9) -> str:

@@ -119,20 +119,39 @@ def aligned(arm: Arm, raw: Raw, clocks: Clocks) -> Aligned:
     return Aligned(at - at[0], q, raw.q_set_rad[1:-1], current, raw.voltage_V[1:-1], tip)
 
 
-def _tips(arm: Arm, raw: Raw, clocks: Clocks, at: Array) -> Array:
-    """Assign frames to the rows nearest to their time, extrapolated by the tip's speed by at most half a cycle."""
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Camera frames: taken_s (k,), tip_m (k, 3), and the joints' angles and speeds (k, n) then."""
+
+    taken_s: Array
+    tip_m: Array
+    q_rad: Array
+    speed_rad_s: Array
+
+
+def tips_at_rows(arm: Arm, at: Array, frames: Frames) -> Array:
+    """Tips (m, 3) at the times `at` (m,) of rows, NaN without frame: each at its nearest row, moved on by the tip's speed."""
     tips = np.full((len(at), 3), np.nan)
-    if math.isnan(clocks.camera_s):
+    half_s = 0.5 * float(np.median(np.diff(at)))
+    after = np.clip(np.searchsorted(at, frames.taken_s), 1, len(at) - 1)
+    row = np.where(frames.taken_s - at[after - 1] < at[after] - frames.taken_s, after - 1, after)
+    ahead_s = at[row] - frames.taken_s
+    near = np.abs(ahead_s) <= 1.01 * half_s
+    if not near.any():
         return tips
+    moving = np.einsum("mij,mj->mi", Kinematics(arm).jacobians(frames.q_rad[near]), frames.speed_rad_s[near])
+    tips[row[near]] = frames.tip_m[near] + ahead_s[near, None] * moving
+    return tips
+
+
+def _tips(arm: Arm, raw: Raw, clocks: Clocks, at: Array) -> Array:
+    """Tips of the camera, at the rows' times."""
+    if math.isnan(clocks.camera_s):
+        return np.full((len(at), 3), np.nan)
     sees = _sees(raw)
     taken_s = raw.t_s[sees] - clocks.camera_s
-    row = np.round((taken_s - at[0]) / raw.period_s).astype(int)
-    within = (row >= 0) & (row < len(at))
-    row, taken_s = row[within], taken_s[within]
     q, speed, _ = _motion(raw, clocks.encoder, taken_s)
-    moving = np.einsum("mij,mj->mi", Kinematics(arm).jacobians(q), speed)
-    tips[row] = raw.tip_m[sees][within] + (at[row] - taken_s)[:, None] * moving
-    return tips
+    return tips_at_rows(arm, at, Frames(taken_s, raw.tip_m[sees], q, speed))
 
 
 def _current_slope_A_s(arm: Arm, q: Array, period_s: float) -> Array:

@@ -5,15 +5,18 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
+
+from calib.arrays import Array
 from calib.boards.markers import markers_text
 from calib.capture.alignment import Alignment, align
 from calib.capture.board_markers import board_markers
 from calib.capture.c3d import read_c3d
 from calib.capture.motion import Motion
 from calib.capture.poses import Rested, believed, poses_at_rest
-from calib.capture.tracks import Body, Capture, CaptureError, relative
+from calib.capture.tracks import Body, Capture, CaptureError, placed_m, relative
 from calib.capture.vicon_csv import read_vicon_csv
-from calib.gap.log import read_log
+from calib.gap.log import Log, read_log
 from calib.points.points import CAMERA_FRAME, STREAM_FRAME
 from calib.points.writer import write_points
 from control.errors import ArmError
@@ -21,16 +24,19 @@ from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
+from procedures.gap.captured import on_one_clock, with_tips
+from procedures.gap.run_file import log_text
 
 
 def run(given: argparse.Namespace) -> int:
     """Write points of the arm's rests, or markers of the board."""
     arm, out = load_arm(given.arm), Path(given.out)
-    file = out / ("markers.csv" if given.board_markers else "points.csv")
-    if file.exists():
-        raise ArmError(f"{file} exists already and is never overwritten: choose another --out")
+    files = [out / name for name in (("markers.csv",) if given.board_markers else ("points.csv", "log.csv"))]
+    for file in files:
+        if file.exists():
+            raise ArmError(f"{file} exists already and is never overwritten: choose another --out")
     require_writable(out)
-    return (_markers if given.board_markers else _points)(given, arm, file)
+    return (_markers if given.board_markers else _points)(given, arm, files[0])
 
 
 def _markers(given: argparse.Namespace, arm: Arm, file: Path) -> int:
@@ -54,20 +60,41 @@ def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
             "expected --log, the arm's log.csv, and --body, what is followed; or --board-markers"
         )
     log, _ = read_log(Path(given.log), arm.joint_count)
+    Motion.of(log, given.run)  # refuses what has no common clock
+    log, of_clock = on_one_clock(arm, log, given.run)
     motion, of_log = Motion.of(log, given.run)
     capture = _read(Path(given.file))
     body, said = _followed(capture, given.body, given.base_body)
     aligned = align(arm, motion, capture.t_s, body)
     rested = poses_at_rest(motion, capture.t_s, body, aligned, _frame(arm, given))
-    said = (*of_log, *said)
-    for sentence in (*said, *rested.left_out):
+    said = (*of_log, *said, *rested.left_out)
+    for sentence in said:
         sys.stderr.write(f"armwright: warning: {sentence}\n")
     write_points(file, rested.points)
+    written, about_log = _log_written(arm, given, log, motion, aligned.log_time(capture.t_s), body)
     if given.json:
-        sys.stdout.write(json.dumps(_summary(aligned, rested, file, (*said, *rested.left_out))) + "\n")
+        sys.stdout.write(json.dumps(_summary(aligned, rested, file, written, (*of_clock, *said))) + "\n")
     else:
-        sys.stdout.write(f"{_text(aligned, rested, body)}written: {file}\n")
+        about = "".join(f"{sentence}.\n" for sentence in of_clock)
+        sys.stdout.write(f"{about}{_text(aligned, rested, body)}written: {file}\n{about_log}\n")
     return 0
+
+
+def _log_written(
+    arm: Arm, given: argparse.Namespace, log: Log, motion: Motion, seen_s: Array, body: Body
+) -> tuple[Path | None, str]:
+    """Write log.csv with the measured tips, if the stream's frame is placed; the file and a sentence."""
+    stream = arm.camera.stream if arm.camera is not None else None
+    if stream is None or not stream.is_placed or _frame(arm, given) != STREAM_FRAME:
+        return None, (
+            "log.csv with tips: not yet, they are in the base frame; calibrate with these points, and import again with the"
+            " calibrated arm.toml, whose [camera.stream] has these bodies and their origin_m"
+        )
+    with_seen = with_tips(arm, log, motion, seen_s, placed_m(stream, body.position_m))
+    file = Path(given.out) / "log.csv"
+    write_whole(file, log_text(arm.joint_count, [(one.name, one, one.payload) for one in with_seen.runs]))
+    tips = sum(int(np.isfinite(one.tip_m[:, 0]).sum()) for one in with_seen.runs)
+    return file, f"written: {file}, with {tips} tips"
 
 
 def _read(path: Path) -> Capture:
@@ -103,7 +130,9 @@ def _text(aligned: Alignment, rested: Rested, body: Body) -> str:
     )
 
 
-def _summary(aligned: Alignment, rested: Rested, file: Path, said: tuple[str, ...]) -> dict[str, object]:
+def _summary(
+    aligned: Alignment, rested: Rested, file: Path, log: Path | None, said: tuple[str, ...]
+) -> dict[str, object]:
     return {
         "format": "import-capture/1",
         "offset_s": aligned.offset_s,
@@ -115,4 +144,5 @@ def _summary(aligned: Alignment, rested: Rested, file: Path, said: tuple[str, ..
         "noise_m": rested.noise_m,
         "said": list(said),
         "file": str(file),
+        "log": str(log) if log is not None else None,
     }

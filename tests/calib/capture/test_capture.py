@@ -27,11 +27,13 @@ from control.model.description import save_arm
 from control.model.table import board_cavities, table_of
 from tests.calib.capture.recordings import (
     RIGHT,
+    SYSTEM,
     Both,
     CAPTURE_Hz,
     MARKERS_m,
     NOISE_m,
     NOISE_rad,
+    SYSTEM_m,
     both,
     c3d_bytes,
     vicon_csv,
@@ -257,6 +259,30 @@ def test_the_command_writes_points_of_the_stream_and_says_what_it_cannot_use(
         assert text in capsys.readouterr().err
     assert main([other[0], str(tmp_path / "x.c3d"), *other[2:], "--body", "M1+M2+M3+M4"]) == 0
     assert "poses at rest; noise of a frame 0." in capsys.readouterr().out
+
+
+def test_the_command_writes_the_log_with_tips_once_the_frame_is_placed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = both(14, span_s=14.0)
+    back = SYSTEM.inv()
+    stream = CameraStream("vicon", "tool", origin_m=tuple(-back.apply(SYSTEM_m)), orientation=_wxyz(back))
+    save_arm(dataclasses.replace(RIGHT, camera=Camera(stream=stream)), tmp_path / "arm.toml")
+    log = write_log(tmp_path / "log.csv", made)
+    (tmp_path / "v.csv").write_text(vicon_csv(made))
+    given = ["import-capture", str(tmp_path / "v.csv"), "--log", str(log), "--body", "tool", "--json"]
+    assert main([*given, "--out", str(tmp_path / "a")]) == 0  # an arm without a stream
+    said = json.loads(capsys.readouterr().out)
+    assert said["log"] is None
+    assert "no time stamps of the encoder boards" in said["said"][0]
+    assert main([*given, "--arm", str(tmp_path / "arm.toml"), "--out", str(tmp_path / "b")]) == 0
+    (run,) = read_log(Path(json.loads(capsys.readouterr().out)["log"]), 3)[0].runs
+    seen = np.isfinite(run.tip_m[:, 0])
+    assert seen.sum() == len(made.tau_s)
+    in_base = back.apply(made.place_m - SYSTEM_m)
+    true = np.column_stack([np.interp(run.t_s[seen] - 2.3217, made.tau_s, in_base[:, k]) for k in range(3)])
+    assert np.median(np.abs(run.tip_m[seen] - true)) < 2.0 * NOISE_m
+    np.testing.assert_allclose(run.q_rad, made.q_rad, atol=1e-5)
 
 
 def test_runs_with_clocks_of_their_own_are_not_joined(tmp_path: Path) -> None:
