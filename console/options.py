@@ -89,6 +89,17 @@ CELL = option(
 SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")
 OUT = option("--out", metavar="DIR", required=True, help="folder for the results; created if missing")
 JSON = option("--json", action="store_true", help="print JSON for another program")
+WIRE_AT = option(
+    "--wire-at",
+    metavar="NAME=X,Y,Z",
+    action="append",
+    help="the fixed point of a wire is known: in m, in the base frame; may be repeated",
+)
+FREE_ZERO = option(
+    "--free-zero",
+    action="store_true",
+    help="identify the zero of each wire, too: its readings count from an unknown length",
+)
 BOARDS = option(
     "--boards",
     metavar="FILE",

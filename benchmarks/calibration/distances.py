@@ -52,10 +52,15 @@ def recorded(
     tips: int = 0,
     zero_m: float = 0.0,
     sd_m: float = SD_m,
+    poses_of: int | None = None,
 ) -> Recorded:
-    """Readings of an arm: `each` of every wire by name, of a gauge, of pairs of poses, and measured tips."""
+    """Readings of an arm: `each` of every wire by name, of a gauge, of pairs of poses, and measured tips.
+
+    poses_of: a seed of other poses of the same arm.
+    """
     rng = np.random.default_rng(seed)
     true = RIGHT.with_dh(RIGHT.dh + rng.uniform(-1.0, 1.0, RIGHT.dh.shape) * SIZES)
+    rng = rng if poses_of is None else np.random.default_rng(poses_of)
     kinematics, q = Kinematics(true), list[Array]()
     device, length = list[str](), list[float]()
 
@@ -73,26 +78,28 @@ def recorded(
     for pair in range(pairs):
         angles = poses(rng, 2)
         read(f"between:{pair}", angles, np.full(2, np.linalg.norm(np.diff(kinematics.tips(angles), axis=0))))
-    noise = rng.normal(0.0, sd_m, len(length))
-    if pairs:
-        noise[-2 * pairs + 1 :: 2] = noise[-2 * pairs :: 2]  # both lines state one length
+    noise, first = rng.normal(0.0, sd_m, len(length)), len(length) - 2 * pairs
+    noise[first + 1 :: 2] = noise[first::2][:pairs]  # both lines of a pair state one length
     tip_rad = poses(rng, tips)
     seen = kinematics.tips(tip_rad) + rng.normal(0.0, sd_m, (tips, 3))
-    m = len(length) + tips
-    return Recorded(
-        true,
-        make_points(
-            ["free"] * m,
-            [str(k) for k in range(m)],
-            [1] * m,
-            np.concatenate((np.reshape(q, (-1, RIGHT.joint_count)), tip_rad)),
-            np.concatenate((np.full((len(length), 3), np.nan), seen)),
-            extra={
-                "distance_of": (*device, *[""] * tips),
-                "distance_m": (*(f"{v:.9f}" for v in np.array(length) + noise), *[""] * tips),
-                "distance_sd_m": (*[f"{sd_m:g}"] * len(length), *[""] * tips),
-            },
-        ),
+    return Recorded(true, _points(device, np.array(length) + noise, sd_m, np.array([*q, *tip_rad]), seen))
+
+
+def _points(device: list[str], length_m: Array, sd_m: float, q_rad: Array, seen_m: Array) -> Points:
+    """Readings (r,) of the first poses, tips (m - r, 3) of the others."""
+    r, m = len(length_m), len(q_rad)
+    none = [""] * (m - r)
+    return make_points(
+        ["free"] * m,
+        [str(k) for k in range(m)],
+        [1] * m,
+        q_rad,
+        np.concatenate((np.full((r, 3), np.nan), seen_m)),
+        extra={
+            "distance_of": (*device, *none),
+            "distance_m": (*(f"{v:.9f}" for v in length_m), *none),
+            "distance_sd_m": (*[f"{sd_m:g}"] * r, *none),
+        },
     )
 
 

@@ -82,13 +82,9 @@ def calibrate_with_distances(
     advance("where the devices stand", 0.0)
     tips, problem = _problem(arm, points, readings, plan)
     before = problem.errors_m(np.zeros(len(problem.parameters)))
-    if float(np.median(np.abs(before))) > FAR_OFF_m:
-        raise UnusablePointsError(
-            f"{where}: with the nominal arm the lengths are off by {1e3 * float(np.median(np.abs(before))):.0f} mm (median)"
-            " wherever the devices stand: expected joint angles in rad, lengths in m, of this arm"
-        )
+    require_of_arm(before, where)
     advance("identifying", 0.1)
-    best = _solved(problem, plan.objective)
+    best = solved(problem, plan.objective)
     x = best.x
     held = _held_out(problem, best.objective, advance)
     advance("done", 1.0)
@@ -104,6 +100,15 @@ def calibrate_with_distances(
         held,
         0 if tips is None else len(tips),
     )
+
+
+def require_of_arm(errors_m: Array, where: Path) -> None:
+    """UnusablePointsError for lengths that are of another arm, or in other units."""
+    if float(np.median(np.abs(errors_m))) > FAR_OFF_m:
+        raise UnusablePointsError(
+            f"{where}: with the nominal arm the lengths are off by {1e3 * float(np.median(np.abs(errors_m))):.0f} mm (median)"
+            " wherever the devices stand: expected joint angles in rad, lengths in m, of this arm"
+        )
 
 
 def _problem(
@@ -144,7 +149,7 @@ def _unit_m(arm: Arm, readings: Readings, inner: Problem | None) -> float:
     return float(np.median(stated)) if inner is None and len(stated) else POSITION_NOISE_m
 
 
-def _solved(problem: DistanceProblem, objective: Objective) -> Minimum:
+def solved(problem: DistanceProblem, objective: Objective) -> Minimum:
     """The minimum near the nominal arm. Huber's threshold begins with least squares and follows the fit, until outliers no longer
     raise it: a sum of distances, of rows that hold three lengths each, would make some of them zero.
     """
@@ -169,7 +174,7 @@ def _held_out(problem: DistanceProblem, objective: Objective, advance: Advance) 
         left = problem.of_readings(everything[~is_out])
         if not all(len(left.readings.of(device.name)) >= LEAST[device.kind] for device in _placed(problem)):
             return frozen(np.zeros(0))
-        x = _solved(left, objective).x
+        x = solved(left, objective).x
         held[is_out] = problem.errors_m(x)[is_out]
     return frozen(held)
 

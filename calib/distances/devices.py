@@ -75,26 +75,26 @@ class Device:
 
 
 def devices_of(
-    readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector]
+    readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int = 0
 ) -> tuple[Device, ...]:
     """All devices, at their starts by the nominal tips (m, 3). UnusablePointsError for too few readings of one.
 
-    known_m: fixed points of wires in the base frame, by the wires' names.
+    known_m: fixed points of wires in the base frame, by the wires' names; to_spare: readings beyond those that place a device.
     """
     names = list(dict.fromkeys(readings.device))
     for wire in known_m:
         if f"{WIRE}:{wire}" not in names:
             there = ", ".join(name.partition(":")[2] for name in names if name.startswith(WIRE)) or "none"
             raise UnusablePointsError(f'no wire "{wire}" in the readings: expected one of {there}')
-    return tuple(_device(name, readings, tips, free_zero, known_m) for name in names)
+    return tuple(_device(name, readings, tips, free_zero, known_m, to_spare) for name in names)
 
 
 def _device(
-    name: str, readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector]
+    name: str, readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int
 ) -> Device:
     rows, (kind, _, own) = readings.of(name), name.partition(":")
     is_known = kind == WIRE and own in known_m
-    least = 1 if is_known else LEAST[kind] + (kind == WIRE and free_zero)
+    least = 1 if is_known or kind == BETWEEN else LEAST[kind] + (kind == WIRE and free_zero) + to_spare
     if len(rows) < least:
         raise UnusablePointsError(
             f'"{name}": {len(rows)} readings, {least} are needed to find where it stands'

@@ -20,6 +20,9 @@ from calib.arrays import Array, frozen
 from calib.distances.devices import Device
 from calib.distances.readings import Readings, Rows
 
+RANK = 1e-9  # of singular values
+LEAST_SHARE = 0.05  # of a reading that does not place its own device
+
 
 class DistanceProblem:
     """Meets Problem."""
@@ -55,7 +58,7 @@ class DistanceProblem:
         self._devices_at = len(places)
         known = [(k, places[p.name]) for k, p in enumerate(left) if p.name in places]
         known += [(self._count + k, self._devices_at + k) for k in range(len(of_devices))]
-        self._from, self._to = (np.array(column, dtype=np.intp) for column in zip(*known, strict=True))
+        self._from, self._to = np.array(known, dtype=np.intp).reshape(-1, 2).T
         self._rows = [readings.of(device.name) for device in devices]
         sd = np.where(np.isnan(readings.sd_m), unit_m, readings.sd_m)
         self._weight = unit_m / sd
@@ -75,6 +78,23 @@ class DistanceProblem:
     def errors_m(self, x: Array) -> Array:
         """Measured minus modelled lengths, (r,)."""
         return self._lengths(x)[0]
+
+    def left_out_m(self, x: Array) -> Array:
+        """Errors (r,) of each reading with the unknowns that the others give, by first derivatives: e / (1 - leverage)."""
+        error, by_whole = self._lengths(x)
+        slopes = self._weight[:, None] * by_whole[:, self._to] * self._scale[self._from]
+        left, sizes, _ = np.linalg.svd(slopes, full_matrices=False)
+        leverage = (left[:, sizes > RANK * max(1e-300, sizes.max(initial=0.0))] ** 2).sum(axis=1)
+        return np.asarray(error / np.maximum(1.0 - leverage, LEAST_SHARE))
+
+    def along(self, x: Array) -> Array:
+        """Unit vectors (r, 3) along which each length grows with its (first) tip."""
+        dh, tool = self.arm_at(x)
+        tips, found = self.model.tips(dh, self.readings.q_rad, tool), np.zeros((len(self.readings), 3))
+        for device, rows, values in zip(self.devices, self._rows, self.device_values(x), strict=True):
+            first, second = self.readings.pose[rows].T
+            found[rows] = device.modelled(values, tips[first], tips[second])[1]
+        return found
 
     def device_values(self, x: Array) -> list[Array]:
         """Deviations of each device's unknowns, in its own order."""

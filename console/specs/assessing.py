@@ -3,9 +3,11 @@
 from console.options import (
     ARM,
     BOARDS,
+    FREE_ZERO,
     JSON,
     OUT,
     SOCKET,
+    WIRE_AT,
     CommandSpec,
     finite,
     option,
@@ -28,7 +30,13 @@ ASSESSING = (
             ),
             OUT,
             JSON,
-            option("--points", metavar="P", help="use recorded poses with measured tips; nothing moves"),
+            option(
+                "--points",
+                metavar="P",
+                help="use recorded poses with measured tips, or lengths; nothing moves",
+            ),
+            WIRE_AT,
+            FREE_ZERO,
             option("--mock", action="store_true", help="use a mock of the nominal arm in this process"),
             scenario(default="demo"),
             option(

@@ -1,6 +1,6 @@
 """Commands that identify arms and cameras from measurements."""
 
-from console.options import ARM, BOARDS, JSON, OUT, CommandSpec, finite, option, points
+from console.options import ARM, BOARDS, FREE_ZERO, JSON, OUT, WIRE_AT, CommandSpec, finite, option, points
 
 HISTORY = (
     option(
@@ -195,18 +195,9 @@ CALIBRATING = (
                 action="append",
                 help="parameters to keep fixed: theta4,L2",
             ),
-            option(
-                "--wire-at",
-                metavar="NAME=X,Y,Z",
-                action="append",
-                help="the fixed point of a wire is known: in m, in the base frame; may be repeated",
-            ),
+            WIRE_AT,
             option("--free-tool", action="store_true", help="identify where the tip is, too"),
-            option(
-                "--free-zero",
-                action="store_true",
-                help="identify the zero of each wire, too: its readings count from an unknown length",
-            ),
+            FREE_ZERO,
             JSON,
         ),
         "Nothing moves. Writes arm.toml and calibration.json; never overwrites.",

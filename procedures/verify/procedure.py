@@ -2,14 +2,19 @@
 
 import dataclasses
 import datetime
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from calib.arm_problem.joint_laws import LAWS
+from calib.distances.devices import Vector
+from calib.distances.readings import has_readings
+from calib.distances.verify import compare_lengths
+from calib.errors import CalibrationError
 from calib.inputs import InputFile, input_file
 from calib.points.arm_points import points_for
 from calib.points.points import Points
@@ -102,14 +107,28 @@ def driven(
     return _verification(pair, comparison, paths, tuple(how), used, (), is_driven=True)
 
 
-def on_recorded(pair: Pair, file: Path) -> Verification:
-    """The verification on static poses with measured tips: each model's prediction from the encoders."""
+def on_recorded(
+    pair: Pair, file: Path, free_zero: bool = False, known_m: Mapping[str, Vector] = MappingProxyType({})
+) -> Verification:
+    """The verification on static poses with measured tips, or lengths: each model's prediction from the encoders.
+
+    free_zero, known_m: of lengths, as in a calibration by them.
+    """
     nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
     points, warnings = points_for(calibrated, [file])
-    comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))
-    used_file = input_file(file, "recorded poses and measured tips")
+    if has_readings(points):
+        comparison = compare_lengths(nominal, calibrated, points, file, free_zero, known_m)
+        what = f"{len(comparison.setup)} lengths"
+        seen = int(np.isfinite(points.tip_m).all(axis=1).sum())
+        warnings += (f"{seen} measured tips beside the lengths were not compared",) if seen else ()
+    elif free_zero or known_m:
+        raise CalibrationError(f"{file}: --wire-at and --free-zero: expected lengths (docs/distances.md)")
+    else:
+        comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))
+        what = "measured tips"
+    used_file = input_file(file, f"recorded poses and {what}")
     how = (
-        f"Compared {len(points)} recorded poses of {file.name}: measured tips against the predictions of the nominal"
+        f"Compared {len(points)} recorded poses of {file.name}: {what} against the predictions of the nominal"
         " and the calibrated model from the encoders. Nothing moved.",
     )
     used = already_used(calibrated, points.q_rad, used_file.sha256)

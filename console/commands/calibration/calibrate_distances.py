@@ -2,7 +2,6 @@
 
 import argparse
 import datetime
-import math
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -11,18 +10,16 @@ from calib.arm_problem.assembly import Choice
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.distances.calibrate import DistancePlan, calibrate_with_distances
 from calib.distances.text import distances_json, distances_text
-from calib.errors import CalibrationError
 from calib.identify.objective import objective_named
 from calib.inputs import input_file
 from calib.points.arm_points import points_for
-from console.commands.calibration.options import bounds_of, names_in
+from console.commands.calibration.options import bounds_of, names_in, wires_at
 from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.description import load_arm
 from procedures.folders import require_writable
 
 RESULTS = ("arm.toml", "calibration.json")
-FARTHEST_m = 20.0
 
 
 def run(given: argparse.Namespace) -> int:
@@ -37,8 +34,9 @@ def run(given: argparse.Namespace) -> int:
         fixed=names_in(given.fix or []),
         freed=("tool",) if given.free_tool else (),
     )
-    known_m = dict(_known(text) for text in given.wire_at or [])
-    plan = DistancePlan(choice, given.free_zero, known_m, objective_named(given.objective))
+    plan = DistancePlan(
+        choice, given.free_zero, wires_at(given.wire_at or []), objective_named(given.objective)
+    )
     points, warnings = points_for(arm, [file])
     for warning in warnings:
         sys.stderr.write(f"armwright: warning: {warning}\n")
@@ -61,15 +59,3 @@ def run(given: argparse.Namespace) -> int:
     else:
         sys.stdout.write(distances_text(made) + "\n" + "".join(f"written: {one}\n" for one in files))
     return 0
-
-
-def _known(text: str) -> tuple[str, tuple[float, float, float]]:
-    """A wire's name and its fixed point [m]."""
-    name, _, place = text.partition("=")
-    try:
-        x, y, z = (float(value) for value in place.split(","))
-    except ValueError:
-        x = y = z = math.nan
-    if not name or not math.hypot(x, y, z) <= FARTHEST_m:
-        raise CalibrationError(f'--wire-at: expected NAME=X,Y,Z in m, such as A=0.9,-0.5,0.1, got "{text}"')
-    return name, (x, y, z)

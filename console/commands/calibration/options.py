@@ -1,5 +1,6 @@
 """Options that several commands of calibration share: lists of names, bounds of parameters, measured boards."""
 
+import math
 from pathlib import Path
 
 from calib.arm_problem.frames import Frame
@@ -7,6 +8,8 @@ from calib.arm_problem.parameters import Bounds
 from calib.boards.boards import read_boards
 from calib.errors import CalibrationError
 from console.quantities import quantity, unit_of
+
+FARTHEST_m = 20.0  # of a wire's fixed point
 
 
 def names_in(texts: list[str]) -> list[str]:
@@ -32,6 +35,23 @@ def bounds_of(texts: list[str]) -> Bounds:
         else:
             own[name] = quantity(value, unit_of(name), f"--bound {name}")
     return Bounds(own=own, **general)
+
+
+def wires_at(texts: list[str]) -> dict[str, tuple[float, float, float]]:
+    """Fixed points of wires [m] by their names."""
+    found = {}
+    for text in texts:
+        name, _, place = text.partition("=")
+        try:
+            x, y, z = (float(value) for value in place.split(","))
+        except ValueError:
+            x = y = z = math.nan
+        if not name or not math.hypot(x, y, z) <= FARTHEST_m:
+            raise CalibrationError(
+                f'--wire-at: expected NAME=X,Y,Z in m, such as A=0.9,-0.5,0.1, got "{text}"'
+            )
+        found[name] = (x, y, z)
+    return found
 
 
 def board_frames(file: str | None) -> dict[str, Frame]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from calib.errors import CalibrationError
 from calib.report.verification import Verification
 from calib.validation.verify import comparison_text
+from console.commands.calibration.options import wires_at
 from console.commands.connection import in_control_of
 from console.commands.progress import Bar
 from control.errors import ArmError
@@ -45,7 +46,10 @@ def run(given: argparse.Namespace) -> int:
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     require_writable(Path(given.out))
     if given.points is not None:
-        return _finish(given, on_recorded(pair, Path(given.points)), free_folder(Path(given.out)))
+        recorded = on_recorded(pair, Path(given.points), given.free_zero, wires_at(given.wire_at or []))
+        return _finish(given, recorded, free_folder(Path(given.out)))
+    if given.free_zero or given.wire_at:
+        raise ArmError("--wire-at and --free-zero are for lengths: give them with --points")
     programme = _programme(given, calibrated)
     out = free_folder(Path(given.out))
     drive = Drive.planned(pair, programme, _near(calibrated), out)

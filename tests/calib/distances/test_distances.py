@@ -25,12 +25,13 @@ from calib.distances import calibrate as module
 from calib.distances.calibrate import DistancePlan
 from calib.distances.readings import readings_of
 from calib.distances.text import distances_text
+from calib.distances.verify import compare_lengths
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import write_points
 from console.main import main
-from control.model.description import load_arm
+from control.model.description import load_arm, save_arm
 
 FILE = Path("lengths.csv")
 
@@ -156,6 +157,42 @@ def test_a_file_that_cannot_be_used_is_one_message(change: str, said: str) -> No
 def test_an_unknown_name_lists_those_there_are() -> None:
     with pytest.raises(CalibrationError, match="expected one of d1, theta1"):
         calibrated(recorded(0, "A", each=8), choice=Choice(fixed=("L9",)))
+
+
+def test_lengths_verify_an_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    of = recorded(6, "B", each=12, gauge=8, pairs=6, zero_m=WIRE_ZERO_m)
+    write_points(tmp_path / "new.csv", of.points)
+    save_arm(RIGHT.with_dh(of.true.dh), tmp_path / "arm.toml")
+    given = ["verify", "--arm", str(tmp_path / "arm.toml"), "--against", "right", "--json"]
+    new = ["--points", str(tmp_path / "new.csv"), "--free-zero"]
+    assert main([*given, *new, "--out", str(tmp_path / "v")]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert {name: one["after"]["count"] for name, one in said["by_setup"].items()} == {
+        "wire:B": 12, "gauge:G": 8, "between": 6, "all": 26,
+    }  # fmt: skip
+    for one in said["by_setup"].values():
+        assert one["after"]["mean_m"] < 3.0 * SD_m < 1e-3 < one["before"]["mean_m"]
+    for more, text in (
+        ([*new, "--wire-at", "C=0,0,1"], 'no wire "C" in the readings: expected one of B'),
+        ([*new, "--wire-at", "B=0,0"], "expected NAME=X,Y,Z in m"),
+        (["--free-zero"], "are for lengths: give them with --points"),
+    ):
+        assert main([*given, *more, "--out", str(tmp_path / "w")]) == 2
+        assert text in capsys.readouterr().err
+
+
+def test_a_reading_does_not_verify_the_place_of_its_own_device() -> None:
+    of = recorded(3, "A", each=7)
+    arm = dataclasses.replace(RIGHT.with_dh(of.true.dh))
+    found = compare_lengths(RIGHT, arm, of.points, FILE, False, {})
+    names, lengths = list(of.points.extra["distance_m"]), []
+    for row in (0, 3):
+        points = with_column(of.points, "distance_m", row, f"{float(names[row]) + 0.001:.9f}")
+        moved = compare_lengths(RIGHT, arm, points, FILE, False, {})
+        lengths.append(np.linalg.norm(moved.after_m[row] - found.after_m[row]))
+    assert np.allclose(lengths, 1e-3, atol=1e-4)  # none of it went into the wire's place
+    with pytest.raises(UnusablePointsError, match='"wire:A": 4 readings, 5 are needed'):
+        compare_lengths(RIGHT, arm, of.points.chosen(range(4)), FILE, False, {})
 
 
 def test_the_command_writes_a_calibrated_arm_and_calibrate_points_to_it(
