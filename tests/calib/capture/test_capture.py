@@ -232,6 +232,24 @@ def test_other_peoples_c3d_is_read_alike(tmp_path: Path) -> None:
     assert np.isnan(capture.markers["M2"][3]).all()
 
 
+def test_ezc3ds_files_in_metres_and_beside_analog_channels_are_read_alike(tmp_path: Path) -> None:
+    ezc3d = pytest.importorskip("ezc3d", reason="needs the writer that is the witness: pip install ezc3d")
+    markers = np.array(both(13, span_s=5.0).markers_m[:, :30])
+    markers[2, 3] = np.nan
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [CAPTURE_Hz]
+    file["parameters"]["POINT"]["UNITS"]["value"] = ("m",)
+    file["parameters"]["POINT"]["LABELS"]["value"] = tuple(f"arm:M{k}" for k in range(4))
+    file["parameters"]["ANALOG"]["RATE"]["value"] = [10.0 * CAPTURE_Hz]
+    file["parameters"]["ANALOG"]["LABELS"]["value"] = ("force", "torque")
+    file["data"]["points"] = np.vstack((markers.transpose(2, 0, 1), np.ones((1, 4, 30))))
+    file["data"]["analogs"] = np.ones((1, 2, 300))
+    file.write(str(tmp_path / "e.c3d"))
+    capture = read_c3d(tmp_path / "e.c3d")
+    np.testing.assert_allclose(np.stack(list(capture.markers.values())), markers, atol=2e-7)
+    assert list(capture.markers) == ["M0", "M1", "M2", "M3"]
+
+
 def test_the_command_writes_points_of_the_stream_and_says_what_it_cannot_use(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
