@@ -227,7 +227,7 @@ CALIBRATING = (
             OUT,
             JSON,
         ),
-        "Nothing moves. Writes points.csv; never overwrites.",
+        "Nothing moves. Writes points.csv, and log.csv with tips if the frame is placed; never overwrites.",
         module="calibration.import_capture",
     ),
     CommandSpec(
