@@ -19,3 +19,23 @@ def frozen(values: npt.ArrayLike) -> Array:
 def norms(vectors: Array) -> Array:
     """Euclidean length of each row: (m, 3) to (m,)."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+
+
+# OpenBLAS uses threads for products with more than 2^18 multiplications. They gain little on matrices this
+# slim, and if the other processors are busy, the product waits for them.
+SERIAL = 200_000
+
+
+def slim_product(left: Array, right: Array) -> Array:
+    """The product left @ right.T of (a, n) and (b, n), piece by piece."""
+    a, n = left.shape
+    b = len(right)
+    size = max(1, SERIAL // (a * b))
+    if n <= size:
+        return np.asarray(left @ right.T)
+    pieces = n // size
+    body = pieces * size
+    parts = left[:, :body].reshape(a, pieces, size).swapaxes(0, 1) @ right[:, :body].reshape(
+        b, pieces, size
+    ).transpose(1, 2, 0)
+    return np.asarray(parts.sum(axis=0) + left[:, body:] @ right[:, body:].T)

@@ -21,8 +21,7 @@ from hil_mocks.devices.motor_inputs import BRAKE, Frame, Output
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import CanOut, FaultPlan, Frames, Line, check_fault
 from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
-from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, as_built
-from hil_mocks.motor_wires import MotorWires
+from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, MotorWires, as_built
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import tool_parts
 from hil_mocks.plant.plant import Plant

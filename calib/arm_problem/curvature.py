@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.frames import left_jacobian
-from calib.arm_problem.slim_product import slim_product
-from calib.arrays import Array
+from calib.arrays import Array, slim_product
 
 DIFFERENCE_rad = 1e-6
 Order = npt.NDArray[np.intp]

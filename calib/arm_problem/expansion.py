@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.curvature import chain_curvature, frame_curvature, joint_curvature
-from calib.arm_problem.slim_product import slim_product
-from calib.arrays import Array
+from calib.arrays import Array, slim_product
 
 Places = npt.NDArray[np.intp]
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.arm_problem.slim_product import SERIAL, slim_product
-from calib.arrays import norms
+from calib.arrays import SERIAL, norms, slim_product
 from calib.errors import CalibrationError
 from calib.identify.box import step_in_box
 from calib.identify.budget import WithDistances
