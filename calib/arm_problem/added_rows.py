@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.protocol import Expanded
+from calib.arm_problem.expansion import Expanded
 from calib.arrays import Array
 
 

@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.added_rows import WithRows
+from calib.arm_problem.expansion import ALL
 from calib.arm_problem.frames import left_jacobian, mean_rotation, rotation_of
 from calib.arm_problem.parameters import Bounds, Parameter
 from calib.arm_problem.problem import ArmProblem, Turns
-from calib.arm_problem.protocol import ALL
 from calib.arrays import Array
 from control.kinematics.rotation import cross_matrices, logarithms
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arm_problem.expansion import ALL, Expanded, Problem
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.posed import PosedProblem
 from calib.arm_problem.problem import ArmProblem
-from calib.arm_problem.protocol import ALL, Expanded, Problem
 from calib.arrays import Array
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, POSITION_NOISE_m, problem_of, referenced
+from calib.arm_problem.expansion import Problem
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.problem import ArmProblem, Solution
-from calib.arm_problem.protocol import Problem
 from calib.arm_problem.weighted import WeightedProblem, whole_problem
 from calib.arrays import Array, frozen
 from calib.distances.devices import LEAST, Device, Vector, devices_of

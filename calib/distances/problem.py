@@ -13,9 +13,9 @@ import numpy as np
 
 from calib.arm_problem.added_rows import WithRows, in_threes
 from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.expansion import ALL, Problem
 from calib.arm_problem.parameters import Bounds, Parameter, dh_names, dh_parameters, require_known_names
 from calib.arm_problem.problem import TOOL_NAMES
-from calib.arm_problem.protocol import ALL, Problem
 from calib.arrays import Array, frozen
 from calib.distances.devices import Device
 from calib.distances.readings import Readings, Rows

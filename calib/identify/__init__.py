@@ -2,10 +2,10 @@
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.expansion import Problem
 from calib.arm_problem.observations import Observations
 from calib.arm_problem.parameters import Bounds, Parameter
 from calib.arm_problem.problem import ArmProblem
-from calib.arm_problem.protocol import Problem
 from calib.identify.identification import Identification, identify
 from calib.identify.objective import LeastSquares, Objective, SumOfDistances
 

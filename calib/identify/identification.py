@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arm_problem.checks import require_sound
+from calib.arm_problem.expansion import Problem
 from calib.arm_problem.problem import ArmProblem, Solution
-from calib.arm_problem.protocol import Problem
 from calib.arm_problem.weighted import WeightedProblem, posed_part, whole_problem
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.protocol import Problem
+from calib.arm_problem.expansion import Problem
 from calib.arrays import Array
 from calib.identify.objective import Objective
 

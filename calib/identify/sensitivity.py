@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.arm_problem.protocol import Problem
+from calib.arm_problem.expansion import Problem
 from calib.arrays import Array, Mask
 
 BLOCK: Final = 20_000  # poses: 8 MB for 16 unknowns

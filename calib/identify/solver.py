@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.arm_problem.protocol import Problem
+from calib.arm_problem.expansion import Problem
 from calib.arrays import Array, norms
 from calib.errors import CalibrationError
 from calib.identify.budget import Accuracy, WithDistances

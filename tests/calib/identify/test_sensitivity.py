@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.protocol import Problem
+from calib.arm_problem.expansion import Problem
 from calib.arm_problem.weighted import whole_problem
 from calib.identify import sensitivity, suspects
 from calib.identify.determinability import determinability
