@@ -32,7 +32,7 @@ class PolledLine(Protocol):
 
 
 class AskedEncoders:
-    """What encoders have in common whose board sends nothing by itself: there is no phase to follow, and no stream to count."""
+    """What encoders have in common that send no stream of reports and read no index: nothing to follow, count or watch."""
 
     reports_a_cycle = 0
     is_asked = True
@@ -40,6 +40,16 @@ class AskedEncoders:
     def frames(self) -> tuple[int, int]:
         """No stream of reports."""
         return 0, 0
+
+    def watch_indices(self, is_wanted: bool) -> None:
+        """No index is watched."""
+
+    def passed_indices(self) -> list[tuple[int, int]]:
+        """No index is watched."""
+        return []
+
+    def restore(self) -> None:
+        """Nothing is lost by a restart that the next answers do not bring."""
 
 
 class Encoders(Protocol):

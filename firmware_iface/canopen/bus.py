@@ -1,5 +1,6 @@
 """A CANopen bus, seen from the host: drained once a cycle; frames are dispatched to the nodes by id."""
 
+import math
 from collections.abc import Callable
 
 from firmware_iface.canopen import wire
@@ -14,13 +15,16 @@ HOST_NODE = 127  # the node id of our heartbeat
 class CanOpenBus:
     """One bus with its nodes, which add themselves. `synced_at_s` is when the last SYNC was sent."""
 
-    def __init__(self, link: FrameLink, clock: Clock) -> None:
+    def __init__(self, link: FrameLink, clock: Clock, heartbeat_every_s: float = math.inf) -> None:
+        """`heartbeat_every_s`: well within the time-out of the drives for it."""
         self.link = link
         self.clock = clock
         self.name = link.name
         self.problems: list[LinkError] = []
         self.synced_at_s = clock.now_s()
         self._handlers: dict[int, FrameHandler] = {}
+        self._heartbeat_every_s = heartbeat_every_s
+        self._next_heartbeat_s = -math.inf
 
     def add(self, node: int, handlers: dict[int, FrameHandler]) -> None:
         """Dispatch frames with these base ids of a node. Raises MisuseError."""
@@ -38,6 +42,13 @@ class CanOpenBus:
                     handler(payload, now_s)
         if self.problems:
             raise self.problems.pop(0)
+
+    def flush(self) -> None:
+        """End a cycle: all drives have their set-points and take them over at once. Raises LinkLost."""
+        if self.clock.now_s() >= self._next_heartbeat_s:
+            self.heartbeat()
+            self._next_heartbeat_s = self.clock.now_s() + self._heartbeat_every_s
+        self.sync()
 
     def sync(self) -> None:
         """Send SYNC: the nodes take over their set-points, and answer with what they measured then. Raises LinkLost."""

@@ -13,6 +13,7 @@ from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, State
 
 ANSWER_TIMEOUT_s = 0.1  # drives answer SDO within some ms; some take 50 ms to store a value
 ATTEMPTS = 2
+FRESH_WAIT_s = 0.1  # for an answer to SYNC
 _STEP_s = 0.001
 CYCLIC_POSITION: Final = 8
 CYCLIC_TORQUE: Final = 10
@@ -59,12 +60,12 @@ class Cia402Drive:
         self.name = name
         self.statusword = 0
         self.state: State | None = None
-        self.position = 0
+        self.count = 0
         self.torque_permille = 0
         self.at_s = -math.inf
         """When the drive measured them: the SYNC before they came."""
         self.supply_mV: int | None = None
-        self.inputs = 0
+        self._inputs = 0  # object 0x60FD
         self.errors: list[int] = []
         """Codes of emergency messages since the last acknowledged fault; 0x0000 is "no error" and not kept."""
         self.resets = 0
@@ -92,6 +93,16 @@ class Cia402Drive:
         """Name in messages: `CiA 402 drive "elbow" (node 3) on socketcan:can0`."""
         return f'CiA 402 drive "{self.name}" (node {self.node}) on {self._bus.name}'
 
+    @property
+    def counted_at_s(self) -> float:
+        """When the drive measured its position."""
+        return self.at_s
+
+    @property
+    def is_switch_on(self) -> bool:
+        """Whether its home input is on."""
+        return bool(self._inputs & HOME_INPUT)
+
     # ---- in the cycle
 
     def step_towards(self, wanted: State) -> None:
@@ -101,7 +112,7 @@ class Cia402Drive:
             self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         elif now is not wanted and (command := next_command(now, wanted)) is not None:
             self._controlword = int(command)
-        self._send(CYCLIC_POSITION, self.position, 0)
+        self._send(CYCLIC_POSITION, self.count, 0)
 
     def command_position(self, position: int) -> None:
         """Cyclic synchronous position."""
@@ -109,7 +120,7 @@ class Cia402Drive:
 
     def command_torque(self, permille: int) -> None:
         """Cyclic synchronous torque, in 1/1000 of the rated torque."""
-        self._send(CYCLIC_TORQUE, self.position, min(max(permille, -32768), 32767))
+        self._send(CYCLIC_TORQUE, self.count, min(max(permille, -32768), 32767))
 
     def limit_torque(self, permille: int) -> None:
         """At most so much of the rated torque, in every mode: told until the drive confirms it; does not wait."""
@@ -126,7 +137,7 @@ class Cia402Drive:
     def quick_stop(self) -> None:
         """Quick stop: the drive slows down by its own ramp and holds."""
         self._controlword = int(DriveCommand.QUICK_STOP)
-        self._send(CYCLIC_POSITION, self.position, 0)
+        self._send(CYCLIC_POSITION, self.count, 0)
 
     def _send(self, mode: int, position: int, permille: int) -> None:
         wrapped = (position + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
@@ -144,6 +155,18 @@ class Cia402Drive:
         self.rated_torque_Nm = self.read(RATED_TORQUE) * 1e-3
         self._is_known = True
         return self.identity
+
+    def await_count(self) -> None:
+        """Wait for a position that the drive measures from now on. Raises BoardSilent."""
+        clock, asked_s = self._bus.clock, self._bus.clock.now_s()
+        self._bus.heartbeat()
+        self._bus.sync()
+        while (now_s := clock.now_s()) - asked_s < FRESH_WAIT_s:
+            clock.wait_until_s(now_s + 0.5 * _STEP_s)
+            self._bus.update()
+            if self.at_s >= asked_s:
+                return
+        raise BoardSilent(f"{self.where}: no position within {FRESH_WAIT_s} s of a SYNC")
 
     def set_up(self, period_s: float, watchdog_s: float) -> None:
         """Map the PDOs, set the drive's time-out for our heartbeat and what it does then, and start the node.
@@ -188,7 +211,7 @@ class Cia402Drive:
                 DriveCommand.DISABLE_VOLTAGE,
             ):
                 self._controlword = int(command)
-                self._send(CYCLIC_POSITION, self.position, 0)
+                self._send(CYCLIC_POSITION, self.count, 0)
                 self._bus.heartbeat()
                 self._bus.sync()
                 clock.wait_until_s(clock.now_s() + 4 * _STEP_s)
@@ -238,13 +261,13 @@ class Cia402Drive:
 
     def _take_values(self, payload: bytes, now_s: float) -> None:
         if len(payload) == _TPDO_1.size:
-            self.statusword, self.position, self.torque_permille = _TPDO_1.unpack(payload)
+            self.statusword, self.count, self.torque_permille = _TPDO_1.unpack(payload)
             self.at_s = self._bus.synced_at_s
             self.state = STATE_OF_STATUSWORD[self.statusword & 0xFF]
 
     def _take_slow_values(self, payload: bytes, now_s: float) -> None:
         if len(payload) == _TPDO_2.size:
-            self.supply_mV, self.inputs = _TPDO_2.unpack(payload)
+            self.supply_mV, self._inputs = _TPDO_2.unpack(payload)
 
     def _take_emergency(self, payload: bytes, now_s: float) -> None:
         if len(payload) >= 2 and (code := int.from_bytes(payload[:2], "little")):

@@ -3,14 +3,15 @@
 import math
 import struct
 from collections.abc import Callable
-from typing import Final
+from typing import ClassVar, Final
 
 from firmware_iface.clock import Clock
 from firmware_iface.dynamixel import wire
 from firmware_iface.dynamixel.wire import Instruction
-from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
+from firmware_iface.errors import WrongIdentity
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion
+from firmware_iface.servo_line import ServoLine, ServoQuestion
+from firmware_iface.smart_servo import ServoWire, SmartServo
 
 REBOOT_s = 0.5
 MODEL, OPERATING_MODE, TORQUE_ENABLE, GOAL_POSITION, PROFILE, GOAL_CURRENT = 0, 11, 64, 116, 108, 102
@@ -44,59 +45,23 @@ class DynamixelLine(ServoLine):
         )
 
 
-def _question(
-    servo: int, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]
-) -> ServoQuestion:
-    return ServoQuestion(servo, made, parameter_bytes, taken, wire.status_in, wire.STATUS_OVERHEAD)
+class DynamixelServo(SmartServo):
+    """One Dynamixel X servo."""
 
-
-class DynamixelServo:
-    """Keeps the latest values of a servo and its goal; times are the host's, when the request was sent."""
+    CALLED = "Dynamixel"
+    WIRE: ClassVar[ServoWire] = wire
+    TORQUE = TORQUE_ENABLE
+    REMEDY = ", protocol 2.0"
 
     def __init__(self, line: DynamixelLine, number: int, name: str) -> None:
-        if number not in wire.IDS:
-            raise MisuseError(f'Dynamixel "{name}": ids are 0 to 252, got {number}')
-        self.number = number
-        self.name = name
-        self.goal = 0
-        self.position = 0
-        self.current_A = 0.0
-        self.supply_V = math.nan
-        self.temperature_degC = 0.0
-        self.at_s = -math.inf
-        self.is_torque_on: bool | None = None
-        self.hardware_error = 0
-        self.is_watchdog_expired = False
-        self.resets = 0
+        super().__init__(line, number, name)
         self.model = 0
-        self.problems: list[LinkError] = []
-        self._line = line
         self._current_unit_A = math.nan
         self._watchdog = 0
         self._mode = 0
-        self._force = ForceLimit(line, self._force_written)
-        self.values_question = _question(
-            number, lambda: wire.read(number, *VALUES_SPAN), VALUES_SPAN[1], self._take_values
-        )
-        self.state_question = _question(
-            number, lambda: wire.read(number, *STATE_SPAN), STATE_SPAN[1], self._take_state
-        )
-        self._torque = {
-            is_on: _question(number, self._torque_packet(is_on), 0, lambda data, at_s: None)
-            for is_on in (False, True)
-        }
+        self.values_question = self._reading(VALUES_SPAN, self._take_values)
+        self.state_question = self._reading(STATE_SPAN, self._take_state)
         line.servos.append(self)
-
-    @property
-    def where(self) -> str:
-        """Name in messages: `Dynamixel "elbow" (id 3) on /dev/ttyUSB0`."""
-        return f'Dynamixel "{self.name}" (id {self.number}) on {self._line.name}'
-
-    def post_torque(self, is_on: bool) -> None:
-        """Queue switching the torque, if it is not so already."""
-        if self.is_torque_on is not is_on:
-            self._line.post(self._torque[is_on])
-            self._line.post(self.state_question)
 
     # ---- outside of the cycle
 
@@ -143,7 +108,7 @@ class DynamixelServo:
 
     def _force_written(self, units: int, confirm: Callable[[], None]) -> ServoQuestion:
         made = wire.write(self.number, GOAL_CURRENT, struct.pack("<H", units))
-        return _question(self.number, lambda: made, 0, lambda data, at_s: confirm())
+        return self._question(lambda: made, 0, lambda data, at_s: confirm())
 
     def read_state(self) -> None:
         """Torque, errors, and all values as they are now."""
@@ -157,21 +122,6 @@ class DynamixelServo:
         self._converse(lambda: wire.packet(self.number, Instruction.REBOOT), 0, "REBOOT")
         clock = self._line.clock
         clock.wait_until_s(clock.now_s() + REBOOT_s)
-
-    def _read(self, address: int, count: int) -> bytes:
-        return self._converse(lambda: wire.read(self.number, address, count), count, f"READ {address}")
-
-    def _write(self, address: int, data: bytes) -> None:
-        self._converse(lambda: wire.write(self.number, address, data), 0, f"WRITE {address}")
-
-    def _converse(self, made: Callable[[], bytes], count: int, what: str) -> bytes:
-        answers: list[bytes] = []
-        question = _question(self.number, made, count, lambda data, _: answers.append(data))
-        remedy = f"check its supply, id {self.number}, protocol 2.0"
-        return self._line.ask(question, answers, self.where, what, remedy)
-
-    def _torque_packet(self, is_on: bool) -> Callable[[], bytes]:
-        return lambda: wire.write(self.number, TORQUE_ENABLE, bytes((is_on,)))
 
     # ---- answers
 
@@ -188,9 +138,4 @@ class DynamixelServo:
         self.is_watchdog_expired = watchdog == WATCHDOG_ERROR
         if self._watchdog and watchdog == 0:
             self._watchdog = 0
-            self.resets += 1
-            self.problems.append(
-                BoardReset(
-                    f"{self.where}: restarted by itself; its torque is off: check its supply and cable"
-                )
-            )
+            self._note_restart()

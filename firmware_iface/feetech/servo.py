@@ -1,15 +1,15 @@
 """One Feetech STS servo on a half-duplex line, seen from the host."""
 
-import math
 import struct
 from collections.abc import Callable
-from typing import Final
+from typing import ClassVar, Final
 
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
+from firmware_iface.errors import WrongIdentity
 from firmware_iface.feetech import wire
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion
+from firmware_iface.servo_line import ServoLine, ServoQuestion
+from firmware_iface.smart_servo import ServoWire, SmartServo
 
 MODEL, MODE, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 3, 33, 40, 41, 42, 46, 48
 STATE_SPAN = (40, 31)  # address and length: torque to current
@@ -30,51 +30,24 @@ class FeetechLine(ServoLine):
         return wire.sync_write(GOAL_POSITION, {servo.number: wire.raw(servo.goal) for servo in self.servos})
 
 
-class FeetechServo:
-    """Keeps the latest values of a servo and its goal; times are the host's, when the request was sent.
+class FeetechServo(SmartServo):
+    """One STS servo. It has no bus watchdog: without the host it holds its last goal."""
 
-    An STS has no bus watchdog: without the host it holds its last goal.
-    """
-
-    is_watchdog_expired = False
+    CALLED = "STS servo"
+    WIRE: ClassVar[ServoWire] = wire
+    TORQUE = TORQUE
 
     def __init__(self, line: FeetechLine, number: int, name: str) -> None:
-        if number not in wire.IDS:
-            raise MisuseError(f'STS servo "{name}": ids are 0 to 252, got {number}')
-        self.number, self.name = number, name
-        self.goal = self.position = 0
-        self.current_A = 0.0
-        self.supply_V = math.nan
-        self.temperature_degC = 0.0
-        self.at_s = -math.inf
-        self.is_torque_on: bool | None = None
-        self.hardware_error = 0
-        self.resets = 0
-        self.problems: list[LinkError] = []
-        self._line = line
+        super().__init__(line, number, name)
         self._is_wanted = self._must_be_on = False  # the torque
-        self._force = ForceLimit(line, self._force_written)
-        self.values_question = self.state_question = self._question(
-            lambda: wire.read(number, *STATE_SPAN), STATE_SPAN[1], self._take_state
-        )
-        self._torque = {
-            is_on: self._question(self._torque_packet(is_on), 0, lambda data, at_s: None)
-            for is_on in (False, True)
-        }
+        self.values_question = self.state_question = self._reading(STATE_SPAN, self._take_state)
         line.servos.append(self)
-
-    @property
-    def where(self) -> str:
-        """Name in messages: `STS servo "elbow" (id 3) on /dev/ttyUSB0`."""
-        return f'STS servo "{self.name}" (id {self.number}) on {self._line.name}'
 
     def post_torque(self, is_on: bool) -> None:
         """Queue switching the torque, if it is not so already."""
         self._is_wanted = is_on
         self._must_be_on &= is_on
-        if self.is_torque_on is not is_on:
-            self._line.post(self._torque[is_on])
-            self._line.post(self.state_question)
+        super().post_torque(is_on)
 
     # ---- outside of the cycle
 
@@ -121,25 +94,6 @@ class FeetechServo:
         self._is_wanted = self._must_be_on = False
         self._write(TORQUE, b"\0")
 
-    def _read(self, address: int, count: int) -> bytes:
-        return self._converse(lambda: wire.read(self.number, address, count), count, f"READ {address}")
-
-    def _write(self, address: int, data: bytes) -> None:
-        self._converse(lambda: wire.write(self.number, address, data), 0, f"WRITE {address}")
-
-    def _converse(self, made: Callable[[], bytes], count: int, what: str) -> bytes:
-        answers: list[bytes] = []
-        question = self._question(made, count, lambda data, _: answers.append(data))
-        return self._line.ask(question, answers, self.where, what, f"check its supply, id {self.number}")
-
-    def _question(
-        self, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]
-    ) -> ServoQuestion:
-        return ServoQuestion(self.number, made, parameter_bytes, taken, wire.status_in, wire.STATUS_OVERHEAD)
-
-    def _torque_packet(self, is_on: bool) -> Callable[[], bytes]:
-        return lambda: wire.write(self.number, TORQUE, bytes((is_on,)))
-
     def _take_state(self, data: bytes, sent_at_s: float) -> None:
         torque, position, _, _, tenths_V, self.temperature_degC, error, _, current = _STATE.unpack(data[1:])
         self.position, self.current_A = wire.signed(position), wire.signed(current) * CURRENT_UNIT_A
@@ -149,9 +103,4 @@ class FeetechServo:
             self._must_be_on = self._is_wanted  # not by an answer from before it was switched off
         elif self._must_be_on:
             self._must_be_on = False
-            self.resets += 1
-            self.problems.append(
-                BoardReset(
-                    f"{self.where}: restarted by itself; its torque is off: check its supply and cable"
-                )
-            )
+            self._note_restart()

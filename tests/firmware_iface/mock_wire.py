@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
+from firmware_iface.node_bus import NodeBus
 from tests.firmware_iface.bought.test_canopen import Wire
 
 GOLDEN = Path(__file__).parent.parent / "golden"
+CYCLE_S = 0.004
 Frame = tuple[int, bytes]
+Bus = TypeVar("Bus", bound=NodeBus[Any])
 
 
 class BoardMock(Protocol):
@@ -50,3 +53,18 @@ class MockWire(Wire):
     def _taken(self) -> Sequence[Frame]:
         frames, self.mock.outgoing = self.mock.outgoing, []
         return [] if self.is_cut else frames
+
+
+class BusRig(Generic[Bus]):
+    """A mock board on a wire, and the host's bus, drained once a cycle."""
+
+    def __init__(self, mock: BoardMock, bus: Callable[[MockWire, MockWire], Bus]) -> None:
+        self.wired = MockWire(mock)
+        self.bus = bus(self.wired, self.wired)
+
+    def run(self, duration_s: float) -> None:
+        """Run the cycles of a time."""
+        for _ in range(round(duration_s / CYCLE_S)):
+            self.bus.flush()
+            self.wired.run(CYCLE_S)
+            self.bus.update()

@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from control.errors import MissingModel
 from control.hardware.interface import Feedback
@@ -15,36 +15,50 @@ from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
 from firmware_iface.link import FrameLink
-from firmware_iface.node_bus import NodeBus
-
-B = TypeVar("B", bound=NodeBus[Any])
 
 
-class CanNode(Protocol):
-    """A board, seen from the host. Counts and amperes are in its own sense."""
+class CanBus(Protocol):
+    """A bus with boards: drained at the beginning of a cycle; at its end, commands that wait are sent."""
+
+    def update(self) -> None: ...
+    def flush(self) -> None: ...
+
+
+B = TypeVar("B", bound=CanBus)
+
+
+class CountingNode(Protocol):
+    """A board with an encoder, seen from the host. Counts are in its own sense."""
 
     count: int
-    is_switch_on: bool
+    resets: int
+
+    @property
+    def is_switch_on(self) -> bool: ...
+    @property
+    def counted_at_s(self) -> float: ...
+    def await_count(self) -> None: ...
+
+
+class CanNode(CountingNode, Protocol):
+    """A board, seen from the host. Amperes are in its own sense."""
+
     current_A: float
     supply_V: float
     temperature_degC: float
-    resets: int
 
     @property
     def where(self) -> str: ...
     @property
-    def counted_at_s(self) -> float: ...
-    @property
     def at_s(self) -> float: ...
     @property
     def is_known(self) -> bool: ...
-    def await_count(self) -> None: ...
 
 
 class BusLine:
     """The bus, as the loop drains it; meets `control.hardware.roles.Line`."""
 
-    def __init__(self, bus: NodeBus[Any]) -> None:
+    def __init__(self, bus: CanBus) -> None:
         self.update = bus.update
         self.flush = bus.flush
 
@@ -52,11 +66,12 @@ class BusLine:
 class NodeEncoder(AskedEncoders):
     """The encoder of a board, whose zero is kept here; meets `control.hardware.roles.Encoders`."""
 
-    is_asked = False
-
-    def __init__(self, board: CanNode, joint: int, is_absolute: bool = False) -> None:
+    def __init__(
+        self, board: CountingNode, joint: int, is_absolute: bool = False, is_asked: bool = False
+    ) -> None:
         """`is_absolute`: its count at power-up is the joint's, so that its zero is always known."""
         self.joints = (joint,)
+        self.is_asked = is_asked
         self.offset = 0
         """What is added to the count: the zero is set here."""
         self._joint, self._board, self._is_absolute = joint, board, is_absolute
@@ -87,21 +102,11 @@ class NodeEncoder(AskedEncoders):
         """The count at the switch."""
         return self._latched
 
-    def watch_indices(self, is_wanted: bool) -> None:
-        """No index is watched."""
-
-    def passed_indices(self) -> list[tuple[int, int]]:
-        """No index is watched."""
-        return []
-
     def shift(self, joint: int, counts: int) -> None:
         """Shift the zero, which is kept here."""
         self.fresh_count(joint)
         self.offset += counts
         self._is_zero_set = True
-
-    def restore(self) -> None:
-        """Nothing is lost that is sent all the time."""
 
 
 class NodeDrive(ABC):
@@ -155,32 +160,6 @@ class NodeDrive(ABC):
         """The encoder's offset is used with every position."""
 
 
-class SetPointSpeed:
-    """The speed of a joint's set-point in counts/s, which a board that closes the position loop is told beside the count.
-
-    A late cycle moves the set-point further, in a longer time; no step may look faster than the joint's limit.
-    """
-
-    def __init__(self, drive: Drive, clock: Clock, period_s: float) -> None:
-        self._clock, self._period_s = clock, period_s
-        counts_per_radian = abs(JointMap(drive).counts_per_radian)
-        self._most_count_s = drive.joint_speed_limit_rad_s * counts_per_radian
-        self._last: tuple[int, float] | None = None
-
-    def of(self, count: int) -> float:
-        """The speed now that `count` is commanded; 0 after another mode."""
-        now_s = self._clock.now_s()
-        last, self._last = self._last, (count, now_s)
-        if last is None:
-            return 0.0
-        speed = (count - last[0]) / max(now_s - last[1], self._period_s)
-        return min(max(speed, -self._most_count_s), self._most_count_s)
-
-    def forget(self) -> None:
-        """Another mode is commanded."""
-        self._last = None
-
-
 def open_bus(
     arm: Arm, opened: Opened, boards: str, open_link: Callable[..., FrameLink], make: Callable[[FrameLink, Clock], B],
     clock: Clock,
@@ -207,3 +186,14 @@ def each(
     for described in boards:
         with collect(opened.failures):
             open_one(described, *driven[described.name])
+
+
+def own_encoder(
+    board: CountingNode, joint: int, drive: Drive, opened: Opened, is_absolute: bool = False, is_asked: bool = False
+) -> NodeEncoder | None:  # fmt: skip
+    """The board's own encoder, added to `opened`; None if the drive names an encoder board's."""
+    if drive.encoder_board >= 0:
+        return None
+    encoder = NodeEncoder(board, joint, is_absolute, is_asked)
+    opened.encoders.append(encoder)
+    return encoder

@@ -5,16 +5,14 @@ brake by shorted windings. The zero is kept here, as an offset, so nothing is st
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
-from control.errors import MissingModel
+from control.hardware.bought.can_node import NodeEncoder, each, open_bus
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.opened import Opened, collect
-from control.hardware.roles import AskedEncoders
+from control.hardware.opened import Opened
 from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,
-    HOME_SWITCH,
     OVER_CURRENT,
     OVER_TEMPERATURE,
     OWN_ENCODER,
@@ -22,19 +20,17 @@ from control.hardware.words import (
     SUPPLY_HIGH,
     SUPPLY_LOW,
     WATCHDOG,
-    ZERO_SET,
 )
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.canopen.bus import CanOpenBus
-from firmware_iface.canopen.drive import HOME_INPUT, MAX_TORQUE, Cia402Drive
+from firmware_iface.canopen.drive import MAX_TORQUE, Cia402Drive
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardSilent, WrongIdentity
-from firmware_iface.link import open_can
+from firmware_iface.errors import WrongIdentity
+from firmware_iface.link import FrameLink, open_can
 from firmware_iface.motor.cia402 import State
 
 PROFILE = 402
-FRESH_WAIT_S = 0.1
 HEARTBEATS = 4  # within the drives' time-out
 # Error codes of CiA 402 and CiA 301 by their first digits, as the loop's faults; the rest counts as a bad encoder or sensor.
 _FAULT_OF = (
@@ -47,91 +43,11 @@ _FAULT_OF = (
 )
 
 
-class Cia402Line:
-    """The bus, as the loop drains it; meets `control.hardware.roles.Line`."""
-
-    def __init__(self, bus: CanOpenBus, watchdog_s: float) -> None:
-        self._bus = bus
-        self._every_s = watchdog_s / HEARTBEATS
-        self._next_s = -math.inf
-
-    def update(self) -> None:
-        """Take what has arrived."""
-        self._bus.update()
-
-    def flush(self) -> None:
-        """All drives have their set-points: let them take these over at once, and say what they measure."""
-        bus = self._bus
-        if bus.clock.now_s() >= self._next_s:
-            bus.heartbeat()
-            self._next_s = bus.clock.now_s() + self._every_s
-        bus.sync()
-
-
-class Cia402Encoder(AskedEncoders):
-    """The drive's own encoder; meets `control.hardware.roles.Encoders`."""
-
-    def __init__(self, drive: Cia402Drive, bus: CanOpenBus, joint: int) -> None:
-        self.joints = (joint,)
-        self.offset = 0
-        """What is added to the drive's position: the zero is set here."""
-        self._joint, self._drive, self._bus = joint, drive, bus
-        self._is_zero_set = False
-        self._latched: int | None = None
-        self._resets = 0
-
-    def take(self, feedback: Feedback) -> None:
-        """Write the newest position."""
-        drive, joint = self._drive, self._joint
-        if self._resets != drive.resets:
-            self._resets, self._is_zero_set, self._latched = drive.resets, False, None
-        feedback.count[joint] = drive.position + self.offset
-        feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = drive.at_s
-        flags = ZERO_SET if self._is_zero_set else 0
-        feedback.channel_flags[joint] = flags | (HOME_SWITCH if drive.inputs & HOME_INPUT else 0)
-
-    def fresh_count(self, joint: int) -> int:
-        """A position that the drive measures from now on. BoardSilent if there is none."""
-        clock, asked_s = self._bus.clock, self._bus.clock.now_s()
-        self._bus.heartbeat()
-        self._bus.sync()
-        while (now_s := clock.now_s()) - asked_s < FRESH_WAIT_S:
-            clock.wait_until_s(now_s + 0.0005)
-            self._bus.update()
-            if self._drive.at_s >= asked_s:
-                return self._drive.position + self.offset
-        raise BoardSilent(f"{self._drive.where}: no position within {FRESH_WAIT_S} s of a SYNC")
-
-    def arm_index(self, joint: int) -> None:
-        """The position at which the home switch is seen takes the index's place."""
-        self._latched = self._drive.position + self.offset
-
-    def index_count(self, joint: int) -> int | None:
-        """The position at the switch."""
-        return self._latched
-
-    def watch_indices(self, is_wanted: bool) -> None:
-        """No index is watched."""
-
-    def passed_indices(self) -> list[tuple[int, int]]:
-        """No index is watched."""
-        return []
-
-    def shift(self, joint: int, counts: int) -> None:
-        """Shift the zero, which is kept here."""
-        self.fresh_count(joint)
-        self.offset += counts
-        self._is_zero_set = True
-
-    def restore(self) -> None:
-        """Configuring the drive does it."""
-
-
 class Cia402Joint:
     """One drive; meets `control.hardware.roles.Drives`."""
 
     def __init__(
-        self, drive: Cia402Drive, encoder: Cia402Encoder, joint: int, described: Drive, period_s: float,
+        self, drive: Cia402Drive, encoder: NodeEncoder, joint: int, described: Drive, period_s: float,
         watchdog_s: float, sync: Callable[[], None],
     ) -> None:  # fmt: skip
         """`sync` sends SYNC, with which a set-point takes effect."""
@@ -195,7 +111,7 @@ class Cia402Joint:
             self._held = None
             drive.command_torque(0)
         else:
-            self._held = drive.position if self._held is None else self._held
+            self._held = drive.count if self._held is None else self._held
             drive.command_position(self._held)
 
     def _must_stay(self, state: State | None) -> bool:
@@ -240,20 +156,19 @@ class Cia402Joint:
 
 def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
     """Open the CAN bus, and identify and start every drive."""
-    if arm.can is None:
-        raise MissingModel(f"arm {arm.name}: no [can] bus for its CiA 402 drives: add it")
-    with collect(opened.failures):
-        link = open_can(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
-        opened.closers.append(link.close)
-        bus = CanOpenBus(link, clock)
-        opened.lines.append(Cia402Line(bus, arm.limits.watchdog_s))
-        by_board: Mapping[str, tuple[int, Drive]] = {
-            drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)
-        }
-        for described in boards:
-            with collect(opened.failures):
-                joint, drive = by_board[described.name]
-                _open_drive(bus, described, joint, drive, period_s, arm.limits.watchdog_s, opened)
+    watchdog_s = arm.limits.watchdog_s
+
+    def make(link: FrameLink, clock: Clock) -> CanOpenBus:
+        return CanOpenBus(link, clock, watchdog_s / HEARTBEATS)
+
+    bus = open_bus(arm, opened, "CiA 402 drives", open_can, make, clock)
+    if bus is not None:
+        each(
+            arm,
+            boards,
+            opened,
+            lambda board, joint, drive: _open_drive(bus, board, joint, drive, period_s, watchdog_s, opened),
+        )
 
 
 def _open_drive(
@@ -267,7 +182,7 @@ def _open_drive(
         raise WrongIdentity(
             f"{node.where}: its motor rated torque (0x6076) is 0: set the motor's data in the drive"
         )
-    encoder = Cia402Encoder(node, bus, joint)
+    encoder = NodeEncoder(node, joint, is_asked=True)
     driven = Cia402Joint(node, encoder, joint, drive, period_s, watchdog_s, bus.sync)
     driven.configure(encoder.fresh_count)
     opened.encoders.append(encoder)

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from control.hardware.bought.smart_servo import TURN_AROUND_S, open_servos
+from control.hardware.bought.serial_line import TURN_AROUND_S
+from control.hardware.bought.smart_servo import open_servos
 from control.hardware.opened import Opened
 from control.hardware.words import OVER_CURRENT, OVER_TEMPERATURE, OWN_ENCODER, SUPPLY_LOW
 from control.model.arm import Arm, Board

@@ -8,8 +8,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from control.hardware.bought.can_node import NodeDrive, NodeEncoder, SetPointSpeed, each, open_bus
-from control.hardware.interface import Feedback, OutputMode
+from control.hardware.bought.can_node import NodeEncoder, each, open_bus, own_encoder
+from control.hardware.bought.position_loop import PositionLoopDrive
 from control.hardware.opened import Opened
 from control.hardware.words import (
     BAD_COMMAND,
@@ -35,20 +35,19 @@ _FAULT_OF: Final = {
 }  # fmt: skip
 
 
-class MoteusDrive(NodeDrive):
+class MoteusDrive(PositionLoopDrive):
     """One motor; meets `control.hardware.roles.Drives`."""
 
     def __init__(
-        self, board: Moteus, encoder: NodeEncoder | None, joint: int, drive: Drive, speed: SetPointSpeed, watchdog_s: float
+        self, board: Moteus, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float,
+        watchdog_s: float,
     ) -> None:  # fmt: skip
-        """`encoder`: the board's own, None if the loop uses another."""
-        super().__init__(board, encoder, joint, drive)
+        """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
+        super().__init__(board, encoder, joint, drive, clock, period_s)
         self._board = board
-        self._torque_Nm_A = self._sign * drive.torque_constant_Nm_A
         limit_Nm = drive.torque_constant_Nm_A * drive.current_limit_A
         self._most_Nm = limit_Nm if math.isfinite(limit_Nm) else math.nan  # NaN: the board's own limit
-        self._speed, self._watchdog_s = speed, watchdog_s
-        self._held: int | None = None
+        self._watchdog_s = watchdog_s
 
     def _faults_now(self) -> int:
         board = self._board
@@ -56,37 +55,18 @@ class MoteusDrive(NodeDrive):
             return _FAULT_OF.get(board.fault, OWN_ENCODER)
         return WATCHDOG if board.mode == Mode.TIMEOUT else 0
 
-    def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
-        """Set the command of this cycle; without one the windings are shorted."""
-        board, joint = self._board, self._joint
-        feedback.sent_V[joint] = math.nan
-        self._is_enabled = self._may_drive(wants_enabled)
-        mode = modes[joint] if self._is_enabled else OutputMode.VOLTAGE
-        if mode is not OutputMode.POSITION:
-            self._speed.forget()
-        if mode is not OutputMode.HOLD:
-            self._held = None
-        if mode is OutputMode.POSITION and self._encoder is not None:
-            count = self._map.count(output[joint]) - self._encoder.offset
-            self._go(count, self._speed.of(count))
-        elif mode is OutputMode.HOLD:
-            self._held = board.count if self._held is None else self._held
-            self._go(self._held, 0.0)
-        elif mode is OutputMode.CURRENT or mode is OutputMode.OFF:
-            torque_Nm = self._torque_Nm_A * output[joint] if mode is OutputMode.CURRENT else 0.0
-            command = wire.torque(torque_Nm, self._most_Nm, self._watchdog_s)
-            board.wanted = wire.position(board.number, command)
-        else:
-            board.wanted = wire.brake(board.number)
-
     def _go(self, count: int, speed_count_s: float) -> None:
-        """Be at a count that moves at a speed."""
         board, turn = self._board, self._board.counts_per_turn
         command = wire.Position(count / turn, speed_count_s / turn, 0.0, 1.0, self._most_Nm, self._watchdog_s)
         board.wanted = wire.position(board.number, command)
+
+    def _push(self, torque_Nm: float) -> None:
+        command = wire.torque(torque_Nm, self._most_Nm, self._watchdog_s)
+        self._board.wanted = wire.position(self._board.number, command)
+
+    def _brake(self) -> None:
+        self._held = None
+        self._board.wanted = wire.brake(self._board.number)
 
     def configure(self, fresh_count: Callable[[int], int]) -> None:
         """Nothing is set: each command carries its limits."""
@@ -125,12 +105,10 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
     def open_one(described: Board, joint: int, drive: Drive) -> None:
         board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
         said = board.identify(described.absolute)
-        encoder = NodeEncoder(board, joint, described.absolute) if drive.encoder_board < 0 else None
-        if encoder is not None:
-            encoder.is_asked = True
-            opened.encoders.append(encoder)
-        speed = SetPointSpeed(drive, clock, period_s)
-        opened.drives.append(MoteusDrive(board, encoder, joint, drive, speed, arm.limits.watchdog_s))
+        encoder = own_encoder(board, joint, drive, opened, described.absolute, is_asked=True)
+        opened.drives.append(
+            MoteusDrive(board, encoder, joint, drive, clock, period_s, arm.limits.watchdog_s)
+        )
         opened.identities.append((board.where, f"{said}, supply {board.supply_V:.1f} V"))
 
     each(arm, boards, opened, open_one)

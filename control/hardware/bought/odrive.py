@@ -8,8 +8,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from control.hardware.bought.can_node import NodeDrive, NodeEncoder, SetPointSpeed, each, open_bus
-from control.hardware.interface import Feedback, OutputMode
+from control.hardware.bought.can_node import NodeEncoder, each, open_bus, own_encoder
+from control.hardware.bought.position_loop import PositionLoopDrive
 from control.hardware.opened import Opened
 from control.hardware.words import (
     EMERGENCY_STOP,
@@ -36,25 +36,21 @@ _FAULT_OF: Final = (
     (Error.WATCHDOG_TIMER_EXPIRED, WATCHDOG),
     (Error.ESTOP_REQUESTED, EMERGENCY_STOP),
 )  # fmt: skip
-_COMMANDED: Final = (OutputMode.POSITION, OutputMode.CURRENT, OutputMode.OFF)
 SPEED_MARGIN: Final = 2.0  # of the board's speed limit over the joint's: the loop's own limits come first
 
 
-class OdriveDrive(NodeDrive):
+class OdriveDrive(PositionLoopDrive):
     """One motor; meets `control.hardware.roles.Drives`."""
 
     def __init__(
         self, axis: OdriveAxis, encoder: NodeEncoder | None, joint: int, drive: Drive, clock: Clock, period_s: float
     ) -> None:  # fmt: skip
         """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
-        super().__init__(axis, encoder, joint, drive)
+        super().__init__(axis, encoder, joint, drive, clock, period_s)
         self._axis = axis
-        self._torque_Nm_A = self._sign * drive.torque_constant_Nm_A
         motor_turns_s = drive.joint_speed_limit_rad_s * drive.gear_ratio / (2.0 * math.pi)
         self._limits = (SPEED_MARGIN * motor_turns_s, drive.current_limit_A)
         self._is_stopped = False
-        self._held: int | None = None
-        self._speed = SetPointSpeed(drive, clock, period_s)
 
     def _faults_now(self) -> int:
         errors = self._axis.errors or Error(0)
@@ -64,36 +60,18 @@ class OdriveDrive(NodeDrive):
     def _is_driving(self) -> bool:
         return self._axis.is_driving
 
-    def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
-        feedforward_V: Sequence[float], feedback: Feedback,
-    ) -> None:  # fmt: skip
-        """Set the command of this cycle."""
-        axis, joint = self._axis, self._joint
-        feedback.sent_V[joint] = math.nan
-        self._is_enabled = self._may_drive(wants_enabled)
-        mode = modes[joint] if self._is_enabled else OutputMode.HOLD
-        if mode in _COMMANDED:
-            self._held = None
-        if mode is not OutputMode.POSITION:
-            self._speed.forget()
-        if not (self._is_enabled or (self._is_stopped and axis.is_driving)):
-            self._held = None
-            axis.want_idle()
-        elif mode is OutputMode.POSITION and self._encoder is not None:
-            count = self._map.count(output[joint]) - self._encoder.offset
-            axis.want_count(count, self._speed.of(count))
-        elif mode is OutputMode.CURRENT:
-            axis.want_torque(self._torque_Nm_A * output[joint])
-        elif mode is OutputMode.OFF:
-            axis.want_torque(0.0)
-        else:
-            self._hold()
+    def _go(self, count: int, speed_count_s: float) -> None:
+        self._axis.want_count(count, speed_count_s)
 
-    def _hold(self) -> None:
-        """Stay where the joint is now."""
-        self._held = self._axis.count if self._held is None else self._held
-        self._axis.want_count(self._held)
+    def _push(self, torque_Nm: float) -> None:
+        self._axis.want_torque(torque_Nm)
+
+    def _brake(self) -> None:
+        if self._is_enabled or (self._is_stopped and self._axis.is_driving):
+            self._hold()
+        else:
+            self._held = None
+            self._axis.want_idle()
 
     def configure(self, fresh_count: Callable[[int], int]) -> None:
         """Limit speed and current, which a restart of the board forgets."""
@@ -150,8 +128,6 @@ def _open_axis(
 ) -> None:
     axis = OdriveAxis(bus, described.address, described.name, drive.encoder_counts_per_rev)
     axis.identify()
-    encoder = NodeEncoder(axis, joint, described.absolute) if drive.encoder_board < 0 else None
-    if encoder is not None:
-        opened.encoders.append(encoder)
+    encoder = own_encoder(axis, joint, drive, opened, described.absolute)
     opened.drives.append(OdriveDrive(axis, encoder, joint, drive, bus.clock, period_s))
     opened.identities.append((axis.where, f"{axis.errors!r}, supply {axis.supply_V:.1f} V"))

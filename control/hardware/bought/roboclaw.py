@@ -7,6 +7,7 @@ follows are kept here. It never goes on by itself after an error: FAULT is left 
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
 from control.hardware.roles import AskedEncoders
@@ -26,8 +27,8 @@ from control.hardware.words import (
 )
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted, MisuseError
-from firmware_iface.link import open_serial
+from firmware_iface.errors import BoardFaulted
+from firmware_iface.link import ByteLink
 from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.board import CHANNELS, RoboClaw
 from firmware_iface.roboclaw.line import PacketLine
@@ -49,42 +50,11 @@ _SWITCH = (Status.S4_TRIGGERED, Status.S5_TRIGGERED)
 # Bytes of a cycle a board, there and back: duties 8 + 1, currents 2 + 6, status 2 + 6, encoders 2 + 10.
 CYCLE_BYTES = 37
 QUESTIONS = 4
-# A line is looked at every quarter of a millisecond, so a read that may wait for the kernel comes once in 10 ms at most.
-LOOKS_BEFORE_A_READ = 40
-TURN_AROUND_S = 0.0005  # from a request's last byte to the answer's first, and from there to the next request
 
 
 def cycle_s(boards: int, baud: int) -> float:
     """How long the questions of one cycle take on a line: the shortest period of the loop."""
     return boards * (CYCLE_BYTES * 10 / baud + QUESTIONS * TURN_AROUND_S)
-
-
-class RoboClawLine:
-    """The line, as the loop drains it; meets `control.hardware.roles.Line`."""
-
-    def __init__(self, line: PacketLine, boards: Sequence[RoboClaw]) -> None:
-        self._line = line
-        self._boards = tuple(boards)
-
-    def update(self) -> None:
-        """Take what has arrived. Raises LinkLost, BoardReset."""
-        self._line.update()
-        for board in self._boards:
-            if board.problems:
-                raise board.problems.pop(0)
-
-    def flush(self) -> None:
-        """Queue the cycle's questions and send the first; the others follow while the loop waits."""
-        for board in self._boards:
-            board.post_duties()
-        self._line.post_starved()
-        for board in self._boards:
-            board.post_cycle()
-        self._line.update()
-
-    def attend(self) -> None:
-        """Go on with the questions."""
-        self._line.attend()
 
 
 class RoboClawEncoders(AskedEncoders):
@@ -125,21 +95,11 @@ class RoboClawEncoders(AskedEncoders):
         """The count at the switch."""
         return self._latched.get(joint)
 
-    def watch_indices(self, is_wanted: bool) -> None:
-        """There is no index input."""
-
-    def passed_indices(self) -> list[tuple[int, int]]:
-        """There is no index input."""
-        return []
-
     def shift(self, joint: int, counts: int) -> None:
         """Set the counter of a joint at rest."""
         self._board.set_count(self._channels[joint] + 1, self.fresh_count(joint) + counts)
         self.fresh_count(joint)
         self._are_zeros_set[joint] = True
-
-    def restore(self) -> None:
-        """Nothing is lost that is asked for all the time."""
 
 
 class RoboClawDrives:
@@ -254,20 +214,25 @@ def _by_channel(drives: Mapping[int, Drive]) -> tuple[float, float]:
 
 def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
     """Open the lines of these boards and identify every board."""
-    for port in dict.fromkeys(board.port for board in boards):
-        on_it = [board for board in boards if board.port == port]
-        with collect(opened.failures):
-            link = open_serial(port, on_it[0].baud, LOOKS_BEFORE_A_READ)
-            opened.closers.append(link.close)
-            _require_time(on_it, link.baud, period_s)
-            line = PacketLine(link, clock)
-            found = []
-            for described in on_it:
-                with collect(opened.failures):
-                    found.append(_open_board(arm, described, line, opened))
-            polled = RoboClawLine(line, found)
-            opened.lines.append(polled)
-            opened.polled.append(polled)
+
+    def open_on(link: ByteLink, on_it: Sequence[Board]) -> PolledBoards:
+        line = PacketLine(link, clock)
+        found: list[RoboClaw] = []
+        for described in on_it:
+            with collect(opened.failures):
+                found.append(_open_board(arm, described, line, opened))
+
+        def post_cycle() -> None:
+            for board in found:
+                board.post_duties()
+            line.post_starved()
+            for board in found:
+                board.post_cycle()
+
+        return PolledBoards(line, found, post_cycle)
+
+    remedy = "raise the baud rate, or give each board a line of its own (USB)"
+    open_lines(boards, opened, period_s, "RoboClaw", remedy, cycle_s, open_on)
 
 
 def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) -> RoboClaw:
@@ -288,13 +253,3 @@ def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) ->
             opened.drives.append(RoboClawDrives(board, mine, arm.limits.watchdog_s, line.shout))
     opened.identities.append((board.where, identity.version))
     return board
-
-
-def _require_time(boards: Sequence[Board], baud: int, period_s: float) -> None:
-    needed_s = cycle_s(len(boards), baud) if baud else 0.0
-    if needed_s > period_s:
-        raise MisuseError(
-            f"RoboClaw line {boards[0].port}: {len(boards)} boards at {baud} baud need {needed_s * 1e3:.1f} ms per cycle, the"
-            f" loop has {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, raise the baud rate, or"
-            " give each board a line of its own (USB)"
-        )

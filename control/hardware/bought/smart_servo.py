@@ -6,8 +6,9 @@ Where the loop controls nothing, a servo holds its position.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
+from control.hardware.bought.serial_line import PolledBoards, open_lines
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
 from control.hardware.roles import AskedEncoders
@@ -22,78 +23,24 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted, LinkError, MisuseError
-from firmware_iface.link import ByteLink, open_serial
-from firmware_iface.servo_line import ServoLine, ServoQuestion
+from firmware_iface.errors import BoardFaulted
+from firmware_iface.link import ByteLink
+from firmware_iface.servo_line import ServoLine
+from firmware_iface.smart_servo import SmartServo
 
 L = TypeVar("L", bound=ServoLine)
 FaultMap = Sequence[tuple[int, int]]
 """Bits of a servo's hardware error, and the loop's fault for each."""
 
-TURN_AROUND_S = 0.0005
-LOOKS_BEFORE_A_READ = 40  # as on a RoboClaw's line
 TORQUE_CYCLES = (
     20  # until a servo that was told to switch its torque on says that it did: asked in turn, some times
 )
 
 
-class Servo(Protocol):
-    """What the drivers of servos have in common (firmware_iface.dynamixel.servo, firmware_iface.feetech.servo)."""
-
-    number: int
-    goal: int
-    position: int
-    current_A: float
-    supply_V: float
-    temperature_degC: float
-    at_s: float
-    is_torque_on: bool | None
-    hardware_error: int
-    resets: int
-    problems: list[LinkError]
-
-    values_question: ServoQuestion
-
-    @property
-    def where(self) -> str: ...
-    @property
-    def is_watchdog_expired(self) -> bool: ...
-    def post_torque(self, is_on: bool) -> None: ...
-    def identify(self) -> str: ...
-    def set_up(self, watchdog_s: float) -> None: ...
-    def read_state(self) -> None: ...
-    def reboot(self) -> None: ...
-    def require_force_limit(self) -> None: ...
-    def limit_force(self, current_A: float, share: float) -> None: ...
-
-
-class PolledServos:
-    """The line, as the loop drains it; meets `control.hardware.roles.Line` and `PolledLine`."""
-
-    def __init__(self, line: ServoLine, servos: Sequence[Servo]) -> None:
-        self._line, self._servos = line, servos
-
-    def update(self) -> None:
-        """Take what has arrived. Raises LinkLost, BoardReset."""
-        self._line.update()
-        for servo in self._servos:
-            if servo.problems:
-                raise servo.problems.pop(0)
-
-    def flush(self) -> None:
-        """Queue the cycle's questions and send the first."""
-        self._line.post_cycle()
-        self._line.update()
-
-    def attend(self) -> None:
-        """Go on with the questions."""
-        self._line.attend()
-
-
 class ServoEncoder(AskedEncoders):
     """The absolute encoder of a servo; meets `control.hardware.roles.Encoders`."""
 
-    def __init__(self, servo: Servo, joint: int) -> None:
+    def __init__(self, servo: SmartServo, joint: int) -> None:
         self.joints = (joint,)
         self.offset = 0
         """What is added to the servo's position."""
@@ -118,19 +65,9 @@ class ServoEncoder(AskedEncoders):
         """There is no index."""
         return None
 
-    def watch_indices(self, is_wanted: bool) -> None:
-        """There is no index."""
-
-    def passed_indices(self) -> list[tuple[int, int]]:
-        """There is no index."""
-        return []
-
     def shift(self, joint: int, counts: int) -> None:
         """Shift the zero until the loop ends; for good, it is `zero_count` in arm.toml."""
         self.offset += counts
-
-    def restore(self) -> None:
-        """Nothing is lost that is asked for all the time."""
 
 
 class ServoDrive:
@@ -138,7 +75,7 @@ class ServoDrive:
 
     def __init__(
         self,
-        servo: Servo,
+        servo: SmartServo,
         encoder: ServoEncoder,
         joint: int,
         drive: Drive,
@@ -247,31 +184,27 @@ class ServoDrive:
 
 def open_servos(
     arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened,
-    line_of: Callable[[ByteLink, Clock], L], servo_of: Callable[[L, int, str], Servo],
+    line_of: Callable[[ByteLink, Clock], L], servo_of: Callable[[L, int, str], SmartServo],
     cycle_s: Callable[[int, int], float], fault_of: FaultMap,
 ) -> None:  # fmt: skip
     """Open the lines of these servos and identify every one. `cycle_s`: of so many servos at a baud rate."""
     joints = {drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)}
-    for port in dict.fromkeys(board.port for board in boards):
-        on_it = [board for board in boards if board.port == port]
-        with collect(opened.failures):
-            link = open_serial(port, on_it[0].baud, LOOKS_BEFORE_A_READ)
-            opened.closers.append(link.close)
-            _require_time(on_it, link.baud, cycle_s(len(on_it), link.baud) if link.baud else 0.0, period_s)
-            line = line_of(link, clock)
-            servos: list[Servo] = []
-            for described in on_it:
-                with collect(opened.failures):
-                    servos.append(servo_of(line, described.address, described.name))
-                    joint, drive = joints[described.name]
-                    _join(servos[-1], line, joint, drive, arm.limits.watchdog_s, fault_of, opened)
-            polled = PolledServos(line, servos)
-            opened.lines.append(polled)
-            opened.polled.append(polled)
+
+    def open_on(link: ByteLink, on_it: Sequence[Board]) -> PolledBoards:
+        line = line_of(link, clock)
+        servos: list[SmartServo] = []
+        for described in on_it:
+            with collect(opened.failures):
+                servos.append(servo_of(line, described.address, described.name))
+                joint, drive = joints[described.name]
+                _join(servos[-1], line, joint, drive, arm.limits.watchdog_s, fault_of, opened)
+        return PolledBoards(line, servos, line.post_cycle)
+
+    open_lines(boards, opened, period_s, "servo", "raise the servos' baud rate", cycle_s, open_on)
 
 
 def _join(
-    servo: Servo, line: ServoLine, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
+    servo: SmartServo, line: ServoLine, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
 ) -> None:  # fmt: skip
     identity = servo.identify()
     servo.read_state()
@@ -280,12 +213,3 @@ def _join(
     opened.encoders.append(encoder)
     opened.drives.append(ServoDrive(servo, encoder, joint, drive, watchdog_s, fault_of))
     opened.identities.append((servo.where, identity))
-
-
-def _require_time(boards: Sequence[Board], baud: int, needed_s: float, period_s: float) -> None:
-    if needed_s > period_s:
-        raise MisuseError(
-            f"servo line {boards[0].port}: {len(boards)} servos at {baud} baud need {needed_s * 1e3:.1f} ms per cycle, the loop"
-            f" has {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, or raise the servos'"
-            " baud rate"
-        )

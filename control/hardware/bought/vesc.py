@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from control.hardware.bought.can_node import NodeDrive, NodeEncoder, each, open_bus
+from control.hardware.bought.can_node import NodeDrive, NodeEncoder, each, open_bus, own_encoder
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
 from control.hardware.words import (
@@ -118,9 +118,7 @@ def _open_vesc(bus: VescBus, described: Board, joint: int, drive: Drive, opened:
             f" encoder: encoder_counts_per_rev = {wire.COUNTS_PER_TURN}, got {drive.encoder_counts_per_rev}"
         )
     board.identify()
-    encoder = NodeEncoder(board, joint) if drive.encoder_board < 0 else None
-    if encoder is not None:
-        opened.encoders.append(encoder)
+    encoder = own_encoder(board, joint, drive, opened)
     opened.drives.append(VescDrive(board, encoder, joint, drive, bus))
     opened.identities.append((board.where, f"fault code {board.fault}, supply {board.supply_V:.1f} V"))
 

@@ -10,25 +10,18 @@ from firmware_iface.moteus import wire
 from firmware_iface.moteus.controller import Moteus, MoteusBus
 from firmware_iface.moteus.wire import Mode, Position, Register
 from hil_mocks.devices.moteus import OVER_HEATED, MoteusMock, MoteusSetup
-from tests.firmware_iface.mock_wire import MockWire, golden
+from tests.firmware_iface.mock_wire import BusRig, golden
 
 ID, CPR = 5, 4096
 HOLD = Position(0.0, 0.0, 0.0, 1.0, math.nan, 0.1)
 
 
-class Cell:
+class Cell(BusRig[MoteusBus]):
     def __init__(self, **setup: Any) -> None:
         self.turns = 0.25
         self.mock = MoteusMock(MoteusSetup(ID, 0.05, 8.0, **setup), lambda: self.turns)
-        self.wired = MockWire(self.mock)
-        self.bus = MoteusBus(self.wired, self.wired)
+        super().__init__(self.mock, MoteusBus)
         self.board = Moteus(self.bus, ID, "elbow", CPR)
-
-    def run(self, duration_s: float) -> None:
-        for _ in range(round(duration_s / 0.004)):
-            self.bus.flush()
-            self.wired.run(0.004)
-            self.bus.update()
 
 
 @pytest.mark.parametrize(

@@ -16,24 +16,17 @@ from firmware_iface.odrive import wire
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
 from firmware_iface.odrive.wire import AxisState, Command, Control, Error
 from hil_mocks.devices.odrive import CLOSED_LOOP, ESTOP, IDLE, OdriveMock, OdriveSetup
-from tests.firmware_iface.mock_wire import MockWire, golden
+from tests.firmware_iface.mock_wire import BusRig, golden
 
 NODE, CPR = 5, 8192
 
 
-class Cell:
+class Cell(BusRig[OdriveBus]):
     def __init__(self, **setup: Any) -> None:
         self.turns = 0.0
         self.mock = OdriveMock(OdriveSetup(NODE, 0.05, 8.0, **setup), lambda: self.turns)
-        self.wired = MockWire(self.mock)
-        self.bus = OdriveBus(self.wired, self.wired)
+        super().__init__(self.mock, OdriveBus)
         self.axis = OdriveAxis(self.bus, NODE, "elbow", CPR)
-
-    def run(self, duration_s: float) -> None:
-        for _ in range(round(duration_s / 0.004)):
-            self.bus.flush()
-            self.wired.run(0.004)
-            self.bus.update()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,124 @@
+"""One smart servo on a half-duplex line, seen from the host: what Dynamixel and Feetech servos have in common."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import ClassVar, Protocol
+
+from firmware_iface.errors import BoardReset, LinkError, MisuseError
+from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion, Status
+
+
+class ServoWire(Protocol):
+    """The instructions of a kind of servos: its `wire` module."""
+
+    @property
+    def IDS(self) -> range: ...
+    @property
+    def STATUS_OVERHEAD(self) -> int: ...
+    def read(self, servo: int, address: int, count: int) -> bytes: ...
+    def write(self, servo: int, address: int, data: bytes) -> bytes: ...
+    def status_in(self, received: bytes) -> Status | None: ...
+
+
+class SmartServo(ABC):
+    """Keeps the latest values of a servo and its goal; times are the host's, when the request was sent."""
+
+    CALLED: ClassVar[str]
+    WIRE: ClassVar[ServoWire]
+    TORQUE: ClassVar[int]  # address of the switch
+    values_question: ServoQuestion  # asked in the rest of each cycle
+    state_question: ServoQuestion  # asked of one servo a cycle, in turn
+    REMEDY: ClassVar[str] = ""  # what else to check if it does not answer
+
+    def __init__(self, line: ServoLine, number: int, name: str) -> None:
+        ids = self.WIRE.IDS
+        if number not in ids:
+            raise MisuseError(f'{self.CALLED} "{name}": ids are 0 to {ids.stop - 1}, got {number}')
+        self.number, self.name = number, name
+        self.goal = self.position = 0
+        self.current_A = 0.0
+        self.supply_V = math.nan
+        self.temperature_degC = 0.0
+        self.at_s = -math.inf
+        self.is_torque_on: bool | None = None
+        self.hardware_error = 0
+        self.is_watchdog_expired = False
+        self.resets = 0
+        self.problems: list[LinkError] = []
+        self._line = line
+        self._force = ForceLimit(line, self._force_written)
+        self._torque = {
+            is_on: self._question(self._torque_packet(is_on), 0, lambda data, at_s: None)
+            for is_on in (False, True)
+        }
+
+    @property
+    def where(self) -> str:
+        """Name in messages: `Dynamixel "elbow" (id 3) on /dev/ttyUSB0`."""
+        return f'{self.CALLED} "{self.name}" (id {self.number}) on {self._line.name}'
+
+    def post_torque(self, is_on: bool) -> None:
+        """Queue switching the torque, if it is not so already."""
+        if self.is_torque_on is not is_on:
+            self._line.post(self._torque[is_on])
+            self._line.post(self.state_question)
+
+    @abstractmethod
+    def identify(self) -> str:
+        """Ask model and mode, and return them in words. Raises BoardSilent, WrongIdentity."""
+
+    @abstractmethod
+    def set_up(self, watchdog_s: float) -> None:
+        """Torque off, and what a restart loses. Nothing is stored."""
+
+    @abstractmethod
+    def read_state(self) -> None:
+        """Torque, errors, and all values as they are now."""
+
+    @abstractmethod
+    def reboot(self) -> None:
+        """End a hardware error; its torque is off then."""
+
+    @abstractmethod
+    def require_force_limit(self) -> None:
+        """Raise WrongIdentity if the servo is set up to keep none."""
+
+    @abstractmethod
+    def limit_force(self, current_A: float, share: float) -> None:
+        """At most so much current, or `share` of the duty; does not wait."""
+
+    @abstractmethod
+    def _force_written(self, value: int, confirm: Callable[[], None]) -> ServoQuestion:
+        """The instruction that writes a force limit."""
+
+    def _read(self, address: int, count: int) -> bytes:
+        return self._converse(lambda: self.WIRE.read(self.number, address, count), count, f"READ {address}")
+
+    def _write(self, address: int, data: bytes) -> None:
+        self._converse(lambda: self.WIRE.write(self.number, address, data), 0, f"WRITE {address}")
+
+    def _converse(self, made: Callable[[], bytes], count: int, what: str) -> bytes:
+        answers: list[bytes] = []
+        question = self._question(made, count, lambda data, _: answers.append(data))
+        remedy = f"check its supply, id {self.number}{self.REMEDY}"
+        return self._line.ask(question, answers, self.where, what, remedy)
+
+    def _question(
+        self, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]
+    ) -> ServoQuestion:
+        wire = self.WIRE
+        return ServoQuestion(self.number, made, parameter_bytes, taken, wire.status_in, wire.STATUS_OVERHEAD)
+
+    def _reading(self, span: tuple[int, int], taken: Callable[[bytes, float], None]) -> ServoQuestion:
+        """The question for the values at an address, of a length."""
+        return self._question(lambda: self.WIRE.read(self.number, *span), span[1], taken)
+
+    def _torque_packet(self, is_on: bool) -> Callable[[], bytes]:
+        return lambda: self.WIRE.write(self.number, self.TORQUE, bytes((is_on,)))
+
+    def _note_restart(self) -> None:
+        self.resets += 1
+        self.problems.append(
+            BoardReset(f"{self.where}: restarted by itself; its torque is off: check its supply and cable")
+        )
