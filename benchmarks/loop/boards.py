@@ -19,7 +19,7 @@ from control.server.in_process import InProcessChannel
 from firmware_iface.errors import LinkError
 from hil_mocks.rig import SteppedRig
 from procedures.mock.arm import wired_to
-from procedures.mock.on_boards import on_boards
+from procedures.on_boards import on_boards
 
 CYCLES = 400
 FRESH_SHARE = 0.99  # of the cycles with new counts of every joint

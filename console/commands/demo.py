@@ -15,8 +15,8 @@ from control.progress import Advance
 from procedures.demo import job
 from procedures.folders import free_folder, require_writable
 from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
-from procedures.mock.on_boards import on_boards
 from procedures.mock.scenario_file import seeded_scenario
+from procedures.on_boards import on_boards
 
 GAP_SEED = 1  # seed of the hidden effect of `demo gap`
 Conduct = Callable[[Arm, Bench, Path, Advance], str]

@@ -2,8 +2,8 @@
 
 from collections.abc import Hashable, Iterable, Sequence
 
-from control.model.arm import ENCODER_CHANNELS, Arm, Drive, Home, Table
-from control.model.board_kinds import KINDS, BoardKind
+from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, Home, Table
+from control.model.board_kinds import KINDS, BoardKind, bus_conflict
 from control.model.camera import CameraStream
 from control.model.effects import check_effect
 from control.model.end_effector import Gripper
@@ -126,43 +126,64 @@ def _check_boards(arm: Arm) -> None:
     _check_unique(
         ((("board", i, "name"), board.name) for i, board in boards), "a unique name for every board"
     )
-    _check_unique(
-        ((("board", i, "address"), (board.kind, board.port, board.address)) for i, board in boards),
-        "a unique address on its line (kind, port, address)",
-    )
     for i, board in boards:
         kind = KINDS[board.kind]
         if board.address not in kind.addresses:
             expected = f"{kind.addresses.start} to {kind.addresses.stop - 1} for kind {board.kind}"
             raise Rejected(("board", i, "address"), expected, str(board.address))
-        if kind.line == "serial" and not board.port:
-            raise Rejected(("board", i, "port"), f"the serial port of a {board.kind}", "nothing")
         if board.absolute and not (kind.may_be_absolute or kind.is_absolute):
             kinds = ", ".join(name for name, one in KINDS.items() if one.may_be_absolute)
             raise Rejected(("board", i, "absolute"), f"true only for {kinds}", f"true for a {board.kind}")
+    _check_lines(boards)
     drives = [(i, drive) for i, drive in enumerate(arm.drives) if drive.board]
     for i, drive in drives:
         _check_drive_board(arm, drive, ("drive", i))
-    _check_bus(arm, drives)
     _check_unique(
         ((("drive", i, "board_channel"), (drive.board, drive.board_channel)) for i, drive in drives),
         "one joint per motor of a board (board, channel)",
     )
+    on_arm = {board.kind for board in arm.boards} | ({""} if len(drives) < len(arm.drives) else set())
+    conflict = bus_conflict(on_arm)
+    if conflict is not None:
+        raise Rejected(("board",), conflict, "both")
+    _check_in_use(arm, boards)
 
 
-def _check_bus(arm: Arm, drives: Sequence[tuple[int, Drive]]) -> None:
-    """Kinds whose ids are others' too are alone on [can]."""
-    alone = sorted({board.kind for board in arm.boards if KINDS[board.kind].needs_own_bus})
-    if len(alone) > 1:
-        expected = (
-            f"boards of one kind on [can] of {' and '.join(alone)}: each takes the other's frames for its own"
-        )
-        raise Rejected(("board",), expected, "both")
-    if alone and len(drives) < len(arm.drives):
-        expected = (
-            f"no reference motor board beside {alone[0]} on [can]: each takes the other's frames for its own"
-        )
-        raise Rejected(("drive",), expected, "both")
+def _check_in_use(arm: Arm, boards: Sequence[tuple[int, Board]]) -> None:
+    """A board that nothing names is one whose joint was forgotten, or whose name was mistyped."""
+    used = {drive.board for drive in arm.drives} | {arm.gripper.board if arm.gripper else ""}
+    for i, board in boards:
+        if board.name not in used:
+            expected = "a board that a [[drive]] or the gripper names by `board`"
+            raise Rejected(("board", i, "name"), expected, f"{board.name}, which none names")
+
+
+def _check_lines(boards: Sequence[tuple[int, Board]]) -> None:
+    """A board is where its kind is; the boards on a port speak alike."""
+    first_on: dict[str, Board] = {}
+    addressed: dict[tuple[str, str, int], Board] = {}
+    for i, board in boards:
+        same = addressed.setdefault((board.kind, board.port, board.address), board)
+        if same is not board:
+            expected = f"another one than that of {same.name} on the same line"
+            raise Rejected(("board", i, "address"), expected, str(board.address))
+        if KINDS[board.kind].line == "can":
+            if board.port:
+                raise Rejected(
+                    ("board", i, "port"), f"none: a {board.kind} is on the bus of [can]", board.port
+                )
+            continue
+        if not board.port:
+            raise Rejected(("board", i, "port"), f"the serial port of a {board.kind}", "nothing")
+        first = first_on.setdefault(board.port, board)
+        if first.kind != board.kind:
+            expected = (
+                f"a port of its own: {first.name} on this one is a {first.kind}, which speaks otherwise"
+            )
+            raise Rejected(("board", i, "port"), expected, board.port)
+        if first.baud != board.baud:
+            expected = f"{first.baud}, as {first.name} on the same port"
+            raise Rejected(("board", i, "baud"), expected, str(board.baud))
 
 
 def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> None:
@@ -171,10 +192,14 @@ def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> N
         raise Rejected((*path, "board"), f"the name of a [[board]] of this file ({names})", drive.board)
     kind = arm.kind_of(drive)
     if drive.board_channel > kind.motors:
-        raise Rejected((*path, "board_channel"), f"1 to {kind.motors}", str(drive.board_channel))
+        expected = "1, its only motor" if kind.motors == 1 else f"1 to {kind.motors}"
+        raise Rejected((*path, "board_channel"), expected, str(drive.board_channel))
     if drive.pid.mode not in kind.modes:
         expected = f"what its board can do: {' or '.join(kind.modes)}"
         raise Rejected((*path, "pid", "mode"), expected, drive.pid.mode)
+    if drive.encoder_board < 0 and kind.counts_per_turn not in (0, drive.encoder_counts_per_rev):
+        expected = f"{kind.counts_per_turn}: what the board sends a turn of its encoder, whatever the encoder"
+        raise Rejected((*path, "encoder_counts_per_rev"), expected, str(drive.encoder_counts_per_rev))
     if drive.encoder_board >= 0 and kind.line == "can" and _closes_own_loop(drive, kind):
         expected = "none: such a drive closes its own loop, on its own encoder"
         raise Rejected((*path, "encoder_board"), expected, str(drive.encoder_board))

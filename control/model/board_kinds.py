@@ -4,7 +4,7 @@ A `[[drive]]` without `board` is on a reference motor board (docs/motor_board.md
 others; each has a page in docs.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal
@@ -38,6 +38,7 @@ class BoardKind:
         str, ...
     ] = ()  # modes in which it frees its motor without the host: nothing stops the joint
     moves_on: bool = False  # in position mode at the speed of the last command; else it stays at its position
+    counts_per_turn: int = 0  # that it sends, whatever the encoder; 0: its encoder's
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
 
 
@@ -97,6 +98,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             usual_rate_Hz=100.0,
             stops_early=False,
             limits_force=True,
+            counts_per_turn=4096,
         ),
         "feetech": BoardKind(
             line="serial",
@@ -110,6 +112,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             usual_rate_Hz=100.0,
             stops_early=False,
             limits_force=True,
+            counts_per_turn=4096,
         ),
         "moteus": BoardKind(
             line="can",
@@ -159,6 +162,16 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             usual_rate_Hz=200.0,
             stops_early=False,
             limits_current=True,
+            counts_per_turn=18_000,
         ),
     }
 )
+
+
+def bus_conflict(kinds: Collection[str]) -> str | None:
+    """Why boards of these kinds cannot share a CAN bus, "" for the reference boards; None if they can."""
+    alone = sorted(kind for kind in set(kinds) if kind and KINDS[kind].needs_own_bus)
+    others = [*alone[1:], *(["reference motor boards"] if alone and "" in kinds else [])]
+    if not others:
+        return None
+    return f"no {alone[0]} beside {others[0]} on one CAN bus: each takes the other's frames for its own"

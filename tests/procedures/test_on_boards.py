@@ -8,7 +8,7 @@ from control.errors import ArmError
 from control.model.board_kinds import KINDS
 from control.model.description import load_arm, save_arm
 from control.safety.table import Mode
-from procedures.mock.on_boards import NAMES, on_boards
+from procedures.on_boards import NAMES, on_boards
 from tests.cell import RIGHT, holding_cell, scenario
 
 

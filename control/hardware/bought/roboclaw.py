@@ -5,6 +5,7 @@ follows are kept here. It never goes on by itself after an error: FAULT is left 
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines
@@ -27,7 +28,7 @@ from control.hardware.words import (
 )
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted
+from firmware_iface.errors import BoardFaulted, MisuseError
 from firmware_iface.link import ByteLink
 from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.board import CHANNELS, RoboClaw
@@ -50,6 +51,10 @@ _SWITCH = (Status.S4_TRIGGERED, Status.S5_TRIGGERED)
 # Bytes of a cycle a board, there and back: duties 8 + 1, currents 2 + 6, status 2 + 6, encoders 2 + 10.
 CYCLE_BYTES = 37
 QUESTIONS = 4
+_RATED = re.compile(
+    r"\d+x(\d+)A"
+)  # in its version: motors and continuous current, as in "RoboClaw 2x15A v4.3.6"
+PEAK_OF_RATED = 2.0  # at most, by the boards' data sheets: 1.25 to 2 by model
 
 
 def cycle_s(boards: int, baud: int) -> float:
@@ -235,9 +240,22 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
     open_lines(boards, opened, period_s, "RoboClaw", remedy, cycle_s, open_on)
 
 
+def _require_rating(where: str, version: str, drive: Drive) -> None:
+    """A board limits the current to what it is told, and that must not be beyond its own peak. MisuseError."""
+    rated = _RATED.search(version)
+    if rated is None or math.isinf(drive.current_limit_A):
+        return
+    most_A = PEAK_OF_RATED * float(rated[1])
+    if drive.current_limit_A > most_A:
+        raise MisuseError(
+            f"{where}: joint {drive.joint}: current_limit_A = {drive.current_limit_A:g} is above the {most_A:g} A that it gives"
+            f" for a moment ({version})"
+        )
+
+
 def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) -> RoboClaw:
     board = RoboClaw(line, described.address, described.name)
-    identity = board.identify()
+    version = board.identify().version
     driven = {joint: drive for joint, drive in enumerate(arm.drives) if drive.board == described.name}
     counted = {joint: drive for joint, drive in driven.items() if drive.encoder_board < 0}
     for drive in counted.values():
@@ -251,5 +269,7 @@ def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) ->
             opened.encoders.append(RoboClawEncoders(board, own))
         if mine:
             opened.drives.append(RoboClawDrives(board, mine, arm.limits.watchdog_s, line.shout))
-    opened.identities.append((board.where, identity.version))
+    for drive in driven.values():
+        _require_rating(board.where, version, drive)
+    opened.identities.append((board.where, version))
     return board

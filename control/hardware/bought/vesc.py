@@ -112,11 +112,6 @@ def _open_vesc(bus: VescBus, described: Board, joint: int, drive: Drive, opened:
     board = Vesc(bus, described.address, described.name)
     if drive.pid.mode == "position":
         _require_one_turn(board, drive)
-    if drive.encoder_board < 0 and drive.encoder_counts_per_rev != wire.COUNTS_PER_TURN:
-        raise MisuseError(
-            f"{board.where}: a VESC sends its angle in {wire.COUNTS_PER_TURN} counts a turn, whatever the"
-            f" encoder: encoder_counts_per_rev = {wire.COUNTS_PER_TURN}, got {drive.encoder_counts_per_rev}"
-        )
     board.identify()
     encoder = own_encoder(board, joint, drive, opened)
     opened.drives.append(VescDrive(board, encoder, joint, drive, bus))

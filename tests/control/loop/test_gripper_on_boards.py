@@ -12,7 +12,7 @@ from control.model.arm_checks import check_arm
 from control.model.board_kinds import KINDS
 from control.model.reader import Rejected
 from hil_mocks.scenario import GripperTable
-from procedures.mock.on_boards import on_boards
+from procedures.on_boards import on_boards
 from tests.cell import RIGHT, Cell, holding_cell, scenario
 from tests.control.loop.test_gripper import GRIPPER, END_m
 

@@ -6,7 +6,7 @@ import pytest
 
 from control.hardware.board_stop import BoardStop, board_stop, stop_after_s
 from control.safety.table import Mode
-from procedures.mock.on_boards import on_boards
+from procedures.on_boards import on_boards
 from tests.cell import RIGHT, Cell, holding_cell, scenario, with_drives
 
 START = (-1.2, -0.6, 0.2)

@@ -3,13 +3,14 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from control.errors import ArmError
 from control.model.arm import Arm, Home
 from control.model.description import load_arm, save_arm
-from procedures.mock.on_boards import on_boards
+from procedures.on_boards import on_boards
 from tests.cell import RIGHT, with_drive
 
 
@@ -36,6 +37,18 @@ def _beside_a_cia402_drive(arm: Arm) -> Arm:
     return replace(arm, boards=(*arm.boards[:2], other.boards[2]), drives=(*arm.drives[:2], other.drives[2]))
 
 
+def _second(**changes: Any) -> Callable[[Arm], Arm]:
+    return lambda arm: replace(
+        arm, boards=(arm.boards[0], replace(arm.boards[1], **changes), *arm.boards[2:])
+    )
+
+
+def _first_drive(**changes: Any) -> Callable[[Arm], Arm]:
+    if changes.get("board") == "":  # as if the line were forgotten
+        changes["pid"] = RIGHT.drives[0].pid
+    return lambda arm: with_drive(arm, 1, **changes)
+
+
 @pytest.mark.parametrize(
     ("kind", "change", "said"),
     [
@@ -59,8 +72,22 @@ def _beside_a_cia402_drive(arm: Arm) -> Arm:
             _counted_elsewhere,
             r"encoder_board of \[\[drive\]\] 1: expected none: such a drive closes its own loop",
         ),
-        ("odrive", _beside_a_cia402_drive, "boards of one kind on .can. of cia402 and odrive"),
-        ("odrive", _beside_a_reference_board, "no reference motor board beside odrive"),
+        ("odrive", _beside_a_cia402_drive, "no cia402 beside odrive on one CAN bus"),
+        ("odrive", _beside_a_reference_board, "no odrive beside reference motor boards on one CAN bus"),
+        ("dynamixel", _second(address=1), "address of .* 2: expected another one than that of dynamixel1"),
+        ("dynamixel", _second(baud=57_600), "baud of .* 2: expected 1000000, as dynamixel1 on the same port"),
+        ("dynamixel", _second(kind="feetech"), "port of .* 2: .* dynamixel1 on this one is a dynamixel"),
+        ("feetech", _second(name="x"), r"name of .* 2: .* got x, which none names|\(feetech1, x, feetech3\)"),
+        ("dynamixel", _first_drive(board=""), "name of .* 1: .* got dynamixel1, which none names"),
+        ("vesc", _first_drive(board="vesc2"), r"one joint per motor of a board \(board, channel\)"),
+        ("vesc", _first_drive(board_channel=2), "board_channel of .* 1: expected 1, its only motor, got 2"),
+        ("vesc", _first_drive(encoder_counts_per_rev=2048), "encoder_counts_per_rev of .* 1: expected 18000"),
+        (
+            "dynamixel",
+            _first_drive(encoder_counts_per_rev=2048),
+            "encoder_counts_per_rev of .* expected 4096",
+        ),
+        ("moteus", _second(port="/dev/ttyACM0"), "port of .* 2: expected none: a moteus is on the bus"),
     ],
 )
 def test_what_a_kind_of_board_cannot_do_is_refused_with_the_place(

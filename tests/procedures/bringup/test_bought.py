@@ -15,7 +15,7 @@ from procedures.bringup.journal import Journal, brought_up
 from procedures.bringup.mock_operator import MockOperator
 from procedures.bringup.opening import open_bench
 from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
-from procedures.mock.on_boards import on_boards
+from procedures.on_boards import on_boards
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 from tests.procedures.bringup.test_bringup import said_of, short
 from tests.procedures.bringup.test_bringup import short_ways as short_ways

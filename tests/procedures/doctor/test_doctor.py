@@ -28,7 +28,7 @@ from procedures.doctor.judging import clock_drift, judge
 from procedures.doctor.links import judge_can, judge_serial
 from procedures.doctor.recordings import look_at_last_recording
 from procedures.doctor.sampling import sample
-from procedures.mock.on_boards import on_boards
+from procedures.on_boards import on_boards
 from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
 from tests.recordings import write_recording
 

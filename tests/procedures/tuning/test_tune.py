@@ -15,7 +15,7 @@ from control.errors import ArmError
 from control.model.arm import DrivePid
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
-from procedures.mock.on_boards import on_boards
+from procedures.on_boards import on_boards
 from procedures.tuning import multisine as signal
 from procedures.tuning import procedure, session
 from procedures.tuning.multisine import Measured, PoorResponse, evaluate, multisine, usable

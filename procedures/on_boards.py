@@ -1,39 +1,53 @@
-"""An arm on bought boards: the same joints, motors and limits, driven by boards of another kind."""
+"""An arm on bought boards: the same joints, motors and limits, driven by boards of other kinds."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 from control.errors import ArmError
-from control.model.arm import Arm, Board, Drive, DrivePid
+from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, DrivePid
 from control.model.board_kinds import KINDS
 
 MIXED: Final = "mixed"
 MIXED_KINDS: Final = ("roboclaw", "dynamixel")
 """Of `mixed`: all joints but the last, and the last."""
+REFERENCE: Final = "reference"
 NAMES: Final = (*KINDS, MIXED)
 
 STALE_CYCLES = 6  # a board that is asked in turn answers every cycle or two
 HOMING_SPEED_rad_s = 0.1  # a switch is seen a cycle late at most: a tenth of a millimetre at the tip
-SERVO_COUNTS_PER_TURN = 4096
-VESC_COUNTS_PER_TURN = 18_000
 BAUD: Final = {"roboclaw": 460_800, "dynamixel": 1_000_000, "feetech": 1_000_000}
 
 
-def on_boards(arm: Arm, kind: str) -> Arm:
-    """Return the arm with all drives on boards of a kind, or on MIXED_KINDS. ArmError lists the kinds."""
-    if kind not in NAMES:
-        raise ArmError(f"boards: expected one of {', '.join(NAMES)}, got {kind}")
-    last = len(arm.drives) - 1
-    kinds = [MIXED_KINDS[i == last] if kind == MIXED else kind for i in range(last + 1)]
+def on_boards(arm: Arm, kinds: str | Sequence[str]) -> Arm:
+    """Return the arm with all drives on boards of a kind, on MIXED_KINDS, or each on one of its own. ArmError lists the kinds.
+
+    A drive of kind REFERENCE stays on the arm's reference boards. Ports are the names of the lines.
+    """
+    for kind in (kinds,) if isinstance(kinds, str) else kinds:
+        if kind not in (*NAMES, REFERENCE):
+            raise ArmError(f"boards: expected one of {', '.join(NAMES)}, got {kind}")
     boards: list[Board] = []
-    drives = []
-    for i, (drive, its_kind) in enumerate(zip(arm.drives, kinds, strict=True)):
-        before = kinds[:i].count(its_kind)
-        motors = KINDS[its_kind].motors
+    drives: list[Drive] = []
+    each = _each(kinds, len(arm.drives))
+    for i, (drive, kind) in enumerate(zip(arm.drives, each, strict=True)):
+        before = each[:i].count(kind)
+        if kind == REFERENCE:
+            board, channel = divmod(before, ENCODER_CHANNELS)
+            drives.append(replace(drive, encoder_board=board, encoder_channel=channel))
+            continue
+        motors = KINDS[kind].motors
         if before % motors == 0:
-            boards.append(_board(its_kind, before // motors))
-        drives.append(_on_board(drive, boards[-1], 1 + before % motors))
-    return _with(arm, boards, drives)
+            boards.append(_board(kind, before // motors))
+        its_own = next(board for board in reversed(boards) if board.kind == kind)
+        drives.append(_on_board(drive, its_own, 1 + before % motors))
+    return _with(arm, boards, drives) if boards else arm
+
+
+def _each(kinds: str | Sequence[str], joints: int) -> list[str]:
+    if kinds == MIXED:
+        return [MIXED_KINDS[joint == joints - 1] for joint in range(joints)]
+    return [kinds] * joints if isinstance(kinds, str) else list(kinds)
 
 
 def _board(kind: str, number: int) -> Board:
@@ -56,12 +70,11 @@ def _on_board(drive: Drive, board: Board, channel: int) -> Drive:
         encoder_board=-1,
         encoder_channel=-1,
         motor_node=-1,
+        encoder_counts_per_rev=kind.counts_per_turn or drive.encoder_counts_per_rev,
         pid=DrivePid(kind.modes[0]),
     )
     if kind.is_absolute:
         return _at_the_output(moved)
-    if board.kind == "vesc":
-        moved = replace(moved, encoder_counts_per_rev=VESC_COUNTS_PER_TURN)
     if board.absolute:
         return replace(moved, home=None)
     # No index pulse: the edge of the switch is the zero.
@@ -75,8 +88,7 @@ def _at_the_output(drive: Drive) -> Drive:
     return replace(
         drive,
         gear_ratio=1.0,
-        encoder_counts_per_rev=SERVO_COUNTS_PER_TURN,
-        zero_count=SERVO_COUNTS_PER_TURN // 2,
+        zero_count=drive.encoder_counts_per_rev // 2,
         torque_constant_Nm_A=ratio * drive.torque_constant_Nm_A,
         rotor_inertia_kg_m2=ratio**2 * drive.rotor_inertia_kg_m2,
         home=None,
@@ -87,11 +99,13 @@ def _with(arm: Arm, boards: list[Board], drives: list[Drive]) -> Arm:
     kinds = {board.kind for board in boards}
     slowest_Hz = min(KINDS[kind].usual_rate_Hz for kind in kinds)
     stale_s = max(arm.limits.stale_s, STALE_CYCLES / slowest_Hz)
+    reference = sum(not drive.board for drive in drives)
+    is_on_can = reference or any(KINDS[kind].line == "can" for kind in kinds)
     return replace(
         arm,
         boards=tuple(boards),
         drives=tuple(drives),
-        encoder_boards=(),
-        can=arm.can if any(KINDS[kind].line == "can" for kind in kinds) else None,
+        encoder_boards=arm.encoder_boards[: -(-reference // ENCODER_CHANNELS)],
+        can=arm.can if is_on_can else None,
         limits=replace(arm.limits, stale_s=stale_s),
     )
