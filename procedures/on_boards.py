@@ -44,6 +44,18 @@ def on_boards(arm: Arm, kinds: str | Sequence[str]) -> Arm:
     return _with(arm, boards, drives) if boards else arm
 
 
+def serial_lines(kinds: Sequence[str]) -> tuple[str, ...]:
+    """The serial lines of boards of these kinds, a kind a joint: encoder boards, RoboClaws, a line a kind of servos."""
+    encoders = -(-kinds.count(REFERENCE) // ENCODER_CHANNELS)
+    claws = -(-kinds.count("roboclaw") // KINDS["roboclaw"].motors)
+    servos = [kind for kind in dict.fromkeys(kinds) if kind in BAUD and kind != "roboclaw"]
+    return (
+        *(f"encoder board {number + 1}" for number in range(encoders)),
+        *(f"roboclaw{number + 1}" for number in range(claws)),
+        *servos,
+    )
+
+
 def _each(kinds: str | Sequence[str], joints: int) -> list[str]:
     if kinds == MIXED:
         return [MIXED_KINDS[joint == joints - 1] for joint in range(joints)]

@@ -15,7 +15,7 @@ from procedures.new_arm.questions import Asker, Given, answers_for, ask_shape
 from procedures.new_arm.stretched import stretched_arm
 from procedures.new_arm.writing import commented_text
 
-ANSWERS: Final = ("joints", "axes", "lengths", "gears", "counts", "ports", "can", "home")
+ANSWERS: Final = ("joints", "axes", "lengths", "boards", "gears", "counts", "ports", "can", "home")
 
 
 class Terminal:

@@ -29,6 +29,12 @@ BRINGUP = (
                 help="in m: base to joint 2, joint to joint, last joint to tip",
             ),
             option(
+                "--boards",
+                metavar="KIND",
+                nargs="+",
+                help="boards of the joints: one kind for all or one each (docs/boards.md)",
+            ),
+            option(
                 "--gears", metavar="R", nargs="+", help="motor turns per joint turn: one for all or one each"
             ),
             option(
@@ -42,7 +48,7 @@ BRINGUP = (
                 "--ports",
                 metavar="PORT",
                 nargs="+",
-                help="serial ports of the encoder boards, three joints each",
+                help="serial ports of encoder boards (three joints each), RoboClaws, and each kind of servos",
             ),
             option("--can", metavar="I:C", help="CAN bus of the motor boards, such as socketcan:can0"),
             *MODEL,

@@ -76,9 +76,13 @@ def write_log(out: Path, arm: Arm, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def log_text(joint_count: int, runs: Sequence[tuple[str, Aligned | Run, float]]) -> str:
-    """log.csv of runs by their names, each with its payload [kg]; without the quantities that none of them has."""
+    """log.csv of runs by their names, each with its payload [kg]; without the quantities that none of them has.
+
+    An empty voltage would say that a driver is off: where a board sets a joint's voltage itself, the log has no voltages.
+    """
     groups = [[getattr(run, name) for _, run, _ in runs] for name in GROUPS.values()]
     has = [any(np.isfinite(values).any() for values in group) for group in groups]
+    has[-1] = bool(np.any([np.isfinite(volts).any(axis=0) for volts in groups[-1]], axis=0).all())
     has[-1] |= any(isinstance(run, Run) and run.is_commanded for _, run, _ in runs)  # then none: driver off
     names = [
         name

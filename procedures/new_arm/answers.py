@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from control.errors import ArmError
-from control.model.arm import ENCODER_CHANNELS, Convention
+from control.model.arm import Convention
+from control.model.board_kinds import KINDS, bus_conflict
 from control.model.rules import LENGTH, NAME
 from firmware_iface.link import PortHere
+from procedures.on_boards import REFERENCE, serial_lines
 
 T = TypeVar("T")
 FEWEST, MOST = 2, 7
@@ -39,13 +41,17 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What is bolted to the joints, one value each; no gears: chosen to hold the arm."""
+    """What is bolted to the joints, one value each; no gears: chosen to hold the arm.
 
+    `boards`: kinds, or REFERENCE; `ports`: of their serial lines, in the order of `serial_lines`; `can`: None if none is on it.
+    """
+
+    boards: tuple[str, ...]
     gear_ratios: tuple[float, ...] | None
     counts_per_rev: tuple[int, ...]
     has_home_switches: bool
     ports: tuple[str, ...]
-    can: tuple[str, str]
+    can: tuple[str, str] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,16 +63,26 @@ class Answers:
     parts: Parts
 
 
-def boards_for(joints: int) -> int:
-    """Encoder boards that an arm needs: each reads three encoders."""
-    return -(-joints // ENCODER_CHANNELS)
-
-
-def usual_ports(joints: int, here: Sequence[PortHere]) -> tuple[str, ...]:
-    """Ports of the encoder boards where nothing else is said: names that stay, of the ports `here`, as far as there are."""
+def usual_ports(count: int, here: Sequence[PortHere]) -> tuple[str, ...]:
+    """So many ports where nothing else is said: names that stay, of the ports `here`, as far as there are."""
     stable = [port.stable for port in here if port.stable]
-    numbered = (f"{FIRST_PORT}{number}" for number in range(boards_for(joints)))
-    return tuple(stable[: boards_for(joints)]) if len(stable) >= boards_for(joints) else tuple(numbered)
+    numbered = (f"{FIRST_PORT}{number}" for number in range(count))
+    return tuple(stable[:count]) if len(stable) >= count else tuple(numbered)
+
+
+def is_on_can(kind: str) -> bool:
+    """Whether a kind, or the reference motor boards, need a CAN bus."""
+    return kind == REFERENCE or KINDS[kind].line == "can"
+
+
+def has_own_counts(kind: str) -> bool:
+    """Whether a kind sends counts of its own, whatever the encoder."""
+    return kind != REFERENCE and KINDS[kind].counts_per_turn > 0
+
+
+def may_home(kind: str) -> bool:
+    """Whether joints on a kind may have a home switch."""
+    return kind == REFERENCE or (KINDS[kind].has_switch and not KINDS[kind].is_absolute)
 
 
 def name_from(text: str) -> str:
@@ -124,11 +140,27 @@ def counts_from(words: Sequence[str], joints: int) -> tuple[int, ...]:
     return _for_each([int(word) for word in words], joints, "counts")
 
 
-def ports_from(words: Sequence[str], joints: int) -> tuple[str, ...]:
-    """One serial port an encoder board."""
-    boards = boards_for(joints)
-    if len(words) != boards or len(set(words)) != boards:
-        what = f"{boards} different serial ports ({joints} joints need {boards} encoder boards, three channels each)"
+def boards_from(words: Sequence[str], joints: int) -> tuple[str, ...]:
+    """A kind of board each, one for all or one each; ArmError for those that cannot be on one arm."""
+    for word in words:
+        if word not in (REFERENCE, *KINDS):
+            raise ArmError(f"boards: expected kinds of {', '.join((REFERENCE, *KINDS))}, got {word!r}")
+    kinds = _for_each(words, joints, "boards")
+    conflict = bus_conflict({"" if kind == REFERENCE else kind for kind in kinds})
+    if conflict is not None:
+        raise ArmError(f"boards: expected {conflict}, got {' '.join(words)}")
+    return kinds
+
+
+def ports_from(words: Sequence[str], boards: Sequence[str]) -> tuple[str, ...]:
+    """One serial port a line of these boards."""
+    lines = serial_lines(boards)
+    if len(words) != len(lines) or len(set(words)) != len(lines):
+        what = (
+            f"{len(lines)} different serial ports, of {', '.join(lines)}"
+            if lines
+            else "none with these boards"
+        )
         raise ArmError(f"ports: expected {what}, got {' '.join(words) or 'none'}")
     return tuple(words)
 

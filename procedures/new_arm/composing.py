@@ -11,10 +11,12 @@ import numpy as np
 from calib.arm_import import SerialArm, arm_links, friction_effects
 from control.kinematics.corners import Corners
 from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
-from procedures.new_arm.answers import Answers
+from control.model.board_kinds import KINDS
+from procedures.new_arm.answers import Answers, Parts
 from procedures.new_arm.motors import Load, drives, loads, range_of
 from procedures.new_arm.rest import rest_pose
 from procedures.new_arm.stretched import is_level
+from procedures.on_boards import on_boards, serial_lines
 
 NO_FLOOR_z_m = -10.0  # below every arm: the lowest that arm.toml takes
 BELOW_REST_m = 0.05
@@ -46,19 +48,45 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
     limits, more = _floor_below(bare, rest, limits)
     needed = loads(bare, ranges)
     arm = dataclasses.replace(
-        bare,
-        drives=drives(serial.joints, needed, answers.parts, rest),
-        encoder_boards=tuple(
-            EncoderBoardPort(f"enc{number}", port) for number, port in enumerate(answers.parts.ports)
-        ),
-        can=CanBus(*answers.parts.can),
-        rest=Rest(rest),
-        limits=limits,
+        bare, drives=drives(serial.joints, needed, answers.parts, rest), rest=Rest(rest), limits=limits
     )
+    arm = _wired(arm, answers.parts)
     names = tuple(joint.name for joint in serial.joints)
     return NewArm(
-        arm, names, (*serial.notes, *notes, *floor_notes, *more, *_weak(arm, needed), *_slow(arm, serial))
+        arm,
+        names,
+        (*serial.notes, *notes, *floor_notes, *more, *_weak(arm, needed), *_slow(arm, serial), *_on(arm)),
     )
+
+
+def _wired(arm: Arm, parts: Parts) -> Arm:
+    """The arm with its boards, and where they are."""
+    port_of = dict(zip(serial_lines(parts.boards), parts.ports, strict=True))
+    encoders = [port for line, port in port_of.items() if line.startswith("encoder board")]
+    with_lines = dataclasses.replace(
+        arm,
+        encoder_boards=tuple(EncoderBoardPort(f"enc{number}", port) for number, port in enumerate(encoders)),
+        can=CanBus(*parts.can) if parts.can else None,
+    )
+    wired = on_boards(with_lines, parts.boards)
+    boards = (dataclasses.replace(board, port=port_of.get(board.port, "")) for board in wired.boards)
+    return dataclasses.replace(wired, boards=tuple(boards))
+
+
+def _on(arm: Arm) -> list[str]:
+    """What bought boards need that arm.toml cannot give them."""
+    kinds = dict.fromkeys(board.kind for board in arm.boards)
+    notes = [f"set up each {kind} as docs/{kind}.md says" for kind in kinds]
+    notes += [
+        f"{kind}: it reads no home switch, so make its position that of the joint (absolute = true)"
+        for kind in kinds
+        if not KINDS[kind].has_switch
+    ]
+    needing_fd = [kind for kind in kinds if KINDS[kind].needs_fd]
+    is_shared = any(KINDS[kind].line == "can" and kind not in needing_fd for kind in kinds)
+    if needing_fd and (is_shared or not all(drive.board for drive in arm.drives)):
+        notes.append(f"every board on the CAN bus of a {needing_fd[0]} must know CAN FD")
+    return notes
 
 
 def _limits(serial: SerialArm) -> tuple[Limits, list[str]]:

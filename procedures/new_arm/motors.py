@@ -15,7 +15,9 @@ import numpy as np
 from calib.arm_import.tree import TreeJoint
 from control.dynamics.dynamics import Dynamics
 from control.model.arm import Arm, Drive, Home
+from control.model.board_kinds import KINDS
 from procedures.new_arm.answers import Parts
+from procedures.on_boards import REFERENCE
 
 POSES: Final = 400
 RESERVE: Final = (
@@ -34,6 +36,7 @@ JERK_PER_ACCELERATION_1_s: Final = 20.0
 WITHOUT_LIMIT_rad: Final = math.pi  # range of a joint whose file has no limits
 HOMING_SPEED_rad_s: Final = 0.3
 SWITCH_BEFORE_REST_rad: Final = 0.1
+SERVO_SUPPLY_V: Final = 24.0  # at most, of smart servos
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +106,9 @@ def drives(
 
 def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: float) -> Drive:
     given = None if parts.gear_ratios is None else parts.gear_ratios[number - 1]
-    motor, gear = _chosen(joint, load, (given,) if given else GEARS)
+    is_servo = parts.boards[number - 1] != REFERENCE and KINDS[parts.boards[number - 1]].is_absolute
+    motors = [motor for motor in MOTORS if not is_servo or motor.supply_V <= SERVO_SUPPLY_V]
+    motor, gear = _chosen(joint, load, motors, (given,) if given else GEARS)
     current_A = motor.current_A
     if math.isfinite(joint.torque_Nm) and joint.torque_Nm < motor.torque_Nm(gear):
         current_A = joint.torque_Nm / (motor.torque_constant_Nm_A * gear)
@@ -131,10 +136,12 @@ def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: fl
     )
 
 
-def _chosen(joint: TreeJoint, load: Load, gears: Sequence[float]) -> tuple[Motor, float]:
+def _chosen(
+    joint: TreeJoint, load: Load, motors: Sequence[Motor], gears: Sequence[float]
+) -> tuple[Motor, float]:
     """The smallest motor with a gear that gives torque and speed; else torque alone; else the strongest."""
     wanted_rad_s = joint.speed_rad_s if math.isfinite(joint.speed_rad_s) else 0.5 * USUAL_SPEED_rad_s
-    choices = [(motor, gear) for motor in MOTORS for gear in gears]
+    choices = [(motor, gear) for motor in motors for gear in gears]
     strong = [(motor, gear) for motor, gear in choices if _is_strong(motor, gear, joint, load)]
     quick = [(motor, gear) for motor, gear in strong if motor.speed_rad_s(gear) >= wanted_rad_s]
     return (quick or strong or choices[-1:])[0]

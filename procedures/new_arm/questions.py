@@ -9,9 +9,11 @@ from typing import Protocol, TypeVar
 from calib.arm_import import SerialArm
 from control.errors import ArmError
 from control.model.arm import Convention
+from control.model.board_kinds import KINDS
 from firmware_iface.link import serial_ports
 from procedures.new_arm import answers
 from procedures.new_arm.answers import Answers, Parts, Shape
+from procedures.on_boards import REFERENCE, serial_lines
 
 T = TypeVar("T")
 
@@ -34,6 +36,7 @@ class Given:
     axes: str | None = None
     lengths: Sequence[str] | None = None
     gears: Sequence[str] | None = None
+    boards: Sequence[str] | None = None
     counts: Sequence[str] | None = None
     ports: Sequence[str] | None = None
     can: str | None = None
@@ -61,7 +64,15 @@ def ask_shape(given: Given, asker: Asker) -> Shape:
 
 
 def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
-    """Gears, encoders, switches and boards. ArmError if an option is wrong."""
+    """Boards, gears, encoders and switches, as far as the boards leave them open. ArmError if an option is wrong."""
+    kinds = ", ".join((REFERENCE, *KINDS))
+    boards = _answer(
+        _joined(given.boards),
+        asker,
+        f"Board of each joint, one kind for all or one each ({kinds}: docs/boards.md)",
+        REFERENCE,
+        lambda text: answers.boards_from(_words(text), joints),
+    )
     gears = _answer(
         _joined(given.gears),
         asker,
@@ -69,26 +80,37 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
         "auto",
         lambda text: None if text.strip() == "auto" else answers.gears_from(_words(text), joints),
     )
-    counts = _answer(
+    counts = _answer_if(
+        not all(map(answers.has_own_counts, boards)),
         _joined(given.counts),
         asker,
         "Encoder counts per motor turn after quadrature, one for all or one each",
         str(answers.COUNTS_PER_REV),
         lambda text: answers.counts_from(_words(text), joints),
     )
-    question = "Has every joint a home switch, and its encoder an index"
-    home = _answer(given.home, asker, question, "yes", answers.yes_from)
-    boards = answers.boards_for(joints)
-    ports = _answer(
+    index = ", and its encoder an index" if REFERENCE in boards else ""
+    home = _answer_if(
+        any(map(answers.may_home, boards)), given.home, asker, f"Has every joint a home switch{index}", "yes", answers.yes_from
+    )  # fmt: skip
+    lines = serial_lines(boards)
+    ports = _answer_if(
+        bool(lines),
         _joined(given.ports),
         asker,
-        f"Serial port{'s' * (boards > 1)} of the {boards} encoder board{'s' * (boards > 1)} (three joints each)",
-        " ".join(answers.usual_ports(joints, serial_ports())),
-        lambda text: answers.ports_from(_words(text), joints),
+        f"Serial port{'s' * (len(lines) > 1)} of: {', '.join(lines)}",
+        " ".join(answers.usual_ports(len(lines), serial_ports())),
+        lambda text: answers.ports_from(_words(text), boards),
     )
-    question = "CAN bus of the motor boards, as python-can's INTERFACE:CHANNEL"
-    can = _answer(given.can, asker, question, answers.CAN, answers.can_from)
-    return Parts(gears, counts, home, ports, can)
+    can = _answer_if(
+        any(map(answers.is_on_can, boards)),
+        given.can,
+        asker,
+        "CAN bus of the motor boards, as python-can's INTERFACE:CHANNEL",
+        answers.CAN,
+        answers.can_from,
+    )
+    every_count = counts or (answers.COUNTS_PER_REV,) * joints
+    return Parts(boards, gears, every_count, bool(home), ports or (), can)
 
 
 def _joints(given: Given, asker: Asker) -> int:
@@ -116,6 +138,17 @@ def _answer(given: str | None, asker: Asker, question: str, default: str, read: 
             return read(asker.ask(question, default))
         except ArmError as error:
             asker.say(f"  {error}")
+
+
+def _answer_if(
+    is_open: bool, given: str | None, asker: Asker, question: str, default: str, read: Callable[[str], T]
+) -> T | None:
+    """As `_answer`; None, and not asked, where the boards leave nothing open. ArmError if it is answered all the same."""
+    if is_open:
+        return _answer(given, asker, question, default, read)
+    if given is not None:
+        raise ArmError(f'"{question}" does not arise with these boards: omit the option that says {given}')
+    return None
 
 
 def _words(text: str) -> list[str]:

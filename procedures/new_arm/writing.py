@@ -8,19 +8,36 @@ from typing import Any
 
 import tomli_w
 
-from control.model.arm import Arm, CanBus, Drive, Effect, EncoderBoardPort, Home, Limits, Link, Rest, Tool
+from control.model.arm import (
+    Arm,
+    Board,
+    CanBus,
+    Drive,
+    DrivePid,
+    Effect,
+    EncoderBoardPort,
+    Home,
+    Limits,
+    Link,
+    Rest,
+    Tool,
+)
+from control.model.board_kinds import KINDS
 from control.model.reader import keys_of
 from control.model.reference import texts_of
 from procedures.new_arm.composing import NewArm
 
 VALUE_WIDTH = 38
+ON_REFERENCE = {"encoder_board", "encoder_channel", "motor_node", "board_holds"}
+ON_BOUGHT = {"board", "board_channel"}
 PLACEHOLDERS = "Placeholders where you did not say otherwise: compare every value with your parts."
 SECTIONS = {
     "link": "links: DH rows from base to tip, and what each weighs",
     "drive": f"motors, gears, encoders and limits, one per joint. {PLACEHOLDERS}",
     "home": "home switch; `armwright bringup` measures where it changes and where the index is",
+    "board": "bought boards (docs/boards.md)",
     "encoder_board": "encoder boards: three channels each, joints in order",
-    "can": "bus of the motor boards: node j drives joint j",
+    "can": "bus of the motor boards; node j of the reference boards drives joint j",
     "rest": "a pose to wait in",
     "limits": "limits that the loop enforces; more of them in docs/arm_toml.md",
     "effect": "effects of the model (docs/formats.md#effects)",
@@ -40,12 +57,22 @@ def commented_text(new: NewArm, origin: str) -> str:
     if arm.tool != Tool():
         lines += ["", "[tool]", *_keys(arm.tool, Tool, ("position_m",))]
     lines += _drives(arm)
+    for number, board in enumerate(arm.boards):
+        lines += ["", *([f"# {SECTIONS['board']}"] if number == 0 else []), "[[board]]"]
+        lines += _keys(board, Board, _keys_of_board(board), with_comments=number == 0)
     lines += _tables("encoder_board", EncoderBoardPort, arm.encoder_boards, ("name", "port", "baud"))
     if arm.can is not None:
         lines += _table("can", arm.can, CanBus, ("interface", "channel", "bitrate"))
     if arm.rest is not None:
         lines += _table("rest", arm.rest, Rest, ("q_rad",))
-    limits = ("tip_speed_m_s", "floor_z_m", "floor_tolerance_m", "base_radius_m", "payload_limit_kg")
+    limits: tuple[str, ...] = (
+        "tip_speed_m_s",
+        "floor_z_m",
+        "floor_tolerance_m",
+        "base_radius_m",
+        "payload_limit_kg",
+    )
+    limits = (*limits, "stale_s") if arm.boards else limits
     lines += _table("limits", arm.limits, Limits, limits)
     lines += _tables("effect", Effect, arm.effects, ("effect", "joint", "parameters"))
     return "\n".join([*lines, "", LATER])
@@ -65,14 +92,29 @@ def _links(arm: Arm, names: Sequence[str]) -> list[str]:
 
 
 def _drives(arm: Arm) -> list[str]:
-    keys = tuple(key for key in keys_of(Drive) if key not in ("pid", "home", "zero_count"))
     lines = ["", f"# {SECTIONS['drive']}"]
     for number, drive in enumerate(arm.drives):
-        lines += ["", "[[drive]]", *_keys(drive, Drive, keys, with_comments=number == 0)]
+        lines += ["", "[[drive]]", *_keys(drive, Drive, _keys_of_drive(drive), with_comments=number == 0)]
+        if drive.board:
+            lines += ["", "[drive.pid]", *_keys(drive.pid, DrivePid, ("mode",), with_comments=number == 0)]
         if drive.home is not None:
             lines += ["", *([f"# {SECTIONS['home']}"] if number == 0 else []), "[drive.home]"]
             lines += _keys(drive.home, Home, tuple(keys_of(Home)), with_comments=number == 0)
     return lines
+
+
+def _keys_of_drive(drive: Drive) -> list[str]:
+    """Those of its own table that its board leaves open."""
+    left_out = {"pid", "home"} | (ON_REFERENCE if drive.board else ON_BOUGHT)
+    left_out |= set() if drive.zero_count else {"zero_count"}
+    return [key for key in keys_of(Drive) if key not in left_out]
+
+
+def _keys_of_board(board: Board) -> list[str]:
+    """Those that mean something for its kind."""
+    kind = KINDS[board.kind]
+    where = ["port", "baud"] if kind.line == "serial" else []
+    return ["name", "kind", "address", *where, *(["absolute"] if kind.may_be_absolute else [])]
 
 
 def _tables(name: str, kind: type[Any], items: Sequence[object], keys: tuple[str, ...]) -> list[str]:

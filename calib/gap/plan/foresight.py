@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.arm_problem.assembly import ORIENTATION_NOISE_rad
 from calib.arrays import Array
+from calib.gap.effects.catalogue import RECORDS
 from calib.gap.finding import Nameable
 from calib.gap.plan.plan import AVERAGE_s, RecordingPlan, Visit
 from calib.gap.poses.find import find
@@ -78,6 +79,32 @@ def _orientations(arm: Arm, q: Array, draw: np.random.Generator) -> Array | None
     return quaternions(turned @ PoseKinematics(Kinematics(arm)).batch(q).rotation)
 
 
+def of_boards(arm: Arm) -> tuple[str, ...]:
+    """What the motions cannot show because of the boards, and what can be done about it; nothing where boards are told volts."""
+    without = [drive for drive in arm.drives if drive.pid.mode != "voltage"]
+    if not without:
+        return ()
+    which = (
+        "every joint"
+        if len(without) == len(arm.drives)
+        else f"joint {', '.join(str(d.joint) for d in without)}"
+    )
+    hidden = ", ".join(
+        name.replace("_", " ")
+        for name, record in RECORDS.items()
+        if record.series is not None and record.series.needs == "electrical"
+    )
+    able = [drive for drive in without if "voltage" in arm.kind_of(drive).modes]
+    remedy = (
+        'mode = "voltage" in [drive.pid] would show them'
+        if len(able) == len(without)
+        else "its boards take no voltage, so measure these by hand; what currents, angles and tips show is recorded as ever"
+    )
+    return (
+        f"The board of {which} sets the motor's voltage itself, so no motion can name {hidden}: {remedy}.",
+    )
+
+
 def in_short(arm: Arm, plan: RecordingPlan) -> str:
     """One sentence about how much there is to record."""
     loads = sorted({step.payload_kg for step in plan.steps if step.payload_kg})
@@ -107,6 +134,7 @@ def in_words(arm: Arm, plan: RecordingPlan, payload_kg: float) -> tuple[str, ...
         ]
     kinds = dict.fromkeys(run.kind for run in plan.runs)
     if kinds:
+        sentences += of_boards(arm)
         sentences.append("The motions show " + "; ".join(f"{SEEN_BY[kind]} ({kind})" for kind in kinds) + ".")
         if not payload_kg:
             sentences.append(

@@ -107,7 +107,8 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
     if given.plan_only:
         sys.stdout.write("".join(f"{line}\n" for line in foresight.in_words(arm, plan, payload_kg)))
         return 0
-    sys.stderr.write(f"{foresight.in_short(arm, plan)}\n")
+    said = (foresight.in_short(arm, plan), *(foresight.of_boards(arm) if plan.runs else ()))
+    sys.stderr.write("".join(f"{sentence}\n" for sentence in said))
     try:
         if given.mock:
             from procedures.gap.mock import record_on_mock

@@ -60,6 +60,37 @@ def test_it_homes_and_moves_on_the_mock_at_once(joints: int, tmp_path: Path) -> 
         assert np.abs(np.array(cell.rig.joint_rad()) - target).max() < SEEN_rad
 
 
+def test_a_kind_of_board_for_each_joint_is_written_and_runs_on_the_mock_at_once(tmp_path: Path) -> None:
+    kinds = ("moteus", "odrive", "roboclaw", "dynamixel")
+    options = ("--axes", "zyyz", "--boards", *kinds, "--ports", "/dev/claw", "/dev/servos", "--yes")
+    status, file = new(tmp_path, *options)
+    arm = load_arm(file)
+    assert status == 0
+    assert tuple(board.kind for board in arm.boards) == kinds
+    assert [board.port for board in arm.boards] == ["", "", "/dev/claw", "/dev/servos"]
+    assert [drive.home is not None for drive in arm.drives] == [True, False, True, False]
+    assert arm.encoder_boards == ()
+    assert arm.rest is not None
+    with open_cell(load_scenario("demo"), arm=arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        cell.client.enable()
+        cell.client.home()
+        target = [angle + 0.2 for angle in arm.rest.q_rad]
+        cell.run(cell.start_move(target) + 0.8)
+        assert cell.faults == []
+        assert np.abs(np.array(cell.rig.joint_rad()) - target).max() < SEEN_rad
+
+
+def test_a_bought_board_beside_reference_boards_takes_none_of_their_channels(tmp_path: Path) -> None:
+    _, file = new(tmp_path, "--joints", "3", "--boards", "reference", "vesc", "reference", "--yes")
+    arm = load_arm(file)
+    assert [(drive.encoder_board, drive.encoder_channel) for drive in arm.drives] == [
+        (0, 0),
+        (-1, -1),
+        (0, 1),
+    ]
+    assert [drive.motor_node for drive in arm.drives] == [1, -1, 3]
+
+
 def test_the_lengths_are_where_the_joints_are(tmp_path: Path) -> None:
     options = ("--axes", "zyy", "--lengths", "0.1", "0.4", "0.35", "--convention", "modified", "--yes")
     _, file = new(tmp_path, *options)
@@ -71,8 +102,8 @@ def test_the_lengths_are_where_the_joints_are(tmp_path: Path) -> None:
 def test_answers_are_asked_for_and_a_bad_one_is_asked_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    lines = ["nine", "4", "zyyz", "100 300 250 50", "0.1 0.3 0.25 0.05", "100", "1024", "no", "/dev/a /dev/a",
-             "/dev/a /dev/b", "slcan:/dev/ttyS1"]  # fmt: skip
+    lines = ["nine", "4", "zyyz", "100 300 250 50", "0.1 0.3 0.25 0.05", "vesk", "reference", "100", "1024",
+             "no", "/dev/a /dev/a", "/dev/a /dev/b", "slcan:/dev/ttyS1"]  # fmt: skip
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines) + "\n"))
     status, file = new(tmp_path)
     said = capsys.readouterr().out
@@ -80,7 +111,8 @@ def test_answers_are_asked_for_and_a_bad_one_is_asked_again(
     assert status == 0
     assert "a whole number from 2 to 7, got 'nine'" in said
     assert "this looks like millimetres: write 0.1" in said
-    assert "2 different serial ports (4 joints need 2 encoder boards" in said
+    assert "expected kinds of reference, roboclaw, " in said
+    assert "2 different serial ports, of encoder board 1, encoder board 2, got /dev/a /dev/a" in said
     assert [drive.gear_ratio for drive in arm.drives] == [100.0] * 4
     assert [drive.encoder_counts_per_rev for drive in arm.drives] == [1024] * 4
     assert all(drive.home is None for drive in arm.drives)
@@ -101,6 +133,16 @@ def test_answers_are_asked_for_and_a_bad_one_is_asked_again(
         (("--joints", "3", "--counts", "2048.5"), "whole numbers of 1 or more"),
         (("--joints", "4", "--ports", "/dev/a"), "2 different serial ports"),
         (("--joints", "3", "--can", "can0"), "expected INTERFACE:CHANNEL"),
+        (("--joints", "3", "--boards", "plc"), "expected kinds of reference, roboclaw"),
+        (("--joints", "3", "--boards", "vesc", "moteus"), "one value for all or 3 of them, got 2"),
+        (("--joints", "2", "--boards", "odrive", "cia402"), "no cia402 beside odrive on one CAN bus"),
+        (("--joints", "2", "--boards", "odrive", "reference"), "no odrive beside reference motor boards"),
+        (("--joints", "2", "--boards", "vesc", "--ports", "/dev/a"), "omit the option that says /dev/a"),
+        (("--joints", "2", "--boards", "feetech", "--can", "x:y"), "omit the option that says x:y"),
+        (
+            ("--joints", "3", "--boards", "roboclaw", "--ports", "/dev/a"),
+            "2 different serial ports, of roboclaw1",
+        ),
         (("--joints", "3", "--home", "maybe"), "expected yes or no"),
         (("--joints", "3", "--name", "../up"), "name: expected a name of 1 to 64"),
         (("--tip", "hand"), "--from-urdf or --from-mjcf"),
@@ -164,9 +206,9 @@ def test_a_speed_that_no_placeholder_motor_reaches_is_said(
 
 def test_ports_that_keep_their_names_are_suggested_first() -> None:
     here = [PortHere("/dev/ttyUSB0", "", "/dev/serial/by-id/usb-FTDI-if00"), PortHere("/dev/ttyS0", "")]
-    assert usual_ports(3, here) == ("/dev/serial/by-id/usb-FTDI-if00",)
-    assert usual_ports(6, here) == ("/dev/ttyACM0", "/dev/ttyACM1")
-    assert usual_ports(3, []) == ("/dev/ttyACM0",)
+    assert usual_ports(1, here) == ("/dev/serial/by-id/usb-FTDI-if00",)
+    assert usual_ports(2, here) == ("/dev/ttyACM0", "/dev/ttyACM1")
+    assert usual_ports(1, []) == ("/dev/ttyACM0",)
 
 
 def test_a_model_whose_joints_do_not_move_its_tip_is_refused(
