@@ -38,6 +38,8 @@ class BoardKind:
         str, ...
     ] = ()  # modes in which it frees its motor without the host: nothing stops the joint
     moves_on: bool = False  # in position mode at the speed of the last command; else it stays at its position
+    current_step_A: float = 0.0  # to which it rounds the current, where that is much
+    current_is_newest: bool = True  # measured after the last command; else before the one that it answers
     counts_per_turn: int = 0  # that it sends, whatever the encoder; 0: its encoder's
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
 
@@ -54,6 +56,7 @@ REFERENCE: Final = BoardKind(
     usual_rate_Hz=500.0,
     stops_early=True,
     limits_current=True,
+    current_is_newest=False,
 )
 
 KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
@@ -163,6 +166,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             stops_early=False,
             limits_current=True,
             counts_per_turn=18_000,
+            current_step_A=0.1,
         ),
     }
 )

@@ -20,15 +20,22 @@ TORQUE_SMOOTHING_S: Final = 0.1  # an impact ends before this
 class SpeedCheck:
     """One motor's equation, from volts and amperes at the joint's sign and rad/s of the joint.
 
-    The current of a report belongs to the voltage of two commands ago (docs/mock_robot.md); the check keeps them.
+    The current of a reference board's report belongs to the voltage of two commands ago (docs/mock_robot.md), that of a board
+    which measures when it is asked, or by itself, to the last one; the check keeps them.
     """
 
-    __slots__ = ("_K", "_R", "_allowed_V", "_base_V", "_before_V", "_last_V", "_left_V")
+    __slots__ = ("_K", "_R", "_allowed_V", "_base_V", "_before_V", "_is_newest", "_last_V", "_left_V")
 
-    def __init__(self, resistance_ohm: float, volts_per_rad_s: float, base_rad_s: float) -> None:
-        """`base_rad_s`: allowed difference of the two speeds at rest and without current."""
-        self._R, self._K = resistance_ohm, volts_per_rad_s
-        self._base_V = base_rad_s * volts_per_rad_s
+    def __init__(
+        self, resistance_ohm: float, volts_per_rad_s: float, base_rad_s: float, current_step_A: float = 0.0,
+        is_newest: bool = False,
+    ) -> None:  # fmt: skip
+        """`base_rad_s`: allowed difference of the two speeds at rest and without current.
+
+        `current_step_A`: to which the board rounds its current; `is_newest`: the current belongs to the last command.
+        """
+        self._R, self._K, self._is_newest = resistance_ohm, volts_per_rad_s, is_newest
+        self._base_V = base_rad_s * volts_per_rad_s + 0.5 * current_step_A * resistance_ohm
         self.forget()
 
     def forget(self) -> None:
@@ -44,7 +51,10 @@ class SpeedCheck:
         `sent_V`: of the last command, NaN if the board controls it. `supply_off`: share by which the supply differs from the
         nominal one, because some boards send a duty cycle.
         """
-        acted_V, change_V = self._before_V, abs(self._last_V - self._before_V)
+        if self._is_newest:
+            acted_V, change_V = sent_V, abs(sent_V - self._last_V)
+        else:
+            acted_V, change_V = self._before_V, abs(self._last_V - self._before_V)
         self._before_V, self._last_V = self._last_V, sent_V
         # Nor with the first command that is none: a board that is asked late measures what that one does.
         if not acted_V - acted_V == 0.0 == change_V - change_V or sent_V != sent_V:

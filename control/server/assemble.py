@@ -38,6 +38,7 @@ from control.loop.runtime import Runtime
 from control.loop.watch import JointLimits as MeasuredLimits
 from control.loop.watch import Watch, WatchLimits
 from control.model.arm import Arm, Drive
+from control.model.board_kinds import BoardKind
 from control.model.cell import Cell
 from control.model.joint_map import JointMap
 from control.motion.guard import Guard
@@ -246,13 +247,17 @@ def _servo(arm: Arm, loads: Loads, period_s: float) -> Servo:
 
 def _motors(arm: Arm) -> list[Motor]:
     constants = torque_constants_Nm_A(arm)
-    return [_motor(drive, constant) for drive, constant in zip(arm.drives, constants, strict=True)]
+    return [
+        _motor(drive, arm.kind_of(drive), constant)
+        for drive, constant in zip(arm.drives, constants, strict=True)
+    ]
 
 
-def _motor(drive: Drive, joint_constant: float) -> Motor:
+def _motor(drive: Drive, kind: BoardKind, joint_constant: float) -> Motor:
     return Motor(
-        1.0 / joint_constant, drive.resistance_ohm, joint_constant, drive.supply_V, drive.current_limit_A
-    )
+        1.0 / joint_constant, drive.resistance_ohm, joint_constant, drive.supply_V, drive.current_limit_A,
+        kind.current_step_A, kind.current_is_newest,
+    )  # fmt: skip
 
 
 def _watch_limits(arm: Arm, period_s: float) -> WatchLimits:

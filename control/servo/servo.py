@@ -57,6 +57,8 @@ class Motor:
     volts_per_rad_s: float
     supply_V: float
     current_limit_A: float
+    current_step_A: float = 0.0  # to which its board rounds the current
+    current_is_newest: bool = False  # it belongs to the last command, not to the one before that
 
 
 class GainShares(Protocol):

@@ -73,6 +73,24 @@ def test_voltage_steps_of_a_busy_controller_are_not_doubted() -> None:
         assert check.update(T, sent[-1], acted_V / R, 0.0, 0.0)
 
 
+def test_a_step_that_the_current_already_shows_is_not_doubted_but_a_current_that_no_command_explains_is() -> (
+    None
+):
+    for is_newest in (True, False):
+        check = SpeedCheck(R, K, BASE_rad_s, is_newest=is_newest)
+        for _ in range(100):
+            assert check.update(T, 0.0, 0.0, 0.0, 0.0)
+        steps = [check.update(0.005, 1.3, 1.3 / R, 0.0, 0.0) for _ in range(3)]
+        assert all(steps) is is_newest
+        assert not all(check.update(T, 1.3, -1.3 / R, 0.0, 0.0) for _ in range(100))
+
+
+def test_a_board_may_round_its_current_by_half_a_step() -> None:
+    for rounded_A, is_well in ((0.049, True), (0.15, False)):
+        check = SpeedCheck(4.8, 1.9, BASE_rad_s, current_step_A=0.1)
+        assert all(check.update(T, 4.8 * rounded_A, 0.0, 0.0, 0.0) for _ in range(500)) is is_well
+
+
 def test_a_voltage_that_is_not_known_says_nothing_and_starts_anew() -> None:
     check = SpeedCheck(R, K, BASE_rad_s)
     for _ in range(100):
