@@ -1,11 +1,12 @@
 """Time alignment of a recording: angles, currents, voltages and tips of log.csv share one clock.
 
-A row holds the latest values received: the current of the last cycle (a board answers a command with the mean of the last
-millisecond before it, docs/motor_board.md), an encoder report up to a cycle old, and an older camera frame. While a
-voltage u is held, the winding current follows R i(t) = u - k_t N dq/dt(t - L/R). It falls by k_t N a / R per second, which
-shifts the mean to the time of the command. Angles that are late by d leave k_t N a d in the balance, which gives d. Resistance,
-motor constant and a command delay are fitted as well, so that none of them is mistaken for age. The camera's age is that
-for which its tips follow those of the encoders, apart from smooth functions of the pose, backlash and compliance.
+A row holds the latest values received: the current of the last cycle (a reference board answers a command with the mean of the
+last millisecond before it, docs/motor_board.md; a bought board measures after it), an encoder report up to a cycle old, and an
+older camera frame. While a voltage u is held, the winding current follows R i(t) = u - k_t N dq/dt(t - L/R). It falls by k_t N
+a / R per second, which shifts the mean to the time of the command. Angles that are late by d leave k_t N a d in the balance,
+which gives d. Resistance, motor constant and a command delay are fitted as well, so that none of them is mistaken for age. The
+camera's age is that for which its tips follow those of the encoders, apart from smooth functions of the pose, backlash and
+compliance.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from control.kinematics.kinematics import Kinematics
-from control.model.arm import Arm, Drive
+from control.model.arm import Arm
 
 MEAN_s = 1e-3  # over which a board averages a current, before the command that it answers
 SMOOTH = 4  # cycles: width of the filter applied to all channels
@@ -111,12 +112,24 @@ def clocks_of(arm: Arm, runs: Sequence[Raw]) -> Clocks:
 
 
 def aligned(arm: Arm, raw: Raw, clocks: Clocks) -> Aligned:
-    """Rows k = 1 ... m - 2: values in row k + 1 were measured when row k's voltage started."""
+    """Rows k = 1 ... m - 2, at the time when row k's voltage started."""
     at = raw.t_s[1:-1]
     q = np.column_stack([_angle(raw, j, clock, at) for j, clock in enumerate(clocks.encoder)])
-    current = raw.current_A[2:] + 0.5 * MEAN_s * _current_slope_A_s(arm, q, raw.period_s)
+    mean_s = np.where(_is_newest(arm), 0.0, MEAN_s)
+    current = _currents(arm, raw) + 0.5 * mean_s * _current_slope_A_s(arm, q, raw.period_s)
     tip = _tips(arm, raw, clocks, at)
     return Aligned(at - at[0], q, raw.q_set_rad[1:-1], current, raw.voltage_V[1:-1], tip)
+
+
+def _is_newest(arm: Arm) -> Mask:
+    """Which joints' boards measure the current after the last command, (n,); the others answer a command with what was before."""
+    drives = (arm.drive(j + 1) for j in range(arm.joint_count))
+    return np.array([arm.kind_of(drive).current_is_newest for drive in drives])
+
+
+def _currents(arm: Arm, raw: Raw) -> Array:
+    """The currents under the voltage of row k - 1, for rows k = 1 ... m - 2: received in row k, or a cycle later."""
+    return np.where(_is_newest(arm), raw.current_A[1:-1], raw.current_A[2:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +187,7 @@ def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
     for _ in range(ROUNDS):
         information, pull = np.zeros((2, 2)), np.zeros(2)
         for j in joints:
-            own, towards = _later(arm.drive(j + 1), runs, j, clock)
+            own, towards = _later(arm, runs, j, clock)
             information += own
             pull += towards
         if np.linalg.matrix_rank(information) < 2:
@@ -185,16 +198,18 @@ def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
     return clock if -0.1 * period <= oldest <= OLDEST_ENCODER * period else first
 
 
-def _later(drive: Drive, runs: Sequence[Raw], j: int, clock: Clock) -> tuple[Array, Array]:
+def _later(arm: Arm, runs: Sequence[Raw], j: int, clock: Clock) -> tuple[Array, Array]:
     """Normal equations (2, 2), (2,) of the clock's offset and rate from the angles of joint j (0-based)."""
+    drive = arm.drive(j + 1)
+    mean_s = 0.0 if arm.kind_of(drive).current_is_newest else MEAN_s
     constant = drive.torque_constant_Nm_A * drive.gear_ratio
     values, columns = [], []
     for raw in runs:
-        current, voltage = raw.current_A[2:, j], raw.voltage_V[:-2, j]
+        current, voltage = _currents(arm, raw)[:, j], raw.voltage_V[:-2, j]
         if len(current) < LEAST_ROWS or not (np.isfinite(current).all() and np.isfinite(voltage).all()):
             continue
         behind_s = (
-            drive.inductance_H / drive.resistance_ohm + 0.5 * MEAN_s
+            drive.inductance_H / drive.resistance_ohm + 0.5 * mean_s
         )  # delay of the current with respect to the speed
         q = _angle(raw, j, clock, raw.t_s[1:-1] - behind_s)
         speed, bend = (_filtered(q, order, raw.period_s) for order in (1, 2))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
+from procedures.gap.run_file import RunFile, write_log
 from procedures.gap.timing import MEAN_s, Raw, aligned, clocks_of
+from procedures.on_boards import on_boards
 
 ARM = load_arm("right")
 PERIOD_s, LENGTH_s = 0.002, 6.0
@@ -27,8 +31,13 @@ def angle(t: np.ndarray, order: int = 0) -> np.ndarray:
     return total
 
 
-def run(start_s: float, noise: float = 1.0, seed: int = 0, has_camera: bool = True) -> Raw:
-    """What the runtime would record of an arm that moves like that: staircase voltages, a current mean, a board's own clock."""
+def run(
+    start_s: float, noise: float = 1.0, seed: int = 0, has_camera: bool = True, is_newest: bool = False
+) -> Raw:
+    """What the runtime would record of an arm that moves like that: staircase voltages, a current mean, a board's own clock.
+
+    `is_newest`: the current is that at the end of the row before, under its voltage.
+    """
     draw = np.random.default_rng((seed, round(start_s)))
     t = start_s + PERIOD_s * np.arange(round(LENGTH_s / PERIOD_s))
     counted = (
@@ -44,9 +53,9 @@ def run(start_s: float, noise: float = 1.0, seed: int = 0, has_camera: bool = Tr
         asked = 1.3 * np.sign(angle(t, 1)[:, j]) + angle(t, 2)[:, j] / 6.0  # friction and inertia
         voltage[:, j] = r * asked + constant * angle(t, 1)[:, j]
         # Held over a cycle; the current is the mean of the last millisecond before the next command, one row later.
-        ends = t - PERIOD_s
-        held = np.roll(voltage[:, j], 2)
-        current[:, j] = (held - constant * angle(ends - lag - 0.5 * MEAN_s, 1)[:, j]) / r
+        ends = t if is_newest else t - PERIOD_s - 0.5 * MEAN_s
+        held = np.roll(voltage[:, j], 1 if is_newest else 2)
+        current[:, j] = (held - constant * angle(ends - lag, 1)[:, j]) / r
     current += noise * draw.normal(0.0, 5e-3, current.shape)
     tip = np.full((len(t), 3), np.nan)
     if has_camera:
@@ -83,9 +92,12 @@ def test_aligned_rows_are_the_arms_own_motion_and_tips() -> None:
         assert np.sqrt(np.mean(apart**2)) < 2.0e-4  # the camera's noise is 1.4e-4
 
 
-def test_the_current_is_brought_to_the_moment_of_the_command() -> None:
-    raw = run(40.0, noise=0.0)
-    got = aligned(ARM, raw, clocks_of(ARM, [run(s, 0.0) for s in (40.0, 60.0, 95.0)]))
+@pytest.mark.parametrize("is_newest", [False, True], ids=["reference boards", "VESCs"])
+def test_the_current_is_brought_to_the_moment_of_the_command(is_newest: bool) -> None:
+    arm = on_boards(ARM, "vesc") if is_newest else ARM
+    runs = [run(start, 0.0, is_newest=is_newest) for start in (40.0, 60.0, 95.0)]
+    raw = runs[0]
+    got = aligned(arm, raw, clocks_of(arm, runs))
     drive = ARM.drives[0]
     constant, lag = drive.torque_constant_Nm_A * drive.gear_ratio, drive.inductance_H / drive.resistance_ohm
     at = raw.t_s[1:-1]
@@ -93,6 +105,24 @@ def test_the_current_is_brought_to_the_moment_of_the_command() -> None:
     true = (held - constant * angle(at - lag, 1)[:, 0]) / drive.resistance_ohm
     inner = slice(50, -50)
     assert np.abs(got.current_A[inner, 0] - true[inner]).max() < 3e-3  # the mean alone is 20 mA off
+
+
+def test_a_log_has_the_voltages_of_all_joints_or_of_none(tmp_path: Path) -> None:
+    """An empty voltage would say that the driver is off."""
+    n = 3
+    one = RUNS[0]
+    table = {f"{form}{j + 1}{unit}": values[:, j] for j in range(n) for form, unit, values in (
+        ("q", "_rad", one.q_rad), ("q", "_set_rad", one.q_set_rad), ("i", "_A", one.current_A), ("u", "_V", one.voltage_V),
+        ("counted", "_s", one.counted_s))}  # fmt: skip
+    table |= {"t_s": one.t_s, **{name: one.tip_m[:, k] for k, name in enumerate(("x_m", "y_m", "z_m"))}}
+    for lost in (None, "u3_V"):
+        rows = np.zeros(400, dtype=[(name, np.float64) for name in table])
+        for name, values in table.items():
+            rows[name] = math.nan if name == lost else values[:400]
+        RunFile.write(RunFile.of(tmp_path, "1"), rows, n, 0.0)
+        write_log(tmp_path, ARM, ["1"])
+        header = (tmp_path / "log.csv").read_text().partition("\n")[0]
+        assert ("u1_V" in header, "i1_A" in header) == (lost is None, True)
 
 
 def test_without_voltages_angles_count_as_half_a_cycle_old_and_without_frames_there_is_no_camera() -> None:

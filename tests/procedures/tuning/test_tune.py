@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from console.main import main
-from control.dynamics.tuning import MotorFit
+from control.dynamics.tuning import MarginsUnmet, MotorFit
 from control.errors import ArmError
 from control.model.arm import DrivePid
 from hil_mocks.rig import SteppedRig
@@ -51,6 +51,24 @@ def test_a_board_that_closes_the_position_loop_itself_is_not_tuned() -> None:
         pytest.raises(NotTuned, match="joint 3 closes the position loop"),
     ):
         tune(wired_to(arm, rig), rig.clock, Options((1, 3)), lambda what, share: None)
+
+
+@pytest.mark.parametrize(
+    ("reached", "kept"),
+    [((20.0, 60.0), (2.0, 10.0)), ((20.0, 50.0), (2.0, 0.0)), ((7.0, 60.0), (0.0, 0.0))],
+)
+def test_where_delay_leaves_no_reserve_of_phase_that_of_gain_is_kept(
+    reached: tuple[float, float], kept: tuple[float, float]
+) -> None:
+    class Best:
+        def fastest(self, gain_dB: float, phase_deg: float) -> tuple[float, float]:
+            if gain_dB > reached[0] or phase_deg > reached[1]:
+                raise MarginsUnmet("none")
+            return gain_dB, phase_deg
+
+    design, reserve = procedure._fastest(Best())
+    assert reserve == kept
+    assert design == (procedure.LEAST_GAIN_dB + kept[0], procedure.LEAST_PHASE_deg + kept[1])
 
 
 def test_the_signal_is_of_odd_harmonics_with_some_left_out_and_no_high_peak() -> None:
