@@ -238,7 +238,7 @@ def _designed(
             design, reserves = _fastest(tuner)
             has_reserve = reserves == RESERVES[0]
             slower = tuner.design_at(SHYNESS * design.pole_rad_s)
-            if (cautions or not has_reserve) and slower.worst.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
+            if cautions and slower.worst.meet(LEAST_GAIN_dB, LEAST_PHASE_deg):
                 design = slower
             cautions = cautions if has_reserve else (*cautions, _no_reserve(joint, fit, design))
     except MarginsUnmet as unmet:
