@@ -19,6 +19,7 @@ from calib.session.dialogue import GO, Ask, Command, Do, Jog, Message, Question,
 from calib.session.folder import SessionFolder
 from calib.session.moves.geometry import ArmGeometry
 from calib.session.moves.ports import Sample
+from calib.session.plan import Seating, Target
 from calib.session.state import Mark
 from control.model.cell import load_cell
 
@@ -63,10 +64,13 @@ class Arm:
 class Bench:
     """Two scripted arms at their rest poses, and one folder."""
 
-    def __init__(self, folder: Path, seat: str = "hand") -> None:
-        self.folder, self.log, self.said = folder, [], []
+    def __init__(self, folder: Path, seat: Seating = "hand") -> None:
+        self.folder = folder
+        self.log: list[str] = []
+        self.said: list[Saying] = []
         self.room = Room(PAIR, (PAIR.arms[0], PAIR.arms[1]))
-        self.arms = tuple(Arm(n, self.log, q) for n, q in zip(NAMES, self.room.rest_rad, strict=True))
+        left_rad, right_rad = self.room.rest_rad
+        self.arms = (Arm("left", self.log, left_rad), Arm("right", self.log, right_rad))
         self.plan = contact_plan(NAMES, "00", planned().contacts, seat)
 
     def together(self, poses_rad: Sequence[Sequence[float]], speed: float) -> None:
@@ -89,14 +93,17 @@ class Bench:
                     if isinstance(saying, Ask):
                         self.log.append(f"{saying.question.name} {saying.arm}".strip())
                         if saying.question is Question.SEATED and saying.arm:  # the hand does it
-                            self.bring(saying.target.q_rad)
+                            self.bring(saying.target)
                     saying = talk.send(next(answers, QUIT) if isinstance(saying, Ask) else GO)
             except StopIteration:
                 pass
             self.marks = [*folder.state.marks.values()]
         return self.said
 
-    def bring(self, q_rad: Sequence[float]) -> None:
+    def bring(self, target: Target | None) -> None:
+        assert target is not None
+        assert target.q_rad is not None
+        q_rad = target.q_rad
         self.arms[0].q_rad, self.arms[1].q_rad = tuple(q_rad[:3]), tuple(q_rad[3:])
 
 

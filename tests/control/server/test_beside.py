@@ -68,6 +68,7 @@ def run(pair: Pair, found: Beside, pauses: bool) -> tuple[float, float]:
     pair.clients["left"].ask("move_together", moves=moves)
     wanted_m, true_m, cycle = [0.0], [0.0], 0
     paced = pair.runtime("right").paced
+    assert paced is not None
     while pair.mode("left") is not Mode.HOLDING or pair.mode("right") is not Mode.HOLDING:
         pair.run(PERIOD_S)
         cycle += 1
@@ -76,10 +77,10 @@ def run(pair: Pair, found: Beside, pauses: bool) -> tuple[float, float]:
         if pauses and cycle == 160:
             pair.clients["left"].override(0.6)
             pair.clients["left"].resume()
-        poses = [pair.runtime(arm).set_point.q_rad for arm in ("left", "right")]
-        wanted_m.append(off_m(*poses, found, paced.time_s))
-        tips = [placed.in_cell(pair.robot(placed.name).tip_m()) for placed in (RIGHT, LEFT)]
-        true_m.append(math.dist(np.subtract(*tips), found.offsets.at(paced.time_s)[0]))
+        left, right = (pair.runtime(arm).set_point.q_rad for arm in ("left", "right"))
+        wanted_m.append(off_m(left, right, found, paced.time_s))
+        tip, other = (placed.in_cell(pair.robot(placed.name).tip_m()) for placed in (RIGHT, LEFT))
+        true_m.append(math.dist(np.subtract(tip, other), found.offsets.at(paced.time_s)[0]))
     return max(wanted_m), max(true_m)
 
 
