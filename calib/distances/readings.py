@@ -64,6 +64,11 @@ class Readings:
         )
 
 
+def has_readings(points: Points) -> bool:
+    """Whether the file holds lengths."""
+    return any(text for text in points.extra.get(OF, ()))
+
+
 def readings_of(arm: Arm, points: Points, where: Path) -> Readings:
     """The readings of a file. PointsFileError or UnusablePointsError names line and column."""
     if OF not in points.extra or LENGTH not in points.extra:
