@@ -4,9 +4,10 @@ Deviations within their bounds bring one arm close to another, so a small residu
 is the size of the deviations. Each candidate (this arm, the supplied ones, this arm with offsets of opposite sign) is
 fitted with the same prior, and the points are attributed to the one with the lowest cost:
 
-    cost = sum over poses of (nu + 3) log(1 + |r|^2 / (nu s^2)) + sum over deviations of (x / p)^2,
+    cost = min(1, c / s)^2 sum over poses of (nu + 3) log(1 + |r|^2 / (nu s^2)) + sum over deviations of (x / p)^2,
 
-twice the negative logarithm of a posterior with Student's errors (no single pose decides). The scale s of the errors and the
+twice the negative logarithm of a posterior with Student's errors (no single pose decides). Errors beyond a camera's, c, are
+effects that no candidate has: neighbouring poses share them, and count for less. The scale s of the errors and the
 size p of the deviations are estimated from the best candidates (the evidence framework: MacKay, Neural Computation 4 (1992)
 415); candidates have the same unknowns, so that the volumes of their posteriors cancel.
 """
@@ -28,7 +29,7 @@ from control.model.description import arm_names, load_arm
 
 LARGEST, SMALLEST = 0.5, 0.02  # size of the deviations in their bounds: the spread of uniform ones is 0.58
 NU = 4.0  # degrees of freedom of Student's errors, for outliers and effects that no candidate has
-SCALE_m = 2e-4  # smallest scale of errors: no camera is better
+SCALE_m = 2e-4  # smallest scale of errors: no camera is better; what is beyond is no noise
 MEDIAN_LENGTH = 1.54  # of a normal vector of three coordinates, standard deviation 1
 UNBOUNDED = 1e-6  # precision of an unknown without a bound: all board poses are equally likely
 STILL = 1e-4  # converged if no deviation changes by more
@@ -65,7 +66,8 @@ class _Fit:
     def cost(self, scale_m: float, size: float) -> float:
         """At errors and deviations of these sizes."""
         errors = np.log1p(self.distance_m**2 / (NU * scale_m**2))
-        return (NU + 3.0) * float(np.sum(errors)) + self.square / size**2
+        counts = min(1.0, SCALE_m / scale_m) ** 2
+        return counts * (NU + 3.0) * float(np.sum(errors)) + self.square / size**2
 
 
 def require_own_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tuple[str, ...]:

@@ -192,7 +192,7 @@ def test_the_command_writes_both_arms_and_says_what_stays_open(
             ["--free-tool", "middle"],
             '--free-tool: expected some of left, right, got "middle"',
         ),
-        (lambda text: text, ["--fix", "left_L9"], "got left_L9"),
+        (lambda text: text, ["--fix", "left_L9"], "no parameter left_L9"),
         (lambda text: text, ["--bound", "L2=1mm"], "expected lengths=... or angles=..."),
         (lambda text: text, ["--choose", "99"], "99 contacts were requested, but only 6"),
     ],

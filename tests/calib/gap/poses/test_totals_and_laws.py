@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.gap.static.cases import ARM, Design, Hidden, case, designed
+from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
 from calib.gap.finding import EffectName
@@ -127,3 +128,10 @@ def test_a_cameras_frame_that_nothing_ties_to_the_arm_is_named_where_it_is_off()
     assert names(found) == {EffectName("base_frame")}
     assert found.finding.unknown is None
     assert found.finding.gap_after < 1.2
+
+
+def test_effects_at_once_do_not_make_the_points_another_arms() -> None:
+    one = rough_case(
+        "many", 132_030
+    )  # four effects of its own; the mirrored arm would leave a tenth less of them
+    assert names(find(one.arm, one.points)) <= {EffectName(h.effect, h.joint) for h in one.hidden}
