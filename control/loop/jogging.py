@@ -13,10 +13,10 @@ from control.hardware.board_stop import Bridge
 from control.kinematics.inverse import InverseKinematics
 from control.motion.errors import MotionError
 from control.motion.guard import Guard
-from control.motion.jog_joints import JointJog
 from control.motion.jog_limits import JogLimits
-from control.motion.jog_pose import STILL, PoseJog, RestGuard, Twist
-from control.motion.jog_tip import TipJog
+from control.motion.jogs.joints import JointJog
+from control.motion.jogs.pose import STILL, PoseJog, RestGuard, Twist
+from control.motion.jogs.tip import TipJog
 from control.motion.setpoint import SetPoint, Vector
 
 
