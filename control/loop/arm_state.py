@@ -61,9 +61,7 @@ class ArmState:
         self.unrecorded = ""  # why cycles are not recorded now; empty while they are
         self.stated_payload_kg = 0.0  # by a client; the model's payload follows it
         # requested mode (shutdown)
-        self.is_hold_pending = False
-        self.is_shutting_down = False
-        self.is_quitting = False
+        self.is_hold_pending = self.is_shutting_down = self.is_quitting = False
         self.fault_rows: tuple[bytes, ...] = ()  # the cycles before the first fault (fault_reactions)
 
     def on(self, event: Event) -> None:

@@ -92,6 +92,14 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
     home = _answer_if(
         any(map(answers.may_home, boards)), given.home, asker, f"Has every joint a home switch{index}", "yes", answers.yes_from
     )  # fmt: skip
+    every_count = counts or (answers.COUNTS_PER_REV,) * joints
+    return Parts(boards, gears, every_count, bool(home), *_ask_lines(given, asker, boards))
+
+
+def _ask_lines(
+    given: Given, asker: Asker, boards: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, str] | None]:
+    """Serial ports and the CAN bus of the boards, as far as they have any."""
     lines = serial_lines(boards)
     ports = _answer_if(
         bool(lines),
@@ -109,8 +117,7 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
         answers.CAN,
         answers.can_from,
     )
-    every_count = counts or (answers.COUNTS_PER_REV,) * joints
-    return Parts(boards, gears, every_count, bool(home), ports or (), can)
+    return ports or (), can
 
 
 def _joints(given: Given, asker: Asker) -> int:
