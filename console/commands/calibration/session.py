@@ -30,7 +30,7 @@ from procedures.session.words import BoardWords
 def run(given: argparse.Namespace) -> int:
     """Start or resume a session, and run it until the operator ends it or all points are done."""
     if given.cell is not None:
-        return contacts.run(given)
+        return contacts.session_of_contacts(given)
     for name in ("contacts", "arms"):
         if getattr(given, name) is not None:
             raise SessionError(f"--{name} is for two arms of a cell: add --cell")

@@ -26,7 +26,7 @@ from procedures.session.words import ContactWords
 OF_BOTH = ("seat",)  # options that both kinds of session have
 
 
-def run(given: argparse.Namespace) -> int:
+def session_of_contacts(given: argparse.Namespace) -> int:
     """Start or resume a session of contacts, and run it until the operator ends it or all are done."""
     for name in (*(option for option in OPTIONS if option not in OF_BOTH), "socket"):
         if getattr(given, name) is not None:

@@ -214,7 +214,7 @@ def test_the_report_says_what_was_found(written_page: str) -> None:
     assert "2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881" in page  # SHA-256 of "x"
     assert "determine 10 of 16 parameters" in page
     assert "a &lt;good&gt; one" in page
-    assert "<h2>Held out</h2><p>1 &amp; 2</p>" in page
+    assert "<h2>Held out</h2><ul><li>1 &amp; 2</li></ul>" in page
     assert "point &lt;7&gt;" in page
     assert "better by" in page
     for name in ("d1", "theta2", "L3", "alpha4"):

@@ -164,8 +164,8 @@ def test_spoiled_points_are_recognised_and_nothing_is_written(name, tmp_path, ca
     [
         (["--objective", "e3"], "expected one of e2, e1, lsq, huber"),
         (["--bound", "L2=8"], "expected a number with one of the units m, cm, mm, um"),
-        (["--bound", "L9=8mm"], "got L9"),
-        (["--fix", "elbow"], "got elbow"),
+        (["--bound", "L9=8mm"], "no parameter L9"),
+        (["--fix", "elbow"], "no parameter elbow"),
         (["--free", "elbow"], "expected some of base, camera, table, tool"),
         (["--without", "normal:99"], "no such pose"),
         (["--leave-out", "1"], "--leave-out"),
