@@ -49,14 +49,10 @@ def decide(
             evidence.terms[k].key for k, _ in one.members
         ):  # a set's order differs from run to run
             chance[key] = chance.get(key, 0.0) + weight
-    best = sets[0]
     groups = []
     for group in _credible(sets, weights, chance):
-        if name := _bent_at_most(evidence, group, best):
-            chance[name] = float(weights[[bool(keys & set(group)) for keys in sets]].sum())
-            group = (name,)
-        if len(group) == 1 and rivals and isinstance(group[0], EffectName):
-            group = (*group, *_near(sets, logs, group[0], rivals[group[0]]))
+        if len(group) == 1 and isinstance(group[0], EffectName):
+            group = (*group, *_near(sets, logs, group[0], (rivals or {}).get(group[0], ())))
         groups.append((*group, *crooked(evidence, found[0], group[0])) if len(group) == 1 else group)
     names = tuple(g[0] for g in groups if len(g) == 1 and isinstance(g[0], EffectName))
     ambiguous = tuple(
@@ -99,26 +95,10 @@ def _near(
     sets: Sequence[frozenset[Key]], logs: Array, name: EffectName, rivals: Collection[EffectName]
 ) -> tuple[EffectName, ...]:
     """Rivals with which a set without the name is nearly as likely as the best."""
-    return tuple(
-        other
-        for other in rivals
-        if any(
-            other in keys and name not in keys and log > logs[0] - MARGIN
-            for keys, log in zip(sets, logs, strict=True)
-        )
-    )
-
-
-def _bent_at_most(evidence: Evidence, group: Sequence[Key], best: Collection[Key]) -> EffectName | None:
-    """The name of a group that is in the best set, if all others are blocks in its law's own variable.
-
-    What follows the load of a gear is a soft gear, however its law is bent; where no law comes near, the best set has a block.
-    """
-    names = [key for key in group if isinstance(key, EffectName)]
-    if len(group) < 2 or len(names) != 1 or names[0] not in best:
-        return None
-    blocks = [key for key in group if isinstance(key, Block)]
-    return names[0] if all(_is_own(evidence, names[0], block) for block in blocks) else None
+    likely = [
+        keys for keys, log in zip(sets, logs, strict=True) if name not in keys and log > logs[0] - MARGIN
+    ]
+    return tuple(other for other in rivals if any(other in keys for keys in likely))
 
 
 def _is_own(evidence: Evidence, name: EffectName, block: Block) -> bool:

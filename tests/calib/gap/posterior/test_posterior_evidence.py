@@ -140,16 +140,3 @@ def test_a_name_needs_more_beside_one_that_it_cannot_be_told_from() -> None:
     assert decide(evidence, found, {soft: (bent,), bent: (soft,)}).ambiguous == ((soft, bent),)
     far = _weighed_as(evidence, {0: 0.0, 1: -6.0})
     assert decide(evidence, far, {soft: (bent,), bent: (soft,)}).names == (soft,)
-
-
-def test_what_follows_a_laws_own_variable_is_that_effect_however_it_is_bent() -> None:
-    soft = EffectName("joint_compliance", 2)
-    own, other = Block(2, "load"), Block(2, "q2")
-    for block, names in ((own, (soft,)), (other, ())):
-        terms = [_term(soft, traits=Traits("load")), _term(block)]
-        evidence = _evidence(terms, *_world(8, 1.0, 2))
-        found = decide(evidence, _weighed_as(evidence, {0: 0.0, 1: -2.0}))
-        assert found.names == names
-        assert found.probability[soft] > (0.99 if names else 0.8)
-    evidence = _evidence([_term(soft, traits=Traits("load")), _term(own)], *_world(9, 1.0, 2))
-    assert decide(evidence, _weighed_as(evidence, {0: -1.0, 1: 0.0})).names == ()  # no law comes near
