@@ -96,6 +96,7 @@ def _mended(client: ArmClient) -> str:
     with suppress(ArmError):
         client.acknowledge()
         client.enable()
+        client.home()  # a fault may take the zero away
     return str(found[0]["code"]) if found else "stopped"
 
 
