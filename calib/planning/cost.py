@@ -12,6 +12,7 @@ from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
 
 DRAWS: Final = 200  # arms that the points allow
+WORTH: Final = 0.99  # of the error, above which a change is not worth making
 SURE: Final = 0.95  # of these, for which a way must be better before it is chosen
 
 
@@ -54,6 +55,11 @@ class Judge:
         )
         drawn_m = np.sqrt((np.sum(drawn**2, axis=1) + scatter[:, None]).mean(axis=0))
         return Cost(rms, parts[0], parts[1], parts[2], drawn_m)
+
+
+def is_worth_it(one: Cost, than: Cost, plain: Cost) -> bool:
+    """Whether a change from `than` to `one` is worth making, and `one` sure to be better than the plain way."""
+    return one.rms_m < WORTH * than.rms_m and is_surely_better(one, plain)
 
 
 def is_surely_better(one: Cost, other: Cost) -> bool:

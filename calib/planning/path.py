@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.planning.cost import Cost, Judge, is_surely_better
+from calib.planning.cost import WORTH, Cost, Judge, is_surely_better, is_worth_it
 from calib.planning.place import NOWHERE, best_place, places_count, shifted
 from calib.planning.room import Room, lead_in_of
 from calib.trust.prediction import Predictor
@@ -31,7 +31,6 @@ PACES: Final = (
     0.35,
     0.25,
 )  # of the speed given: gears that inertia lifts off their flank stay on it
-WORTH: Final = 0.99  # of the error, above which a change is not worth making
 SAMPLES: Final = 100
 
 
@@ -115,7 +114,7 @@ class _Search:
 
     def _is_better(self, one: WayOfPath, than: WayOfPath) -> bool:
         """Worth the change, and sure to be better than the plain one."""
-        return one.cost.rms_m < WORTH * than.cost.rms_m and is_surely_better(one.cost, self._plain.cost)
+        return is_worth_it(one.cost, than.cost, self._plain.cost)
 
     def _placed(self, _: WayOfPath) -> list[WayOfPath]:
         if not any(self._freedom.shift_m):

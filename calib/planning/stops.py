@@ -17,8 +17,8 @@ from calib.design.candidates import STARTS_COUNT
 from calib.design.order import DETOUR_RAD, clear_ways, short_path
 from calib.design.reach import joint_box, postures, spread_poses
 from calib.errors import CalibrationError
-from calib.planning.cost import Cost, Judge, is_surely_better
-from calib.planning.path import WORTH, Freedom
+from calib.planning.cost import Cost, Judge, is_surely_better, is_worth_it
+from calib.planning.path import Freedom
 from calib.planning.place import NOWHERE, best_place, places_count, shifted
 from calib.planning.room import Room, lead_in_of
 from calib.trust.discrepancy import Conditions
@@ -109,7 +109,7 @@ class _Search:
 
     def _is_better(self, one: WayOfStops, than: WayOfStops) -> bool:
         """Worth the change, and sure to be better than the plain one."""
-        return one.cost.rms_m < WORTH * than.cost.rms_m and is_surely_better(one.cost, self._plain.cost)
+        return is_worth_it(one.cost, than.cost, self._plain.cost)
 
     def _as_given(self) -> WayOfStops:
         """In the file's order, each in the posture that is nearest to the one before, straight from there."""
