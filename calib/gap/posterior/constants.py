@@ -25,6 +25,8 @@ CERTAIN: Final = 0.95
 # Log evidence by which a name must lead one that an effect of usual size cannot be told from: what parts their forms of one law
 # is then mostly how many ways to depart each was given.
 MARGIN: Final = 5.0
+# Of what a name adds to the log evidence: what a rival may lack at the name's own operating point, and be looked at at its own.
+NEARLY: Final = 0.1
 # Standard deviation of the noise floor's logarithm, where nothing measured it better: a data sheet is right to this.
 FLOOR_DOUBT: Final = 0.03
 # Friction that winds up a soft gear, as a share of what the motor holds: half of it, give or take as much.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,14 @@ class Decision:
     remainders: tuple[tuple[Key, ...], ...]
     probability: dict[Key, float]
     best: Weighed
+
+    def with_sets(self, pairs: Collection[tuple[EffectName, EffectName]]) -> Decision:
+        """With names that lead a rival by too little: each is ambiguous with its rivals."""
+        groups: dict[EffectName, tuple[EffectName, ...]] = {}
+        for name, rival in pairs:
+            groups[name] = (*groups.get(name, (name,)), rival)
+        names = tuple(name for name in self.names if name not in groups)
+        return replace(self, names=names, ambiguous=(*self.ambiguous, *groups.values()))
 
 
 def decide(

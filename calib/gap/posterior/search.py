@@ -60,7 +60,7 @@ class Search:
             *self._starts(),
         ]:  # one after the other: many that fit anything would cut off the few
             wanted = {*start, *self.forced}  # in the evidence's order: a set's own differs from run to run
-            self._weigh([self._plain(key) for key in self.evidence.of_key if key in wanted])
+            self.weigh([self._plain(key) for key in self.evidence.of_key if key in wanted])
             self._improve(expanded)
         best = max(self.seen.values(), key=lambda one: one.log)
         for number, _ in best.members:
@@ -85,7 +85,7 @@ class Search:
     def _regrow(self, best: Weighed, block: int) -> None:
         """Several terms in the place of a block: it may have soaked up what two or three effects do together."""
         but = self.evidence.terms[block].key
-        around = self._weigh([one for one in best.members if one[0] != block])
+        around = self.weigh([one for one in best.members if one[0] != block])
         for _ in range(REGROWTH):
             before = set(self.seen)
             self._grow(around.members, around.kappa, 1, but, 0.0)
@@ -129,7 +129,7 @@ class Search:
                 continue
             rest = [one for one in around.members if one is not member]
             if gain < 2.0 * WINDOW:
-                self._weigh(rest)
+                self.weigh(rest)
             if is_best:
                 self._grow(rest, around.kappa, EXCHANGES, key, gain - 2.0 * WINDOW)
 
@@ -155,9 +155,9 @@ class Search:
             least = max(least, *blocks) if blocks else least
         for gain, number in heapq.nlargest(width, gains):
             if gain > least:
-                self._weigh([*members, (number, int(added.best[number]))])
+                self.weigh([*members, (number, int(added.best[number]))])
 
-    def _weigh(self, members: Sequence[Member]) -> Weighed:
+    def weigh(self, members: Sequence[Member]) -> Weighed:
         """The best variants and scales of a set, one member after the other, and the noise that it leaves."""
         keys = self.keys(members)
         if keys in self.seen:
@@ -209,7 +209,7 @@ class MergingSearch(Search):
                 places = {self._joint(number) for number, _ in pair}
                 if len(places) == 1:
                     rest = [one for one in best.members if one not in pair]
-                    self._weigh(rest)
+                    self.weigh(rest)
                     self._grow(rest, best.kappa, BESIDE)
             self._improve(set())
             found = sorted(self.seen.values(), key=lambda one: -one.log)

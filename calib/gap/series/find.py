@@ -15,7 +15,8 @@ from calib.gap.residuals.scene import Scene
 from calib.gap.series.advice import next_experiment, open_questions
 from calib.gap.series.answer import Verdict, judged, nameable_effects, silent, stages, what_is_left
 from calib.gap.series.drawing.laws import drawn_laws
-from calib.gap.series.fit import Fit, fitted
+from calib.gap.series.fit import Fit
+from calib.gap.series.iterations import fitted
 from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible
 from calib.gap.series.split import Split, split
