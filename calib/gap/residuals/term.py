@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -40,10 +41,18 @@ class SeriesTerm(Term):
         return self.width
 
     def departed_by(self, size: Array) -> float:
-        """Of the departures' coefficients, of all (c,), over the law's: their columns are as large as its."""
-        law = float(np.linalg.norm(size[: self.laws])) / np.sqrt(self.laws)
-        departs = float(np.linalg.norm(size[self.laws : self.laws + self.departures]))
-        return departs / law if law > 0.0 else 0.0
+        """What the departures do together, with coefficients of all columns (c,), over what the law does.
+
+        Each column is as large as the law where it shows; those of one variable look alike, and may take each other's place.
+        """
+        law = float(np.linalg.norm(size[: self.laws])) / math.sqrt(self.laws)
+        own = slice(self.laws, self.laws + self.departures)
+        if not law or not self.departures:
+            return 0.0
+        gram = np.sum([columns[:, own].T @ columns[:, own] for columns in self.response.values()], axis=0)
+        norms = np.maximum(np.sqrt(np.diag(gram)), 1e-300)
+        together = float((size[own] / norms) @ gram @ (size[own] / norms))
+        return math.sqrt(max(together, 0.0)) / law
 
     @property
     def log_odds(self) -> float:

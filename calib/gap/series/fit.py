@@ -78,23 +78,25 @@ def weighed(
     barred: set[Key] = set()
     for _ in range(BARRED_MOST):
         found = MergingSearch(evidence, barred).run(starts)
-        if not (bent := _bent_too_far(evidence, linear, found[0])):
+        if not (bent := _bent_too_far(evidence, linear, found[0], around)):
             break
         barred |= bent
     return Fit(around, linear, tuple(noises), gram, evidence, tuple(found), decide(evidence, found), rows)
 
 
-def _bent_too_far(evidence: Evidence, linear: Linear, best: Weighed) -> set[Key]:
+def _bent_too_far(evidence: Evidence, linear: Linear, best: Weighed, around: OperatingPoint) -> set[Key]:
     """Names of a set that depart from their law more than real parts do: another law is behind them.
 
-    Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same.
+    Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same. How far a law departs
+    that the rows follow in no straight line is known around itself alone: elsewhere its departures stand for its bend, too.
     """
     size, first, found = evidence.estimate(best.members, best.kappa)[0], 0, set()
     for number, _ in best.members:
         one = linear.terms[number]
         own = size[first : first + one.count]
         first += one.count
-        if one.is_name and not one.is_common and one.departed_by(own) > LAW_MOST:
+        is_known = one.curve is None or one.key in around.found
+        if one.is_name and not one.is_common and is_known and one.departed_by(own) > LAW_MOST:
             found.add(one.key)
     return found
 
