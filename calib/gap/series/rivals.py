@@ -26,7 +26,7 @@ def against_rivals(fit: Fit, split: Split, linearise: Callable[[OperatingPoint],
     """The likeliest of a fit and its rivals' own; what leads by too little for a name is ambiguous with its rival."""
     scene = fit.around.scene
     near: list[tuple[EffectName, EffectName]] = []
-    for name, rival, members in list(_rivals(fit))[:RIVALS_MOST]:
+    for name, rival, members in list(rivals(fit))[:RIVALS_MOST]:
         kept = scene.kept
         if name not in fit.decision.names:
             continue  # a rival before has taken its place
@@ -46,7 +46,7 @@ def against_rivals(fit: Fit, split: Split, linearise: Callable[[OperatingPoint],
     return replace(fit, decision=fit.decision.with_sets(near))
 
 
-def _rivals(fit: Fit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
+def rivals(fit: Fit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
     """Each name with another that, in its place, adds nearly what it adds, and the likeliest such set."""
     terms, best = fit.linear.terms, fit.best
     for (number, _), gain in zip(best.members, best.gains, strict=True):

@@ -140,3 +140,18 @@ def test_a_name_needs_more_beside_one_that_it_cannot_be_told_from() -> None:
     assert decide(evidence, found, {soft: (bent,), bent: (soft,)}).ambiguous == ((soft, bent),)
     far = _weighed_as(evidence, {0: 0.0, 1: -6.0})
     assert decide(evidence, far, {soft: (bent,), bent: (soft,)}).names == (soft,)
+
+
+def test_a_name_that_leads_its_rivals_by_too_little_is_ambiguous_with_all_of_them() -> None:
+    columns, y = _world(5, 4.0)
+    names = [EffectName("encoder_scale", j + 1) for j in range(4)]
+    found = decide(*_weighed(columns, y, names))
+    assert found.names == (names[0],)
+    near = found.with_sets([(names[0], names[1]), (names[0], names[2])])
+    assert near.names == ()
+    assert near.ambiguous == ((names[0], names[1], names[2]),)
+
+
+def _weighed(columns: np.ndarray, y: np.ndarray, names: list[EffectName]) -> tuple[Evidence, list[Weighed]]:
+    evidence = _evidence([_term(name) for name in names], columns, y)
+    return evidence, Search(evidence).run()
