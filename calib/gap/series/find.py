@@ -14,6 +14,7 @@ from calib.gap.residuals.rows import Rows, without_motion
 from calib.gap.residuals.scene import Scene
 from calib.gap.series.advice import next_experiment, open_questions
 from calib.gap.series.answer import Verdict, judged, nameable_effects, silent, stages, what_is_left
+from calib.gap.series.beyond import ripples
 from calib.gap.series.drawing.laws import drawn_laws
 from calib.gap.series.fit import Fit
 from calib.gap.series.iterations import fitted
@@ -49,6 +50,7 @@ def examine(
     recording = plausible(arm, prepare(arm, log))
     rows, known = _rows(Physics(arm, recording), recording, known_laws(arm))
     warnings = [*recording.warnings, *without_motion(rows.table)]
+    warnings += [one.words(arm.drive(one.joint).gear_ratio) for one in ripples(arm, recording)]
     parts, scene = split(recording, rows.table), Scene(rows, known)
     fit = fitted(scene, known, parts, candidates, progress)
     progress("the gap on runs used for nothing else", 0.95)
