@@ -30,6 +30,10 @@ FAR = 0.25  # of the arm's reach: the tip is nowhere near
 MOVING_rad_s = 0.01
 FEWEST = 100  # samples that tell a factor
 EXPLAINED = 0.9  # of a voltage by current and speed, so that these tell the drive's constants
+NOTHING = (
+    "expected columns of currents (i1_A ...; torques and other units with --current-unit), voltages (u1_V ...) or tips"
+    " (x_m, y_m, z_m)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +60,7 @@ def plausible(arm: Arm, recording: Recording) -> Recording:
         voltage = not _found(said, wrong)
     tip = recording.has_tip and not _found(said, _wrong_tip(arm, recording))
     if not (current or voltage or tip):
-        what = "; ".join(said) or "no currents, voltages or tips"
+        what = "; ".join(said) or NOTHING
         raise UnusableLogError(f"log: nothing to compare the model with: {what}")
     return replace(
         recording,
