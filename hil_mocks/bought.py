@@ -12,6 +12,7 @@ from control.model.description import Arm
 from hil_mocks.bought_can import KINDS, CanBoards, Driven, Seen
 from hil_mocks.devices import dynamixel
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
+from hil_mocks.devices.dynamixel_table import CURRENT_BASED, POSITION
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 from hil_mocks.devices.motor_inputs import BRAKE, Output
 from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
@@ -30,7 +31,7 @@ class PacketLine(Protocol):
 def _dynamixel(
     number: int, volts_per_rad_s: float, read_turns: Callable[[], float], grips: bool
 ) -> DynamixelMock:
-    mode = dynamixel.CURRENT_BASED if grips else dynamixel.POSITION
+    mode = CURRENT_BASED if grips else POSITION
     return DynamixelMock(ServoSetup(number, volts_per_rad_s, mode=mode), read_turns)
 
 

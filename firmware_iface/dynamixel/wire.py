@@ -7,6 +7,7 @@ Numbers are little endian. Where parameters contain ff ff fd, another fd follows
 is CRC-16/BUYPASS (polynomial 0x8005 from 0) of all bytes before it.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
 
@@ -20,6 +21,13 @@ ALERT: Final = 0x80
 STATUS_OVERHEAD: Final = 11  # header, id, length, instruction, error, CRC
 
 
+REFUSALS: Final = {
+    1: "it failed", 2: "it knows no such instruction", 3: "the CRC was wrong", 4: "the value is out of range",
+    5: "the value is too short", 6: "the value is beyond the limit that is set in it", 7: "it cannot be written now",
+}  # fmt: skip
+"""Why an instruction was not obeyed, by the error number of a status packet."""
+
+
 class Instruction(IntEnum):
     """Instructions of protocol 2.0."""
 
@@ -27,6 +35,7 @@ class Instruction(IntEnum):
     READ = 0x02
     WRITE = 0x03
     REBOOT = 0x08
+    SYNC_READ = 0x82
     SYNC_WRITE = 0x83
 
 
@@ -68,12 +77,24 @@ def write(servo: int, address: int, data: bytes) -> bytes:
     return packet(servo, Instruction.WRITE, address.to_bytes(2, "little") + data)
 
 
+def sync_read(servos: Sequence[int], address: int, count: int) -> bytes:
+    """Read `count` bytes of several servos' control tables; they answer one after the other."""
+    span = address.to_bytes(2, "little") + count.to_bytes(2, "little")
+    return packet(BROADCAST, Instruction.SYNC_READ, span + bytes(servos))
+
+
 def sync_write(address: int, values: dict[int, bytes]) -> bytes:
     """Write the same bytes of several servos' control tables, without an answer."""
     size = len(next(iter(values.values())))
     parameters = address.to_bytes(2, "little") + size.to_bytes(2, "little")
     parameters += b"".join(bytes((servo,)) + data for servo, data in values.items())
     return packet(BROADCAST, Instruction.SYNC_WRITE, parameters)
+
+
+def refusal(error: int) -> str | None:
+    """Why the instruction was not obeyed; None if it was."""
+    number = error & ~ALERT
+    return f"{REFUSALS.get(number, 'unknown')} (error {number})" if number else None
 
 
 def status_in(received: bytes) -> StatusPacket | None:

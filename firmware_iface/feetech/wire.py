@@ -6,6 +6,7 @@
 The checksum is the inverted sum of all bytes from the id on. Numbers are little endian; signed ones have their sign in bit 15.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
 
@@ -24,6 +25,7 @@ class Instruction(IntEnum):
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
+    SYNC_READ = 0x82
     SYNC_WRITE = 0x83
 
 
@@ -48,11 +50,21 @@ def write(servo: int, address: int, data: bytes) -> bytes:
     return packet(servo, Instruction.WRITE, bytes((address,)) + data)
 
 
+def sync_read(servos: Sequence[int], address: int, count: int) -> bytes:
+    """Read `count` bytes of several servos' memory tables; they answer one after the other."""
+    return packet(BROADCAST, Instruction.SYNC_READ, bytes((address, count, *servos)))
+
+
 def sync_write(address: int, values: dict[int, bytes]) -> bytes:
     """Write the same bytes of several servos' memory tables, without an answer."""
     size = len(next(iter(values.values())))
     parameters = bytes((address, size)) + b"".join(bytes((servo,)) + data for servo, data in values.items())
     return packet(BROADCAST, Instruction.SYNC_WRITE, parameters)
+
+
+def refusal(error: int) -> str | None:
+    """The error byte tells of the servo, not of the instruction."""
+    return None
 
 
 def status_in(received: bytes) -> Status | None:

@@ -1,28 +1,71 @@
-"""Dynamixel X servos on a half-duplex line, written from the ROBOTIS e-Manual (protocol 2.0, control table of XL330 and XM430).
+"""Dynamixel X servos on a half-duplex line, written from the ROBOTIS e-Manual (protocol 2.0).
 
-A servo is a control table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period.
+A servo is a control table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period. It cannot
+be reset to its state at delivery, and has no indirect addresses. Of several servos that are read at once each waits for the
+one before it: after a silent one nobody answers.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 
+from hil_mocks.devices import dynamixel_table as control_table
+from hil_mocks.devices.dynamixel_table import (
+    ACCESS_ERROR,
+    CURRENT_BASED,
+    CURRENT_LIMIT,
+    ERROR_STATUS,
+    GOAL,
+    GOAL_CURRENT,
+    LENGTH_ERROR,
+    MODE,
+    POSITION,
+    REGISTERED,
+    RETURN_DELAY,
+    RETURN_LEVEL,
+    STORED_END,
+    TABLE_BYTES,
+    TORQUE,
+    VALUES,
+    WATCHDOG,
+    WATCHDOG_EXPIRED,
+)
 from hil_mocks.devices.motor_inputs import OPEN
 from hil_mocks.devices.servo_motor import ServoMotor
 
 COUNTS_PER_TURN = 4096
-PING, READ, WRITE, REBOOT, SYNC_WRITE, BROADCAST = 0x01, 0x02, 0x03, 0x08, 0x83, 0xFE
-INSTRUCTION_ERROR, CRC_ERROR, LENGTH_ERROR, ACCESS_ERROR, ALERT = 0x02, 0x03, 0x05, 0x07, 0x80
+BROADCAST = 0xFE
+RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR, ALERT = 0x01, 0x02, 0x03, 0x80
 OVER_HEATED, OVERLOAD, LOW_VOLTAGE = 0x04, 0x20, 0x01
-TORQUE, ERROR_STATUS, WATCHDOG, GOALS, GOAL, VALUES, TABLE_BYTES = 64, 70, 98, (100, 120), 116, 126, 147
-POSITION, CURRENT_BASED = 3, 5  # operating modes
-GOAL_CURRENT, CURRENT_LIMIT = 102, 1193
+DELAY_STEP_S = 2e-6
 REBOOT_S = 0.2
 LATENCY_S = 0.0001
-_EEPROM_END = 64  # below, only while the torque is off
+
+
+class Instruction(IntEnum):
+    """Instructions of protocol 2.0."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+
+
+# From which status return level on an instruction is answered; others: 2.
+LEVELS: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
 
 
 def crc16(data: bytes) -> int:
@@ -54,15 +97,17 @@ class DynamixelMock:
         self.setup = setup
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self._read_turns = read_turns
+        self.table = bytearray(control_table.initial(0))
+        struct.pack_into("<H", self.table, 0, setup.model)
+        self.table[6], self.table[7], self.table[MODE] = 46, setup.number, setup.mode
+        self.table[RETURN_DELAY] = round(setup.return_delay_s / DELAY_STEP_S)
         self.power_up()
 
     def power_up(self, now_s: float = 0.0) -> None:
-        """State after power-up or a restart: the RAM area at its defaults, torque off."""
-        self.table = bytearray(TABLE_BYTES)
-        struct.pack_into("<H", self.table, 0, self.setup.model)
-        self.table[6], self.table[7], self.table[11] = 46, self.setup.number, self.setup.mode
-        struct.pack_into("<H", self.table, GOAL_CURRENT, CURRENT_LIMIT)
+        """State after power-up or a restart: what is not stored at its defaults, torque off."""
+        self.table[STORED_END:] = control_table.initial(STORED_END)
         self.output = OPEN
+        self._registered: tuple[int, bytes] | None = None
         self._deaf_until_s = now_s
         self._heard_s = now_s
         self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
@@ -70,47 +115,44 @@ class DynamixelMock:
     @property
     def limit_A(self) -> float:
         """What its current loop keeps to."""
-        if self.setup.mode != CURRENT_BASED:
+        if self.table[MODE] != CURRENT_BASED:
             return math.inf
-        (units,) = struct.unpack_from("<H", self.table, GOAL_CURRENT)
-        return float(min(units, CURRENT_LIMIT) * self.setup.current_unit_A)
+        units = min(abs(control_table.value(self.table, at)) for at in (GOAL_CURRENT, CURRENT_LIMIT))
+        return units * self.setup.current_unit_A
 
     @property
     def position(self) -> int:
         """Present position."""
         return round(self._read_turns() * COUNTS_PER_TURN)
 
+    @property
+    def delay_s(self) -> float:
+        """From an instruction's last byte to its answer."""
+        return LATENCY_S + self.table[RETURN_DELAY] * DELAY_STEP_S
+
     # ---- instructions
 
     def answer(self, instruction: int, parameters: bytes, now_s: float) -> bytes | None:
-        """Obey an instruction to this servo; the status packet, None while it restarts."""
+        """Obey an instruction to this servo; the status packet, None if it gives none."""
         if now_s < self._deaf_until_s:
             return None
         self._heard_s = now_s
-        if instruction == PING:
-            return self._status(0, bytes(self.table[0:2]) + bytes(self.table[6:7]))
-        if instruction == READ and len(parameters) == 4:
-            address, count = struct.unpack("<HH", parameters)
-            if address + count > TABLE_BYTES:
-                return self._status(ACCESS_ERROR)
-            return self._status(0, bytes(self.table[address : address + count]))
-        if instruction == WRITE and len(parameters) > 2:
-            return self._status(self.write(int.from_bytes(parameters[:2], "little"), parameters[2:]))
-        if instruction == REBOOT:
-            status = self._status(0)
-            self.power_up(now_s)
-            self._deaf_until_s = now_s + REBOOT_S
-            return status
-        return self._status(INSTRUCTION_ERROR)
+        level, alert = self.table[RETURN_LEVEL], ALERT if self.table[ERROR_STATUS] else 0
+        error, data = self._obey(instruction, parameters, now_s)
+        return self.status(error | alert, data) if level >= LEVELS.get(instruction, 2) else None
+
+    def read(self, address: int, count: int, now_s: float) -> tuple[int, bytes] | None:
+        """Error number and bytes for one of several servos that are read at once; None if it is not there to answer."""
+        if now_s < self._deaf_until_s or self.table[RETURN_LEVEL] < LEVELS[Instruction.READ]:
+            return None
+        self._heard_s = now_s
+        error, data = self._obey(Instruction.READ, struct.pack("<HH", address, count), now_s)
+        return error | (ALERT if self.table[ERROR_STATUS] else 0), data
 
     def write(self, address: int, data: bytes) -> int:
         """Write to the control table; returns an error number."""
-        if address < _EEPROM_END and self.table[TORQUE]:
-            return ACCESS_ERROR
-        if address >= VALUES or address + len(data) > VALUES:
-            return ACCESS_ERROR
-        if GOALS[0] <= address < GOALS[1] and self.table[WATCHDOG] == 0xFF:
-            return ACCESS_ERROR
+        if error := control_table.refusal(self.table, address, data):
+            return error
         if address == TORQUE and data[0] and self.table[ERROR_STATUS]:
             return 0  # stays off until it is restarted
         if address == TORQUE and data[0] and not self.table[TORQUE]:
@@ -118,17 +160,53 @@ class DynamixelMock:
             self._motor.engage()
         self.table[address : address + len(data)] = data
         if address <= GOAL < address + len(data) or address == TORQUE:
-            (goal,) = struct.unpack_from("<i", self.table, GOAL)
-            self._motor.goal_turns = goal / COUNTS_PER_TURN
+            self._motor.goal_turns = control_table.value(self.table, GOAL) / COUNTS_PER_TURN
         return 0
 
-    def _status(self, error: int, parameters: bytes = b"") -> bytes:
-        if self.table[ERROR_STATUS]:
-            error |= ALERT
+    def crc_error(self, now_s: float) -> bytes | None:
+        """The answer to a packet whose CRC is wrong."""
+        is_there = now_s >= self._deaf_until_s and self.table[RETURN_LEVEL] == 2
+        return self.status(CRC_ERROR) if is_there else None
+
+    def _obey(self, instruction: int, parameters: bytes, now_s: float) -> tuple[int, bytes]:
+        address, data = int.from_bytes(parameters[:2], "little"), parameters[2:]
+        match instruction:
+            case Instruction.PING:
+                return 0, bytes(self.table[0:2]) + bytes(self.table[6:7])
+            case Instruction.READ:
+                end = address + int.from_bytes(data, "little")
+                if len(data) != 2:
+                    return LENGTH_ERROR, b""
+                return (0, bytes(self.table[address:end])) if end <= TABLE_BYTES else (ACCESS_ERROR, b"")
+            case Instruction.WRITE:
+                return self.write(address, data), b""
+            case Instruction.REG_WRITE:
+                return self._register(address, data), b""
+            case Instruction.ACTION:
+                return self._act(), b""
+            case Instruction.REBOOT:
+                self.power_up(now_s)
+                self._deaf_until_s = now_s + REBOOT_S
+                return 0, b""
+            case Instruction.RESET | Instruction.CLEAR:
+                return RESULT_FAIL, b""
+        return INSTRUCTION_ERROR, b""
+
+    def _register(self, address: int, data: bytes) -> int:
+        if error := control_table.refusal(self.table, address, data):
+            return error
+        self._registered, self.table[REGISTERED] = (address, data), 1
+        return 0
+
+    def _act(self) -> int:
+        registered, self._registered, self.table[REGISTERED] = self._registered, None, 0
+        return INSTRUCTION_ERROR if registered is None else self.write(*registered)
+
+    def status(self, error: int, parameters: bytes = b"") -> bytes:
+        """A status packet."""
         inside = bytes((0x55, error)) + parameters
         inside = inside.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-        body = b"\xff\xff\xfd\x00" + struct.pack("<BH", self.setup.number, len(inside) + 2) + inside
-        return body + struct.pack("<H", crc16(body))
+        return _with_crc(_header(self.setup.number, len(inside) + 2) + inside)
 
     # ---- control
 
@@ -146,7 +224,7 @@ class DynamixelMock:
             self.table[TORQUE] = 0
         watchdog = self.table[WATCHDOG]
         if self.table[TORQUE] and 0 < watchdog < 0x80 and now_s - self._heard_s > 0.02 * watchdog:
-            self.table[WATCHDOG] = 0xFF
+            self.table[WATCHDOG] = WATCHDOG_EXPIRED
             motor.goal_turns = motor.turns
         self.output = motor.controlled(supply_V) if self.table[TORQUE] else OPEN
 
@@ -169,20 +247,93 @@ class DynamixelLineMock:
             if len(self._received) < end:
                 return
             packet, self._received = self._received[begin:end], self._received[end:]
-            if length >= 3 and crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little"):
+            if length < 3:
+                continue
+            answers: Iterable[tuple[float, bytes | None]]
+            if crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little"):
                 inside = packet[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-                self._obey(servo, inside[0], inside[1:], len(packet), now_s)
-
-    def _obey(self, number: int, instruction: int, parameters: bytes, sent_bytes: int, now_s: float) -> None:
-        if instruction == SYNC_WRITE:
-            address, size = struct.unpack_from("<HH", parameters)
-            for at in range(4, len(parameters) - size, size + 1):
-                if (servo := self.servos.get(parameters[at])) is not None:
-                    servo.write(address, parameters[at + 1 : at + 1 + size])
-            return
-        asked = list(self.servos.values()) if number == BROADCAST else [self.servos.get(number)]
-        there_s = now_s + sent_bytes * self._byte_s
-        for servo in asked:
-            if servo is not None and (status := servo.answer(instruction, parameters, now_s)) is not None:
-                there_s += LATENCY_S + servo.setup.return_delay_s + len(status) * self._byte_s
+                answers = self._answers(servo, inside[0], inside[1:], now_s)
+            else:
+                answers = ((asked.delay_s, asked.crc_error(now_s)) for asked in self._asked(servo))
+            there_s = now_s + len(packet) * self._byte_s
+            for delay_s, status in answers:
+                if status is None:
+                    break
+                there_s += delay_s + len(status) * self._byte_s
                 self.outgoing.append((there_s, status))
+
+    def _asked(self, number: int) -> list[DynamixelMock]:
+        return [self.servos[number]] if number in self.servos else []
+
+    def _answers(
+        self, number: int, instruction: int, parameters: bytes, now_s: float
+    ) -> Iterator[tuple[float, bytes | None]]:
+        """The answers, each after its delay; None: somebody whose turn it was is silent."""
+        if number != BROADCAST:
+            for servo in self._asked(number):
+                yield servo.delay_s, servo.answer(instruction, parameters, now_s)
+        elif instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
+            for which, address, count in _read_at_once(instruction, parameters):
+                said = self._read(which, address, count, now_s)
+                yield (0.0, None) if said is None else (said[0].delay_s, said[0].status(*said[1:]))
+        elif instruction == Instruction.FAST_SYNC_READ:
+            yield LATENCY_S, self._chained(parameters, now_s)
+        elif instruction in (Instruction.SYNC_WRITE, Instruction.BULK_WRITE):
+            for which, address, data in _written_at_once(instruction, parameters):
+                for servo in self._asked(which):
+                    servo.write(address, data)
+        else:
+            for _, servo in sorted(self.servos.items()):
+                status = servo.answer(instruction, parameters, now_s)
+                if instruction == Instruction.PING and status is not None:
+                    yield servo.delay_s, status
+
+    def _read(
+        self, number: int, address: int, count: int, now_s: float
+    ) -> tuple[DynamixelMock, int, bytes] | None:
+        """A servo, its error number and its bytes; None if it does not answer."""
+        servo = self.servos.get(number)
+        said = servo.read(address, count, now_s) if servo else None
+        return None if servo is None or said is None else (servo, *said)
+
+    def _chained(self, parameters: bytes, now_s: float) -> bytes | None:
+        """One packet to which every servo adds error, id, bytes, and the CRC of all that is there so far."""
+        asked = list(_read_at_once(Instruction.SYNC_READ, parameters))
+        chain = _header(BROADCAST, 1 + sum(count + 4 for *_, count in asked)) + b"\x55"
+        for which, address, count in asked:
+            said = self._read(which, address, count, now_s)
+            if said is None:
+                break
+            _, error, data = said
+            chain = _with_crc(chain + bytes((error, which)) + data.ljust(count, b"\0"))
+        return chain if len(chain) > 8 else None
+
+
+def _header(number: int, length: int) -> bytes:
+    return b"\xff\xff\xfd\x00" + struct.pack("<BH", number, length)
+
+
+def _with_crc(packet: bytes) -> bytes:
+    return packet + struct.pack("<H", crc16(packet))
+
+
+def _read_at_once(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, int]]:
+    """Id, address and count of each servo that is asked."""
+    if instruction == Instruction.BULK_READ:
+        yield from struct.iter_unpack("<BHH", parameters[: len(parameters) // 5 * 5])
+    elif len(parameters) > 4:
+        address, count = struct.unpack_from("<HH", parameters)
+        yield from ((number, address, count) for number in parameters[4:])
+
+
+def _written_at_once(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Id, address and bytes of each servo that is written."""
+    if instruction == Instruction.SYNC_WRITE and len(parameters) > 4:
+        address, size = struct.unpack_from("<HH", parameters)
+        for at in range(4, len(parameters) - size, size + 1):
+            yield parameters[at], address, parameters[at + 1 : at + 1 + size]
+    at = 0
+    while instruction == Instruction.BULK_WRITE and len(parameters) >= at + 5:
+        number, address, size = struct.unpack_from("<BHH", parameters, at)
+        yield number, address, parameters[at + 5 : at + 5 + size]
+        at += 5 + size

@@ -1,27 +1,59 @@
 """Feetech STS servos on a half-duplex line, written from the vendor's protocol manual and the memory table of the STS3215.
 
 A servo is a memory table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period. It has no
-watchdog: without the host it holds its last goal.
+watchdog: without the host it holds its last goal. Of what is sent to all only PING is answered, by all servos at once. Of
+several servos that are read at once each waits for the one before it: after a silent one nobody answers.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from enum import IntEnum
+from functools import reduce
 
 from hil_mocks.devices.motor_inputs import OPEN
 from hil_mocks.devices.servo_motor import ServoMotor
 
 COUNTS_PER_TURN = 4096
-PING, READ, WRITE, SYNC_WRITE, BROADCAST = 0x01, 0x02, 0x03, 0x83, 0xFE
+BROADCAST = 0xFE
 OVER_HEATED, OVERLOAD = 0x04, 0x20
-TORQUE, GOAL, TORQUE_LIMIT, LOCK, POSITION, ERROR, CURRENT, TABLE_BYTES = 40, 42, 48, 55, 56, 65, 69, 71
+RETURN_DELAY, RETURN_LEVEL, MAX_POSITION, STORED_END = (
+    7,
+    8,
+    11,
+    40,
+)  # what is below the last is kept without supply
+TORQUE, GOAL, TORQUE_LIMIT, LOCK, POSITION, REGISTERED, ERROR, CURRENT, TABLE_BYTES = (
+    40,
+    42,
+    48,
+    55,
+    56,
+    64,
+    65,
+    69,
+    71,
+)
+DELAY_STEP_S = 2e-6
 CURRENT_UNIT_A = 0.0065
 BOOT_S = 0.2
 LATENCY_S = 0.0001
-_EEPROM = range(5, 40)  # written only while the lock is open
+_EEPROM = range(5, STORED_END)  # written only while the lock is open
+
+
+class Instruction(IntEnum):
+    """Instructions of the protocol."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,32 +72,48 @@ class FeetechMock:
         self.setup = setup
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self._read_turns = read_turns
+        self.table = bytearray(TABLE_BYTES)
+        struct.pack_into("<H", self.table, 3, setup.model)
+        self.table[5], self.table[RETURN_LEVEL] = setup.number, 1
+        struct.pack_into("<H", self.table, MAX_POSITION, COUNTS_PER_TURN - 1)
         self.power_up()
         self._deaf_until_s = 0.0
 
     def power_up(self, now_s: float = 0.0) -> None:
         """State after power-up or a restart: torque off, deaf while it boots."""
-        self.table = bytearray(TABLE_BYTES)
-        struct.pack_into("<H", self.table, 3, self.setup.model)
-        self.table[5], self.table[LOCK] = self.setup.number, 1
+        self.table[STORED_END:] = bytes(TABLE_BYTES - STORED_END)
+        self.table[LOCK] = 1
         struct.pack_into("<H", self.table, TORQUE_LIMIT, 1000)
         self.output = OPEN
+        self._registered: tuple[int, bytes] | None = None
         self._deaf_until_s = now_s + BOOT_S
         self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
+
+    @property
+    def delay_s(self) -> float:
+        """From an instruction's last byte to its answer."""
+        return LATENCY_S + self.table[RETURN_DELAY] * DELAY_STEP_S
 
     def answer(self, instruction: int, parameters: bytes, now_s: float) -> bytes | None:
         """Obey an instruction to this servo; the status packet, None if there is none."""
         if now_s < self._deaf_until_s:
             return None
-        if instruction == PING:
-            return self._status()
-        if instruction == READ and len(parameters) == 2 and sum(parameters) <= TABLE_BYTES:
-            address, count = parameters
-            return self._status(bytes(self.table[address : address + count]))
-        if instruction == WRITE and len(parameters) > 1:
-            self.write(parameters[0], parameters[1:], now_s)
-            return self._status()
-        return None
+        match instruction:
+            case Instruction.PING:
+                return self._status()
+            case Instruction.READ if len(parameters) == 2 and sum(parameters) <= TABLE_BYTES:
+                return self._status(bytes(self.table[parameters[0] : sum(parameters)]))
+            case Instruction.WRITE if len(parameters) > 1:
+                self.write(parameters[0], parameters[1:], now_s)
+            case Instruction.REG_WRITE if len(parameters) > 1:
+                self._registered, self.table[REGISTERED] = (parameters[0], parameters[1:]), 1
+            case Instruction.ACTION:
+                registered, self._registered, self.table[REGISTERED] = self._registered, None, 0
+                if registered is not None:
+                    self.write(*registered, now_s)
+            case _:
+                return None
+        return self._status() if self.table[RETURN_LEVEL] else None
 
     def write(self, address: int, data: bytes, now_s: float) -> None:
         """Write to the memory table; what is read-only, locked or beyond it stays."""
@@ -130,16 +178,38 @@ class FeetechLineMock:
                 self._obey(packet[2], packet[4], packet[5:-1], len(packet), now_s)
 
     def _obey(self, number: int, instruction: int, parameters: bytes, sent_bytes: int, now_s: float) -> None:
-        if instruction == SYNC_WRITE and len(parameters) > 2:
+        there_s = now_s + sent_bytes * self._byte_s
+        for delay_s, status in self._answers(number, instruction, parameters, now_s):
+            there_s += delay_s + len(status) * self._byte_s
+            self.outgoing.append((there_s, status))
+
+    def _answers(
+        self, number: int, instruction: int, parameters: bytes, now_s: float
+    ) -> Iterator[tuple[float, bytes]]:
+        """The answers, each after its delay."""
+        if instruction == Instruction.SYNC_READ and number == BROADCAST:
+            for which in parameters[2:]:
+                servo = self.servos.get(which)
+                status = servo.answer(Instruction.READ, parameters[:2], now_s) if servo else None
+                if servo is None or status is None:
+                    return
+                yield servo.delay_s, status
+        elif instruction == Instruction.SYNC_WRITE and len(parameters) > 2:
             address, size = parameters[:2]
             for at in range(2, len(parameters) - size, size + 1):
                 if (servo := self.servos.get(parameters[at])) is not None:
                     servo.write(address, parameters[at + 1 : at + 1 + size], now_s)
-            return
-        asked = self.servos.get(number)
-        if asked is not None and (status := asked.answer(instruction, parameters, now_s)) is not None:
-            there_s = now_s + (sent_bytes + len(status)) * self._byte_s + LATENCY_S
-            self.outgoing.append((there_s, status))
+        elif number == BROADCAST:
+            answers = [servo.answer(instruction, parameters, now_s) for servo in self.servos.values()]
+            if instruction == Instruction.PING and (said := [one for one in answers if one is not None]):
+                yield LATENCY_S, reduce(_collided, said)
+        elif (asked := self.servos.get(number)) and (status := asked.answer(instruction, parameters, now_s)):
+            yield asked.delay_s, status
+
+
+def _collided(one: bytes, other: bytes) -> bytes:
+    """What is heard of two that speak at once: a 0 wins."""
+    return bytes(a & b for a, b in zip(one, other, strict=True))
 
 
 def _signed(raw: int) -> int:

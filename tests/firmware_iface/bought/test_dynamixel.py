@@ -22,6 +22,7 @@ def test_packets_are_those_of_the_manual() -> None:
     assert wire.packet(1, wire.Instruction.PING) == GOLDEN["PING id 1"]
     assert wire.read(1, 132, 4) == GOLDEN["READ id 1 present position"]
     assert wire.write(1, 116, struct.pack("<i", 512)) == GOLDEN["WRITE id 1 goal position 512"]
+    assert wire.sync_read((1, 2), 132, 4) == GOLDEN["SYNC READ ids 1 and 2 present position"]
     status = wire.status_in(GOLDEN["STATUS id 1 ping, model 1030 firmware 38"])
     assert status == (1, 0, struct.pack("<HB", 1030, 38), 14)
 
@@ -32,7 +33,8 @@ class Cable:
     def __init__(self, model: int = 1020, echoes: bool = False) -> None:
         self.link, self._far = byte_pair("/dev/ttyU2D2", 1_000_000)
         self.servo = DynamixelMock(ServoSetup(3, 1.0, model), lambda: 0.25)
-        self.mock = DynamixelLineMock([self.servo], 1_000_000)
+        self.other = DynamixelMock(ServoSetup(4, 1.0, model), lambda: 0.5)
+        self.mock = DynamixelLineMock([self.servo, self.other], 1_000_000)
         self.is_cut = False
         self._echoes = echoes
         self._now_s = 0.0
@@ -47,7 +49,8 @@ class Cable:
             if self._echoes and received:
                 self._far.write(received)
             self.mock.receive(received, self._now_s)
-            self.servo.tick(self._now_s, 0.0, 12.0)
+            for servo in self.mock.servos.values():
+                servo.tick(self._now_s, 0.0, 12.0)
             sent, self.mock.outgoing = self.mock.outgoing, []
             for _, status in [] if self.is_cut else sent:
                 self._far.write(status)
@@ -93,6 +96,6 @@ def test_the_bus_watchdog_stops_a_servo_whose_host_is_gone_until_it_is_cleared()
     cable.wait_until_s(cable.now_s() + 0.3)
     servo.read_state()
     assert servo.is_watchdog_expired
-    assert cable.servo.write(116, struct.pack("<i", 5)) == 7  # goals are read-only
+    assert cable.servo.write(116, struct.pack("<i", 5)) == 4  # goals are read-only
     servo.set_up(0.1)
     assert not servo.is_watchdog_expired

@@ -23,6 +23,7 @@ def test_packets_are_those_of_the_manual() -> None:
     assert wire.write(1, 40, b"\x01") == GOLDEN["WRITE id 1 torque on"]
     goals = {1: wire.raw(2048), 2: wire.raw(-2)}
     assert wire.sync_write(42, goals) == GOLDEN["SYNC WRITE positions 2048 and -2"]
+    assert wire.sync_read((1, 2), 56, 8) == GOLDEN["SYNC READ ids 1 and 2, eight bytes from the position on"]
     assert wire.status_in(GOLDEN["STATUS id 1"]) == (1, 0, b"", 6)
     assert wire.status_in(GOLDEN["STATUS id 1 position 2048"]) == (1, 0, wire.raw(2048), 8)
 

@@ -38,6 +38,9 @@ class Port:
         got, self._received = self._received[:length], self._received[length:]
         return got
 
+    def getBaudRate(self) -> int:
+        return 1_000_000
+
     def getBytesAvailable(self) -> int:
         return len(self._received)
 
@@ -76,11 +79,120 @@ def test_the_sdk_pings_reads_and_writes_the_mock(line: DynamixelLineMock, handle
 def test_the_sdks_sync_write_sets_the_goals(line: DynamixelLineMock, handler: Any) -> None:
     port = Port(line)
     write = sdk.GroupSyncWrite(port, handler, 116, 4)
-    for number, goal in ((1, 1000), (2, -5)):
+    for number, goal in ((1, 1000), (2, 4095)):
         write.addParam(number, list(struct.pack("<i", goal)))
     assert write.txPacket() == sdk.COMM_SUCCESS
-    assert [struct.unpack_from("<i", servo.table, 116)[0] for servo in line.servos.values()] == [1000, -5]
-    assert port.written == wire.sync_write(116, {1: struct.pack("<i", 1000), 2: struct.pack("<i", -5)})
+    assert [struct.unpack_from("<i", servo.table, 116)[0] for servo in line.servos.values()] == [1000, 4095]
+    assert port.written == wire.sync_write(116, {1: struct.pack("<i", 1000), 2: struct.pack("<i", 4095)})
+
+
+def test_the_sdk_reads_several_servos_at_once(line: DynamixelLineMock, handler: Any) -> None:
+    port = Port(line)
+    handler.ping(port, 1)  # a control period, so that there are values
+    port.written = b""
+    for way in ("txRxPacket", "fastSyncRead"):
+        read = sdk.GroupSyncRead(port, handler, 126, 21)
+        for number in (2, 1):
+            read.addParam(number)
+        assert getattr(read, way)() == sdk.COMM_SUCCESS
+        assert [(read.getData(n, 132, 4), read.getData(n, 144, 2)) for n in (1, 2)] == [(1024, 120)] * 2
+    bulk = sdk.GroupBulkRead(port, handler)
+    bulk.addParam(1, 132, 4)
+    bulk.addParam(2, 146, 1)
+    assert bulk.txRxPacket() == sdk.COMM_SUCCESS
+    assert (bulk.getData(1, 132, 4), bulk.getData(2, 146, 1)) == (1024, 35)
+    assert port.written.startswith(wire.sync_read((2, 1), 126, 21))
+
+
+def test_after_a_servo_that_is_missing_nobody_answers(line: DynamixelLineMock, handler: Any) -> None:
+    read = sdk.GroupSyncRead(Port(line), handler, 132, 4)
+    for number in (1, 9, 2):
+        read.addParam(number)
+    assert read.txRxPacket() == sdk.COMM_RX_TIMEOUT
+    line.receive(wire.sync_read((1, 9, 2), 132, 4), 1.0)
+    assert len(line.outgoing) == 1
+
+
+def test_the_sdk_writes_several_servos_at_once_and_at_a_sign(line: DynamixelLineMock, handler: Any) -> None:
+    port, servo = Port(line), line.servos[1]
+    bulk = sdk.GroupBulkWrite(port, handler)
+    bulk.addParam(1, 116, 4, [1, 2, 0, 0])
+    bulk.addParam(2, 65, 1, [1])
+    assert bulk.txPacket() == sdk.COMM_SUCCESS
+    assert (servo.table[116:118], line.servos[2].table[65]) == (b"\x01\x02", 1)
+    assert handler.regWriteTxRx(port, 1, 116, 4, [9, 0, 0, 0]) == (sdk.COMM_SUCCESS, 0)
+    assert (servo.table[116], servo.table[69]) == (1, 1)
+    handler.action(port, sdk.BROADCAST_ID)
+    assert (servo.table[116], servo.table[69]) == (9, 0)
+    assert handler.action(port, 1) == sdk.COMM_SUCCESS  # the SDK passes its error over
+    assert line.servos[1].answer(0x05, b"", 9.0)[8] == 0x02  # nothing is registered any more
+
+
+@pytest.mark.parametrize(
+    ("address", "data", "error"),
+    [
+        (116, struct.pack("<i", 4096), sdk.ERRNUM_DATA_RANGE),
+        (116, struct.pack("<i", -1), sdk.ERRNUM_DATA_RANGE),
+        (98, b"\x80", sdk.ERRNUM_DATA_RANGE),
+        (102, struct.pack("<h", 1001), sdk.ERRNUM_DATA_LIMIT),
+        (116, b"\x05\x00", sdk.ERRNUM_DATA_LENGTH),
+        (132, bytes(4), sdk.ERRNUM_ACCESS),
+        (66, b"\x01", sdk.ERRNUM_ACCESS),
+    ],
+)
+def test_what_a_servo_does_not_take_is_refused_with_the_sdks_number(
+    line: DynamixelLineMock, handler: Any, address: int, data: bytes, error: int
+) -> None:
+    port, servo = Port(line), line.servos[1]
+    handler.write2ByteTxRx(port, 1, 38, 1000)  # the limit of the goal current
+    before = bytes(servo.table[:126])
+    for write in (handler.writeTxRx, handler.regWriteTxRx):
+        assert write(port, 1, address, len(data), list(data)) == (sdk.COMM_SUCCESS, error)
+    assert servo.table[:126] == before
+
+
+def test_an_unknown_instruction_and_a_wrong_crc_are_answered_with_their_errors(
+    line: DynamixelLineMock,
+) -> None:
+    line.receive(wire.packet(1, 0x77), 0.1)
+    damaged = bytearray(wire.read(2, 132, 4))
+    damaged[-1] ^= 1
+    line.receive(bytes(damaged), 0.2)
+    said = [wire.status_in(status) for _, status in line.outgoing]
+    assert [(one.servo, one.error) for one in said if one] == [
+        (1, sdk.ERRNUM_INSTRUCTION),
+        (2, sdk.ERRNUM_CRC),
+    ]
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_the_status_return_level_says_what_is_answered(
+    line: DynamixelLineMock, handler: Any, level: int
+) -> None:
+    port = Port(line)
+    handler.write1ByteTxRx(port, 1, 68, level)
+    assert handler.ping(port, 1)[1] == sdk.COMM_SUCCESS
+    assert (handler.read1ByteTxRx(port, 1, 68)[1] == sdk.COMM_SUCCESS) is (level >= 1)
+    assert (handler.write1ByteTxRx(port, 1, 65, 1)[0] == sdk.COMM_SUCCESS) is (level == 2)
+    assert line.servos[1].table[65] == 1
+
+
+def test_all_answer_a_ping_to_all_and_nobody_a_write(line: DynamixelLineMock, handler: Any) -> None:
+    port = Port(line)
+    assert handler.broadcastPing(port) == ({1: [1020, 46], 2: [1020, 46]}, sdk.COMM_SUCCESS)
+    handler.write1ByteTxOnly(port, sdk.BROADCAST_ID, 65, 1)
+    assert port.getBytesAvailable() == 0
+    assert [servo.table[65] for servo in line.servos.values()] == [1, 1]
+
+
+def test_what_is_stored_outlives_a_restart_and_the_rest_does_not(
+    line: DynamixelLineMock, handler: Any
+) -> None:
+    port, servo = Port(line), line.servos[1]
+    handler.write1ByteTxRx(port, 1, 11, 4)
+    handler.write1ByteTxRx(port, 1, 65, 1)
+    handler.reboot(port, 1)
+    assert (servo.table[11], servo.table[65]) == (4, 0)
 
 
 def test_our_packets_are_the_sdks_byte_for_byte(line: DynamixelLineMock, handler: Any) -> None:
@@ -101,12 +213,13 @@ def test_a_header_inside_of_parameters_is_stuffed_and_the_sdk_reads_it_back(
     line: DynamixelLineMock, handler: Any
 ) -> None:
     # Not compared with what the SDK sends: 4.1.0 computes the stuffing and then sends the packet without it.
-    packet = wire.write(1, 116, b"\xff\xff\xfd\x00")
-    assert packet[5:].startswith(b"\x0a\x00\x03\x74\x00\xff\xff\xfd\xfd\x00")
+    line.servos[1].table[11] = 4  # several turns
+    packet = wire.write(1, 116, b"\xff\xff\xfd\xff")
+    assert packet[5:].startswith(b"\x0a\x00\x03\x74\x00\xff\xff\xfd\xfd\xff")
     port = Port(line)
     port.writePort(list(packet))
     port.clearPort()
-    assert handler.read4ByteTxRx(port, 1, 116) == (0x00FD_FFFF, sdk.COMM_SUCCESS, 0)
+    assert handler.read4ByteTxRx(port, 1, 116) == (0xFFFD_FFFF, sdk.COMM_SUCCESS, 0)
 
 
 def test_a_hardware_error_is_an_alert_that_only_a_restart_ends(line: DynamixelLineMock, handler: Any) -> None:

@@ -82,6 +82,54 @@ def test_the_sdks_sync_write_is_ours_and_sets_the_goals(port: Port, handler: Any
     assert [servo.table[42:44] for servo in port.line.servos.values()] == [b"\x00\x08", b"\x02\x80"]
 
 
+def test_the_sdk_reads_several_servos_at_once(port: Port, handler: Any) -> None:
+    handler.ping(1)  # a control period, so that there are values
+    port.written = b""
+    read = sdk.GroupSyncRead(handler, sdk.SMS_STS_PRESENT_POSITION_L, 8)
+    for number in (2, 1):
+        read.addParam(number)
+    assert read.txRxPacket() == sdk.COMM_SUCCESS
+    assert [read.getData(n, sdk.SMS_STS_PRESENT_POSITION_L, 2) for n in (1, 2)] == [0x8000 | 1024] * 2
+    assert port.written == wire.sync_read((2, 1), 56, 8)
+
+
+def test_after_a_servo_that_is_missing_nobody_answers(port: Port) -> None:
+    port.line.receive(wire.sync_read((1, 9, 2), 56, 2), 1.0)
+    assert len(port.line.outgoing) == 1
+
+
+def test_what_the_sdk_registers_is_done_at_the_action_to_all(port: Port, handler: Any) -> None:
+    for number in (1, 2):
+        assert handler.RegWritePosEx(number, 1000 + number, 0, 0) == (sdk.COMM_SUCCESS, 0)
+    servos = port.line.servos.values()
+    assert [(servo.table[64], servo.table[42:44]) for servo in servos] == [(1, b"\0\0")] * 2
+    assert handler.RegAction() == sdk.COMM_SUCCESS
+    assert [servo.table[64] for servo in servos] == [0, 0]
+    assert [int.from_bytes(servo.table[42:44], "little") for servo in servos] == [1001, 1002]
+
+
+def test_of_what_is_sent_to_all_only_a_ping_is_answered_by_all_at_once(port: Port, handler: Any) -> None:
+    port.writePort(list(wire.write(wire.BROADCAST, 40, b"\x01")))
+    assert port._received == b""
+    assert [servo.table[40] for servo in port.line.servos.values()] == [1, 1]
+    ping = wire.packet(wire.BROADCAST, wire.Instruction.PING)
+    port.writePort(list(ping))
+    with pytest.raises(ValueError, match="checksum"):
+        wire.status_in(port._received)
+    port.clearPort()
+    del port.line.servos[1]
+    port.writePort(list(ping))
+    assert wire.status_in(port._received) == (2, 0, b"", 6)
+
+
+def test_at_a_response_level_of_0_only_ping_and_read_are_answered(port: Port, handler: Any) -> None:
+    handler.unLockEprom(1)
+    handler.write1ByteTxRx(1, 8, 0)
+    assert handler.write1ByteTxRx(1, 41, 5)[0] == sdk.COMM_RX_TIMEOUT
+    assert handler.read1ByteTxRx(1, 41) == (5, sdk.COMM_SUCCESS, 0)
+    assert handler.ping(1)[1] == sdk.COMM_SUCCESS
+
+
 def test_our_packets_are_the_sdks_byte_for_byte(port: Port, handler: Any) -> None:
     handler.ReadPos(2)
     handler.write1ByteTxRx(1, sdk.SMS_STS_TORQUE_ENABLE, 1)
