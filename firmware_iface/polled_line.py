@@ -137,6 +137,9 @@ class PolledLine:
         self._waiting, self._received = (question if question.answer_bytes else None), b""
         self._link.write(packet)
 
+    def _miss(self, question: Question) -> None:
+        """A question was given up, or its answer was wrong: nothing else is asked for it."""
+
     def _take(self, question: Question) -> None:
         """Take the answer if it is complete, or give it up."""
         try:
@@ -145,9 +148,11 @@ class PolledLine:
             if self.clock.now_s() > self._give_up_s:
                 self.timeouts += 1
                 self._waiting = None
+                self._miss(question)
             return
         self._waiting = None
         if data is WRONG:
             self.wrong_answers += 1
+            self._miss(question)
         else:
             question.take(data, self._sent_at_s)

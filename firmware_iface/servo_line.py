@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
 from firmware_iface.link import ByteLink
-from firmware_iface.polled_line import WRONG, PolledLine, Unfinished
+from firmware_iface.polled_line import WRONG, PolledLine, Question, Unfinished
 
 ANSWER_TIMEOUT_s = 0.01  # return delay 0.5 ms by default, and the latency of a USB adapter
 
@@ -46,16 +46,19 @@ class ServoQuestion:
 
     def answered(self, received: bytes) -> bytes | None:
         """Error byte and parameters. Raises Unfinished. An adapter's echo of the instruction is passed over."""
-        received = received.removeprefix(self.made())
+        status = self.status(received.removeprefix(self.made()))
+        return WRONG if status is None else bytes((status.error,)) + status.parameters
+
+    def status(self, received: bytes) -> Status | None:
+        """The servo's status packet at the begin of what was received, None if it is not right. Raises Unfinished."""
         try:
             status = self.status_in(received)
         except ValueError:
-            return WRONG
+            return None
         if status is None:
             raise Unfinished
-        if status.servo != self.servo or len(status.parameters) != self.parameter_bytes:
-            return WRONG
-        return bytes((status.error,)) + status.parameters
+        is_right = status.servo == self.servo and len(status.parameters) == self.parameter_bytes
+        return status if is_right else None
 
     def take(self, data: bytes, sent_at_s: float) -> None:
         """Use the answer."""
@@ -94,8 +97,13 @@ class LineServo(Protocol):
     problems: list[LinkError]
 
     @property
+    def values_question(self) -> ServoQuestion:
+        """What it measures; asked alone where not all servos were heard at once."""
+        ...
+
+    @property
     def state_question(self) -> ServoQuestion:
-        """Asked of one servo a cycle, in turn."""
+        """Asked of one servo a cycle, in turn, if it is another question."""
         ...
 
 
@@ -118,26 +126,78 @@ class GoalPositions:
         """There is no answer."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ValuesOfAll:
+    """One instruction for the values of all servos of a line, which answer one after the other."""
+
+    servos: Sequence[LineServo]
+    made: Callable[[], bytes]
+
+    @property
+    def answer_bytes(self) -> int:
+        """The bytes of all status packets."""
+        return sum(servo.values_question.answer_bytes for servo in self.servos)
+
+    def packet(self) -> bytes:
+        """The bytes to send."""
+        return self.made()
+
+    def answered(self, received: bytes) -> bytes | None:
+        """Error byte and parameters of each servo. Raises Unfinished, also if one of them does not answer."""
+        if len(received) < self.answer_bytes:
+            raise Unfinished
+        received, answers = received.removeprefix(self.made()), b""
+        for servo in self.servos:
+            status = servo.values_question.status(received)
+            if status is None:
+                return WRONG
+            answers += bytes((status.error,)) + status.parameters
+            received = received[status.length :]
+        return answers
+
+    def take(self, data: bytes, sent_at_s: float) -> None:
+        """Use the answers."""
+        for servo in self.servos:
+            end = 1 + servo.values_question.parameter_bytes
+            servo.values_question.take(data[:end], sent_at_s)
+            data = data[end:]
+
+
 class ServoLine(PolledLine):
-    """A line with servos."""
+    """A line with servos. Their values are asked for together in the rest of each cycle."""
 
     def __init__(
-        self, link: ByteLink, clock: Clock, servos: Sequence[LineServo], goals: Callable[[], bytes]
+        self,
+        link: ByteLink,
+        clock: Clock,
+        servos: Sequence[LineServo],
+        goals: Callable[[], bytes],
+        values: Callable[[], bytes],
     ) -> None:
-        """`servos`: may grow; `goals` makes the packet of their goal positions."""
+        """`servos`: may grow. `goals` makes the packet of their goal positions, `values` the one that asks for their values."""
         super().__init__(link, clock, ANSWER_TIMEOUT_s)
         self._servos = servos
         self._goals = GoalPositions(goals)
+        self._values = ValuesOfAll(servos, values)
+        self.keep_asking(self._values)
         self._turn = 0
 
     def post_cycle(self) -> None:
-        """Queue the goal positions, and one servo's state in turn; the values are asked for in the rest of the cycle."""
+        """Queue the goal positions, and one servo's state in turn if its values do not tell it."""
         self.post(self._goals)
         self.post_starved()
-        self.post(self._servos[self._turn].state_question)
+        servo = self._servos[self._turn]
+        if servo.state_question is not servo.values_question:
+            self.post(servo.state_question)
         self._turn = (self._turn + 1) % len(self._servos)
 
+    def _miss(self, question: Question) -> None:
+        """Where not all were heard together, each is asked alone: one that is silent must not silence the others."""
+        if question is self._values:
+            for servo in self._servos:
+                self.post(servo.values_question)
+
     def ask(self, question: ServoQuestion, answers: list[bytes], where: str, what: str, remedy: str) -> bytes:
-        """Ask outside of the cycle: parameters of the answer, which `question` puts into `answers`. Raises BoardSilent."""
+        """Ask outside of the cycle: the answer, which `question` puts into `answers`. Raises BoardSilent."""
         self.converse(question, lambda: bool(answers), f"{where}: no answer to {what}", remedy)
-        return answers[0][1:]
+        return answers[0]

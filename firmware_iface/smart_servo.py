@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import ClassVar, Protocol
 
-from firmware_iface.errors import BoardReset, LinkError, MisuseError
+from firmware_iface.errors import BoardReset, LinkError, MisuseError, RequestRefused
 from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion, Status
 
 
@@ -19,6 +19,7 @@ class ServoWire(Protocol):
     def read(self, servo: int, address: int, count: int) -> bytes: ...
     def write(self, servo: int, address: int, data: bytes) -> bytes: ...
     def status_in(self, received: bytes) -> Status | None: ...
+    def refusal(self, error: int) -> str | None: ...
 
 
 class SmartServo(ABC):
@@ -27,8 +28,9 @@ class SmartServo(ABC):
     CALLED: ClassVar[str]
     WIRE: ClassVar[ServoWire]
     TORQUE: ClassVar[int]  # address of the switch
-    values_question: ServoQuestion  # asked in the rest of each cycle
-    state_question: ServoQuestion  # asked of one servo a cycle, in turn
+    FORCE: ClassVar[int]  # address of what limits the force, two bytes
+    values_question: ServoQuestion
+    state_question: ServoQuestion
     REMEDY: ClassVar[str] = ""  # what else to check if it does not answer
 
     def __init__(self, line: ServoLine, number: int, name: str) -> None:
@@ -49,8 +51,7 @@ class SmartServo(ABC):
         self._line = line
         self._force = ForceLimit(line, self._force_written)
         self._torque = {
-            is_on: self._question(self._torque_packet(is_on), 0, lambda data, at_s: None)
-            for is_on in (False, True)
+            is_on: self._writing(self.TORQUE, bytes((is_on,)), lambda: None) for is_on in (False, True)
         }
 
     @property
@@ -88,9 +89,8 @@ class SmartServo(ABC):
     def limit_force(self, current_A: float, share: float) -> None:
         """At most so much current, or `share` of the duty; does not wait."""
 
-    @abstractmethod
     def _force_written(self, value: int, confirm: Callable[[], None]) -> ServoQuestion:
-        """The instruction that writes a force limit."""
+        return self._writing(self.FORCE, value.to_bytes(2, "little"), confirm)
 
     def _read(self, address: int, count: int) -> bytes:
         return self._converse(lambda: self.WIRE.read(self.number, address, count), count, f"READ {address}")
@@ -102,7 +102,25 @@ class SmartServo(ABC):
         answers: list[bytes] = []
         question = self._question(made, count, lambda data, _: answers.append(data))
         remedy = f"check its supply, id {self.number}{self.REMEDY}"
-        return self._line.ask(question, answers, self.where, what, remedy)
+        answer = self._line.ask(question, answers, self.where, what, remedy)
+        if refused := self._refused(answer[0], what):
+            raise refused
+        return answer[1:]
+
+    def _refused(self, error: int, what: str) -> RequestRefused | None:
+        why = self.WIRE.refusal(error)
+        return RequestRefused(f"{self.where}: refused {what}: {why}") if why else None
+
+    def _writing(self, address: int, data: bytes, then: Callable[[], None]) -> ServoQuestion:
+        """The instruction that writes in the cycle; `then` is called when it was obeyed."""
+
+        def taken(answer: bytes, _: float) -> None:
+            if refused := self._refused(answer[0], f"WRITE {address} of {data.hex(' ')}"):
+                self.problems.append(refused)
+            else:
+                then()
+
+        return self._question(lambda: self.WIRE.write(self.number, address, data), 0, taken)
 
     def _question(
         self, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]
@@ -113,9 +131,6 @@ class SmartServo(ABC):
     def _reading(self, span: tuple[int, int], taken: Callable[[bytes, float], None]) -> ServoQuestion:
         """The question for the values at an address, of a length."""
         return self._question(lambda: self.WIRE.read(self.number, *span), span[1], taken)
-
-    def _torque_packet(self, is_on: bool) -> Callable[[], bytes]:
-        return lambda: self.WIRE.write(self.number, self.TORQUE, bytes((is_on,)))
 
     def _note_restart(self) -> None:
         self.resets += 1

@@ -2,7 +2,6 @@
 
 import math
 import struct
-from collections.abc import Callable
 from typing import ClassVar, Final
 
 from firmware_iface.clock import Clock
@@ -10,15 +9,13 @@ from firmware_iface.dynamixel import wire
 from firmware_iface.dynamixel.wire import Instruction
 from firmware_iface.errors import WrongIdentity
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ServoLine, ServoQuestion
+from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import ServoWire, SmartServo
 
 REBOOT_s = 0.5
 MODEL, OPERATING_MODE, TORQUE_ENABLE, GOAL_POSITION, PROFILE, GOAL_CURRENT = 0, 11, 64, 116, 108, 102
-STATE_SPAN, VALUES_SPAN = (
-    (64, 35),
-    (126, 21),
-)  # address and length: torque to bus watchdog; current to temperature
+# Address and length: torque to bus watchdog; current to temperature.
+STATE_SPAN, VALUES_SPAN = (64, 35), (126, 21)
 HARDWARE_ERROR, BUS_WATCHDOG = 70, 98
 WATCHDOG_STEP_s, LONGEST_WATCHDOG = 0.02, 127
 WATCHDOG_ERROR = 0xFF
@@ -37,12 +34,15 @@ class DynamixelLine(ServoLine):
 
     def __init__(self, link: ByteLink, clock: Clock) -> None:
         self.servos: list[DynamixelServo] = []
-        super().__init__(link, clock, self.servos, self._goal_positions)
+        super().__init__(link, clock, self.servos, self._goal_positions, self._all_values)
 
     def _goal_positions(self) -> bytes:
         return wire.sync_write(
             GOAL_POSITION, {servo.number: struct.pack("<i", servo.goal) for servo in self.servos}
         )
+
+    def _all_values(self) -> bytes:
+        return wire.sync_read([servo.number for servo in self.servos], *VALUES_SPAN)
 
 
 class DynamixelServo(SmartServo):
@@ -50,7 +50,7 @@ class DynamixelServo(SmartServo):
 
     CALLED = "Dynamixel"
     WIRE: ClassVar[ServoWire] = wire
-    TORQUE = TORQUE_ENABLE
+    TORQUE, FORCE = TORQUE_ENABLE, GOAL_CURRENT
     REMEDY = ", protocol 2.0"
 
     def __init__(self, line: DynamixelLine, number: int, name: str) -> None:
@@ -105,10 +105,6 @@ class DynamixelServo(SmartServo):
     def limit_force(self, current_A: float, share: float) -> None:
         """At most this goal current; `share` of the duty is not used."""
         self._force.keep(max(round(current_A / self._current_unit_A), 1))
-
-    def _force_written(self, units: int, confirm: Callable[[], None]) -> ServoQuestion:
-        made = wire.write(self.number, GOAL_CURRENT, struct.pack("<H", units))
-        return self._question(lambda: made, 0, lambda data, at_s: confirm())
 
     def read_state(self) -> None:
         """Torque, errors, and all values as they are now."""

@@ -1,14 +1,13 @@
 """One Feetech STS servo on a half-duplex line, seen from the host."""
 
 import struct
-from collections.abc import Callable
 from typing import ClassVar, Final
 
 from firmware_iface.clock import Clock
 from firmware_iface.errors import WrongIdentity
 from firmware_iface.feetech import wire
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ServoLine, ServoQuestion
+from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import ServoWire, SmartServo
 
 MODEL, MODE, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 3, 33, 40, 41, 42, 46, 48
@@ -24,10 +23,13 @@ class FeetechLine(ServoLine):
 
     def __init__(self, link: ByteLink, clock: Clock) -> None:
         self.servos: list[FeetechServo] = []
-        super().__init__(link, clock, self.servos, self._goal_positions)
+        super().__init__(link, clock, self.servos, self._goal_positions, self._all_states)
 
     def _goal_positions(self) -> bytes:
         return wire.sync_write(GOAL_POSITION, {servo.number: wire.raw(servo.goal) for servo in self.servos})
+
+    def _all_states(self) -> bytes:
+        return wire.sync_read([servo.number for servo in self.servos], *STATE_SPAN)
 
 
 class FeetechServo(SmartServo):
@@ -35,7 +37,7 @@ class FeetechServo(SmartServo):
 
     CALLED = "STS servo"
     WIRE: ClassVar[ServoWire] = wire
-    TORQUE = TORQUE
+    TORQUE, FORCE = TORQUE, TORQUE_LIMIT
 
     def __init__(self, line: FeetechLine, number: int, name: str) -> None:
         super().__init__(line, number, name)
@@ -79,10 +81,6 @@ class FeetechServo(SmartServo):
     def limit_force(self, current_A: float, share: float) -> None:
         """A torque limit: a `share` of the duty, which gives the current at rest."""
         self._force.keep(max(round(1e3 * share), 1))
-
-    def _force_written(self, permille: int, confirm: Callable[[], None]) -> ServoQuestion:
-        made = wire.write(self.number, TORQUE_LIMIT, struct.pack("<H", permille))
-        return self._question(lambda: made, 0, lambda data, at_s: confirm())
 
     def read_state(self) -> None:
         """Torque, errors, and all values as they are now."""

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from control.hardware.bought.serial_line import TURN_AROUND_S
-from control.hardware.bought.smart_servo import open_servos
+from control.hardware.bought.smart_servo import line_s, open_servos
 from control.hardware.opened import Opened
 from control.hardware.words import OVER_CURRENT, OVER_TEMPERATURE, OWN_ENCODER, SUPPLY_LOW
 from control.model.arm import Arm, Board
@@ -14,14 +13,13 @@ from firmware_iface.feetech.servo import FeetechLine, FeetechServo
 FAULT_OF = (
     (0x01, SUPPLY_LOW), (0x02, OWN_ENCODER), (0x04, OVER_TEMPERATURE), (0x28, OVER_CURRENT)
 )  # fmt: skip
-# A cycle: a sync write (8 bytes and 3 a servo), and for each servo its state (8 + 37); one of them is asked twice.
-STATE_BYTES, GOAL_BYTES, SYNC_BYTES = 45, 3, 8
+# A cycle: a sync write of the goals (8 bytes and 3 a servo), a sync read of the states (8 and 1 a servo), its answers (37 each).
+LINE_BYTES, SERVO_BYTES = 8 + 8, 3 + 1 + 37
 
 
 def cycle_s(servos: int, baud: int) -> float:
-    """How long the questions of one cycle take on a line: the shortest period of the loop."""
-    line_bytes = SYNC_BYTES + servos * GOAL_BYTES + (servos + 1) * STATE_BYTES
-    return line_bytes * 10 / baud + (servos + 1) * TURN_AROUND_S
+    """How long the packets of one cycle take on a line: the shortest period of the loop."""
+    return line_s(servos, baud, LINE_BYTES, SERVO_BYTES, questions=1)
 
 
 def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from control.hardware.bought.serial_line import PolledBoards, open_lines
+from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
 from control.hardware.roles import AskedEncoders
@@ -32,6 +32,7 @@ L = TypeVar("L", bound=ServoLine)
 FaultMap = Sequence[tuple[int, int]]
 """Bits of a servo's hardware error, and the loop's fault for each."""
 
+ANSWER_GAP_S = 0.0001  # between the answers of servos that are read together, with a return delay of 0
 TORQUE_CYCLES = (
     20  # until a servo that was told to switch its torque on says that it did: asked in turn, some times
 )
@@ -182,6 +183,12 @@ class ServoDrive:
         self._servo.goal = self._held = self._servo.position
 
 
+def line_s(servos: int, baud: int, line_bytes: int, servo_bytes: int, questions: int) -> float:
+    """How long a cycle's packets take: bytes for the line and for each servo, and questions that are answered."""
+    packets_s = (line_bytes + servos * servo_bytes) * 10 / baud
+    return packets_s + questions * TURN_AROUND_S + servos * ANSWER_GAP_S
+
+
 def open_servos(
     arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened,
     line_of: Callable[[ByteLink, Clock], L], servo_of: Callable[[L, int, str], SmartServo],
@@ -197,18 +204,17 @@ def open_servos(
             with collect(opened.failures):
                 servos.append(servo_of(line, described.address, described.name))
                 joint, drive = joints[described.name]
-                _join(servos[-1], line, joint, drive, arm.limits.watchdog_s, fault_of, opened)
+                _join(servos[-1], joint, drive, arm.limits.watchdog_s, fault_of, opened)
         return PolledBoards(line, servos, line.post_cycle)
 
     open_lines(boards, opened, period_s, "servo", "raise the servos' baud rate", cycle_s, open_on)
 
 
 def _join(
-    servo: SmartServo, line: ServoLine, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
+    servo: SmartServo, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
 ) -> None:  # fmt: skip
     identity = servo.identify()
     servo.read_state()
-    line.keep_asking(servo.values_question)
     encoder = ServoEncoder(servo, joint)
     opened.encoders.append(encoder)
     opened.drives.append(ServoDrive(servo, encoder, joint, drive, watchdog_s, fault_of))

@@ -1,5 +1,6 @@
 """Dynamixel protocol 2.0: the packets of the e-Manual, and a line that is late, echoes or is silent."""
 
+import re
 import struct
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 
 from firmware_iface.dynamixel import wire
 from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
-from firmware_iface.errors import BoardSilent, MisuseError, WrongIdentity
+from firmware_iface.errors import BoardSilent, MisuseError, RequestRefused, WrongIdentity
 from firmware_iface.memory_link import byte_pair
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 
@@ -99,3 +100,54 @@ def test_the_bus_watchdog_stops_a_servo_whose_host_is_gone_until_it_is_cleared()
     assert cable.servo.write(116, struct.pack("<i", 5)) == 4  # goals are read-only
     servo.set_up(0.1)
     assert not servo.is_watchdog_expired
+
+
+def cycles(cable: Cable, line: DynamixelLine, count: int) -> None:
+    """Cycles of 10 ms; in the rest of each the line is looked at."""
+    for _ in range(count):
+        line.update()
+        line.post_cycle()
+        end_s = cable.now_s() + 0.01
+        while cable.now_s() < end_s:
+            line.attend()
+            cable.wait_until_s(cable.now_s() + 0.0005)
+
+
+def test_the_values_of_all_servos_come_with_one_question() -> None:
+    cable = Cable()
+    line = DynamixelLine(cable.link, cable)
+    servos = [DynamixelServo(line, number, f"joint{number}") for number in (3, 4)]
+    cycles(cable, line, 3)
+    assert [servo.position for servo in servos] == [1024, 2048]
+    assert servos[0].at_s == servos[1].at_s
+    assert (line.timeouts, line.wrong_answers) == (0, 0)
+
+
+def test_a_silent_servo_does_not_silence_those_that_would_answer_after_it() -> None:
+    cable = Cable()
+    line = DynamixelLine(cable.link, cable)
+    servos = [DynamixelServo(line, number, f"joint{number}") for number in (3, 4)]
+    cycles(cable, line, 3)
+    cable.mock.servos.pop(3)
+    silent_s = cable.now_s()
+    cycles(cable, line, 10)
+    assert servos[0].at_s < silent_s
+    assert cable.now_s() - servos[1].at_s < 0.06  # what an arm at 100 Hz allows
+    assert line.timeouts > 2
+
+
+def test_what_a_servo_refuses_is_said_in_and_outside_of_the_cycle() -> None:
+    cable = Cable()
+    line = DynamixelLine(cable.link, cable)
+    servo = DynamixelServo(line, 3, "grip")
+    servo.identify()
+    struct.pack_into("<H", cable.servo.table, 38, 100)  # the limit of the goal current
+    servo.limit_force(1.0, 1.0)
+    cycles(cable, line, 3)
+    (refused, *_) = servo.problems
+    assert isinstance(refused, RequestRefused)
+    assert re.search(r'"grip" \(id 3\).*refused WRITE 102 of 74 01: .*beyond the limit', str(refused))
+    cable.servo.table[98] = 0xFF
+    cable.servo.table[64] = 1
+    with pytest.raises(RequestRefused, match=r"WRITE 116: the value is out of range \(error 4\)"):
+        servo._write(116, struct.pack("<i", 9))
