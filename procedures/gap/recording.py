@@ -173,7 +173,7 @@ class _Recorder:
                 f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk"
             )
         rows = rows[rows["t_s"] <= rows["t_s"][0] + step.path.duration_s + REST_s]
-        RunFile.write(file, rows, self._bench.arm.joint_count, step.payload_kg)
+        RunFile.write(file, rows, self._bench.arm, step.payload_kg)
 
     def _hang(self, mass_kg: float) -> None:
         if mass_kg != self._load_kg:

@@ -30,15 +30,20 @@ class RunFile:
         return out / "runs" / f"{name}.csv"
 
     @staticmethod
-    def write(path: Path, rows: npt.NDArray[np.void], joint_count: int, payload_kg: float) -> None:
-        """Write the rows of a run atomically."""
-        names = [
-            "t_s",
-            *_joint_names(joint_count),
-            *(f"counted{j}_s" for j in range(1, joint_count + 1)),
-            *TIP,
-        ]
-        table = np.column_stack([np.asarray(rows[name], dtype=np.float64) for name in names])
+    def write(path: Path, rows: npt.NDArray[np.void], arm: Arm, payload_kg: float) -> None:
+        """Write the rows of a run atomically.
+
+        Where a board sets its motor's voltage itself, what the runtime told it beside position or current is none.
+        """
+        joints = range(1, arm.joint_count + 1)
+        names = ["t_s", *_joint_names(arm.joint_count), *(f"counted{j}_s" for j in joints), *TIP]
+        hidden = {f"u{drive.joint}_V" for drive in arm.drives if drive.pid.mode != "voltage"}
+        table = np.column_stack(
+            [
+                np.full(len(rows), np.nan) if name in hidden else rows[name].astype(np.float64)
+                for name in names
+            ]
+        )
         text = [",".join([*names, "payload_kg"])]
         text += [",".join([*(_cell(x, 12) for x in row), f"{payload_kg:g}"]) for row in table.tolist()]
         path.parent.mkdir(parents=True, exist_ok=True)

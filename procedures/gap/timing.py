@@ -98,7 +98,10 @@ class Clocks:
 
 
 def clocks_of(arm: Arm, runs: Sequence[Raw]) -> Clocks:
-    """Estimate the clocks from all runs; without voltages or currents, angles are taken to be half a cycle old on average."""
+    """Estimate the clocks from all runs.
+
+    Without voltages or currents, counts of bought boards are as old as the host noted, others half a cycle on average.
+    """
     joints = range(arm.joint_count)
     boards: dict[int, list[int]] = {}
     for j in joints:
@@ -180,9 +183,10 @@ def _current_slope_A_s(arm: Arm, q: Array, period_s: float) -> Array:
 def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
     """The clock of the board of these joints (0-based)."""
     period = runs[0].period_s
-    ahead = np.concatenate([raw.t_s - raw.counted_s[:, joints[0]] for raw in runs])
+    ahead_s = float(np.mean(np.concatenate([raw.t_s - raw.counted_s[:, joints[0]] for raw in runs])))
     since = float(runs[0].counted_s[0, joints[0]])
-    first = Clock(since, float(np.mean(ahead)) - 0.5 * period)
+    is_hosts = arm.drive(joints[0] + 1).encoder_board < 0  # a bought board's counts have the host's time
+    first = Clock(since, 0.0 if is_hosts else ahead_s - 0.5 * period)
     clock, information = first, np.zeros((2, 2))
     for _ in range(ROUNDS):
         information, pull = np.zeros((2, 2)), np.zeros(2)

@@ -119,10 +119,28 @@ def test_a_log_has_the_voltages_of_all_joints_or_of_none(tmp_path: Path) -> None
         rows = np.zeros(400, dtype=[(name, np.float64) for name in table])
         for name, values in table.items():
             rows[name] = math.nan if name == lost else values[:400]
-        RunFile.write(RunFile.of(tmp_path, "1"), rows, n, 0.0)
+        RunFile.write(RunFile.of(tmp_path, "1"), rows, ARM, 0.0)
         write_log(tmp_path, ARM, ["1"])
         header = (tmp_path / "log.csv").read_text().partition("\n")[0]
         assert ("u1_V" in header, "i1_A" in header) == (lost is None, True)
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "mixed"])
+def test_what_a_board_is_told_beside_a_position_is_no_voltage(tmp_path: Path, kind: str) -> None:
+    arm = on_boards(ARM, kind)
+    forms = ("q{}_rad", "q{}_set_rad", "i{}_A", "u{}_V", "counted{}_s")
+    names = ["t_s", *(form.format(j) for j in (1, 2, 3) for form in forms)]
+    rows = np.ones(5, dtype=[(name, np.float64) for name in (*names, "x_m", "y_m", "z_m")])
+    RunFile.write(tmp_path / "1.csv", rows, arm, 0.0)
+    read = RunFile.read(tmp_path / "1.csv", 3)
+    assert np.isnan(read.voltage_V).all(axis=0).tolist() == [d.pid.mode == "position" for d in arm.drives]
+    assert (read.current_A == 1.0).all()
+
+
+def test_without_voltages_a_bought_boards_counts_are_as_old_as_the_host_noted() -> None:
+    bare = [replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan)) for raw in RUNS[:1]]
+    clocks = clocks_of(on_boards(ARM, "dynamixel"), bare)
+    assert clocks.angle_age_s == pytest.approx(np.mean(bare[0].t_s - bare[0].counted_s[:, 0]), abs=1e-9)
 
 
 def test_without_voltages_angles_count_as_half_a_cycle_old_and_without_frames_there_is_no_camera() -> None:
