@@ -77,6 +77,9 @@ firmware:  ## the reference boards' firmware for a Nucleo-F446RE, with its sizes
 firmware-fuzz:  ## the firmware under sanitizers: FUZZ_FRAMES=100000000 mutated frames for each board
 	$(MAKE) --no-print-directory -C firmware_iface/firmware fuzz OUT=$(CURDIR)/out/firmware
 
+firmware-difference: install  ## the firmware in C against the mock's own in Python: CONVERSATIONS=100000 random ones, a minute
+	$(BIN)/python -m tests.fuzz.firmware $(or $(CONVERSATIONS),20000) $(SEED)
+
 mutants: install  ## are the tests of the safety layer and the watches sharp? a thousand small changes of their code (tests/mutants/survivors.md), half an hour
 	$(BIN)/python -m tests.mutants.run $(MODULES)
 

@@ -49,7 +49,7 @@ void aw_position_measure(aw_motor_board_t *board, const aw_motor_inputs_t *now, 
     const int64_t step = (int64_t)((step_us < STEP_MOST_US) ? step_us : STEP_MOST_US);
 
     if (step > 0) {
-        const int64_t rate_q24 = limited((edges * US_PER_S * Q8) / step, SPEED_MOST * Q8) * Q8_TO_Q24;
+        const int64_t rate_q24 = limited((edges * US_PER_S * Q8) / (int64_t)step_us, SPEED_MOST * Q8) * Q8_TO_Q24;
         const int64_t filter = (int64_t)board->values[DERIVATIVE_FILTER_US];
         board->position.speed_q24 += ((rate_q24 - board->position.speed_q24) * step) / (step + filter);
     }
