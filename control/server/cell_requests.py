@@ -83,6 +83,7 @@ class CellRequests:
 
     def _move_together(self, request: Asked, client: int) -> Message:
         """Check the motions of all arms, against each other too; then begin all of them. They take as long as the longest."""
+        self._require_two(client)
         asked: MoveTogether = decoded(request)
         if len(asked.moves) < 2:
             raise ArmError(f"move_together: expected moves of two arms or more, got {len(asked.moves)}")
@@ -108,6 +109,17 @@ class CellRequests:
             self._requests[name].begin(motion, planned[name], client, others)
         self._together = {name: self._runtime.runtimes[name].run_number for name in together}
         return {"ok": True, "duration_s": duration_s, "runs": self._together}
+
+    def _require_two(self, client: int) -> None:
+        """ArmError if fewer than two arms may begin a motion: paths are not read before."""
+        refusals = []
+        for name, requests in self._requests.items():
+            try:
+                requests.require_may_begin("move_together", client)
+            except ArmError as error:
+                refusals.append(f"arm {name!r}: {error}")
+        if len(self._requests) - len(refusals) < 2:
+            raise ArmError(refusals[0])
 
     def _prepared(self, name: str, planned: Planned, client: int) -> Motion:
         """ArmError says which arm it is about."""

@@ -2,6 +2,7 @@
 
 import os
 import socket
+import struct
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -40,15 +41,18 @@ class SocketChannel:
     def __init__(self, path: Path, timeout_s: float = 2.0) -> None:
         self._path = path
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(timeout_s)
+        whole_s = int(timeout_s)
+        wait = struct.pack("@ll", whole_s, round(1e6 * (timeout_s - whole_s)))
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, wait)
         try:
-            self._socket.connect(str(path))
+            self._socket.connect(str(path))  # waits in the order of coming where others connect all the time
         except OSError as error:
             self._socket.close()
             is_none = isinstance(error, FileNotFoundError | ConnectionRefusedError)
             raise (NoRuntime if is_none else RuntimeGone)(
                 f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`"
             ) from error
+        self._socket.settimeout(timeout_s)
         try:
             require_own_runtime(self._socket, path)
         except ForeignRuntime as error:

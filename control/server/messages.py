@@ -15,6 +15,7 @@ from control.errors import ArmError
 
 LONGEST_ID = 64  # characters
 LARGEST_ID = (1 << 53) - 1  # what a client's JSON can hold exactly
+LONGEST_PLAIN_bytes = 1 << 12  # of a line without a path: more would cost a cycle before its error is found
 SHOWN = 80  # characters of a wrong value in a message
 LONGEST_AVERAGE_S = 60.0
 LEAST_OVERRIDE = 0.01  # slower would be a pause
@@ -24,6 +25,7 @@ LARGEST_STEP_rad, LARGEST_STEP_m = 7.0, 1.0  # more is a mistake in the unit
 STOPPING = frozenset(("stop", "brake", "pause", "off", "acknowledge"))
 WATCHING = frozenset(("status", "mode", "average_result", "fault_cycles", "control"))
 AT_ONCE = frozenset(("stop", "brake"))  # overtake what waits
+LONG = frozenset(("run_path", "run_joints", "move_together"))  # carry paths
 
 _IN_WORDS = {
     "`float`": "a number", "`int`": "a whole number", "`bool`": "true or false", "`str`": "text", "`array`": "a list",
@@ -247,6 +249,10 @@ def is_at_once(line: bytes) -> bool:
 
 def decoded(request: Asked) -> Any:
     """Decode the whole request to its type. ArmError names the key, what was expected and what came."""
+    if len(request.line) > LONGEST_PLAIN_bytes and request.do not in LONG:
+        raise ArmError(
+            f"request {request.do!r}: expected at most {LONGEST_PLAIN_bytes} bytes, got {len(request.line)}"
+        )
     decoder = _DECODERS.get(request.do, _PLAIN)
     try:
         return decoder.decode(request.line)
@@ -274,6 +280,8 @@ def _complaint(line: bytes, error: Exception) -> str:
 
 
 def _shown(line: bytes, key: str) -> str:
+    if len(line) > LONGEST_PLAIN_bytes:
+        return "another value"
     try:
         text = msgspec.json.encode(msgspec.json.decode(line)[key]).decode()
     except (msgspec.DecodeError, RecursionError, KeyError, TypeError):

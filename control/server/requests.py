@@ -193,14 +193,17 @@ class Requests:
         self._own(request, client)
         return {"homing": True}
 
-    def prepared(self, request: Planned, client: int) -> Motion:
-        """The motion of a request, checked against this arm's right, mode and workspace; nothing has begun. ArmError."""
-        do = str(request.__struct_config__.tag)
+    def require_may_begin(self, do: str, client: int) -> None:
+        """ArmError unless this client's right and the mode allow a motion now."""
         self._right.require(client, do, self._runtime.monitor.mode)
         try:
             self._runtime.monitor.require(Event.MOVE)
         except IllegalTransition as error:
             raise ArmError(_advised(error, do)) from None
+
+    def prepared(self, request: Planned, client: int) -> Motion:
+        """The motion of a request, checked against this arm's right, mode and workspace; nothing has begun. ArmError."""
+        self.require_may_begin(str(request.__struct_config__.tag), client)
         self._runtime.require_recording()
         return self._motions.prepare(request)
 

@@ -32,7 +32,8 @@ LINE_LIMIT_bytes = 1 << 20  # a path of thousands of way-points fits
 QUEUE_LIMIT = (
     64  # requests of one client that may wait; beyond that its bytes stay in the kernel and slow it down
 )
-CHUNK_bytes = 1 << 13  # taken from one client a cycle: even newlines alone are split well within a cycle
+CHUNK_bytes = 1 << 13  # taken from all clients a cycle: even newlines alone are split well within a cycle
+LEAST_bytes = 1 << 8  # of one of them: a stop fits, so it is heard in the cycle in which it comes
 CLIENT_LIMIT = 32  # connections at a time; more would use up the loop's file descriptors
 STOP_PLACES = 4  # beyond them; the oldest makes room for the next
 
@@ -74,21 +75,25 @@ class Client:
         self.number = number
         self.arm = arm
         self.may_command = may_command
-        self.partial = b""
+        self.partial = bytearray()  # grows in place: a long line costs a cycle what came in it
         self.lines: list[Line] = []
         self.is_over = False
 
-    def receive(self, stops: int) -> bytes | None:
+    def receive(self, stops: int, most_bytes: int) -> bytes | None:
         """Receive pending bytes and return the first stop among them; sets `is_over` at the end of the connection."""
         if len(self.lines) >= QUEUE_LIMIT:
             return None
         try:
-            chunk = self.connection.recv(CHUNK_bytes)
+            chunk = self.connection.recv(most_bytes)
         except BlockingIOError:
             return None
         except OSError:
             chunk = b""
-        *lines, self.partial = (self.partial + chunk).split(b"\n")
+        *lines, rest = chunk.split(b"\n")
+        if lines:
+            lines[0] = bytes(self.partial) + lines[0]
+            self.partial.clear()
+        self.partial += rest
         self.is_over = not chunk or len(self.partial) > LINE_LIMIT_bytes
         urgent: bytes | None = None
         for line in [line for line in lines if line.strip()]:
@@ -127,12 +132,14 @@ class Server:
     def poll(self) -> None:
         """Accept, receive and serve all stops, or else at most one request; returns at once."""
         stopped = False
-        for key, _ in self._selector.select(0):
+        ready = self._selector.select(0)
+        share = max(CHUNK_bytes // max(len(ready), 1), LEAST_bytes)
+        for key, _ in ready:
             client = key.data
             if isinstance(client, Listener):
                 self._accept(client)
                 continue
-            if (line := client.receive(self._stops)) is not None:
+            if (line := client.receive(self._stops, share)) is not None:
                 self._stops += 1
                 stopped = True
                 self._serve(client, line, is_overtaken=False)

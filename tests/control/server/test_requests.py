@@ -303,6 +303,17 @@ def test_a_path_is_not_read_while_the_arm_moves(cell: Cell, monkeypatch: pytest.
     assert "control" in handled(cell, {"do": "run_path", "path": PATH}, 9)["error"]
 
 
+def test_a_long_line_is_read_only_where_it_carries_a_path(
+    held: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Anybody may ask to watch or to stop, and a wrong value of a megabyte cost ten cycles."""
+    most = messages.LONGEST_PLAIN_bytes
+    monkeypatch.setattr(messages, "_complaint", lambda line, error: pytest.fail("it was read"))
+    for do in messages.STOPPING | messages.WATCHING:
+        error = handled(held, {"do": do, "speed": "x" * most}, 1)["error"]
+        assert f"expected at most {most} bytes, got" in error
+
+
 # ---- one client is in control
 
 

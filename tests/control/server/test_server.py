@@ -10,6 +10,7 @@ import socket
 import stat
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -27,6 +28,7 @@ from control.server.server import (
     STOP_PLACES,
     CHUNK_bytes,
     Handle,
+    LEAST_bytes,
     LINE_LIMIT_bytes,
     Server,
     SocketTaken,
@@ -207,6 +209,55 @@ def test_what_a_flood_costs_a_cycle_is_bounded(bench: Bench) -> None:
     assert (
         median(took_s) < 2e-3
     )  # each meets a full socket; the median, as other programs empty the caches at times
+
+
+def test_all_clients_together_take_no_more_of_a_cycle_than_one_and_a_stop_among_them_is_heard_at_once(
+    bench: Bench,
+) -> None:
+    crowd = [bench.client() for _ in range(CLIENT_LIMIT)]
+    bench.poll(CLIENT_LIMIT)
+    for one in crowd:
+        one.sendall(b"x" * CHUNK_bytes)
+    stopping = bench.client()
+    bench.poll(1)
+    before = sum(len(client.partial) for client in bench.server.clients)
+    stopping.sendall(b'{"do": "stop"}\n')
+    bench.poll(1)
+    assert bench.asked == [({"do": "stop"}, CLIENT_LIMIT + 1)]
+    taken = sum(len(client.partial) for client in bench.server.clients) - before
+    assert 0 < taken <= CHUNK_bytes + LEAST_bytes
+
+
+def test_a_line_that_grows_costs_a_cycle_what_came_in_it_however_long_it_is_already(bench: Bench) -> None:
+    crowd = [bench.client() for _ in range(CLIENT_LIMIT)]
+    bench.poll(CLIENT_LIMIT)
+    for client in bench.server.clients:
+        client.partial += b"x" * (LINE_LIMIT_bytes - CHUNK_bytes)
+    took_s = []
+    for _ in range(20):
+        for one in crowd:
+            one.sendall(b"x")
+        begun_s = time.process_time()
+        bench.poll(1)
+        took_s.append(time.process_time() - begun_s)
+    assert median(took_s) < 2e-3
+
+
+def test_a_client_waits_for_its_turn_where_others_connect_all_the_time(tmp_path: Path) -> None:
+    """Who connects with a crowd before the door is served after it, not turned away."""
+    bench = Bench(tmp_path / "arm.sock")
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            one = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            bench.sockets.append(one)
+            one.setblocking(False)
+            one.connect(str(bench.server.path))
+    with ThreadPoolExecutor() as pool:
+        late = pool.submit(SocketChannel, bench.server.path, 30.0)
+        while not late.done():
+            bench.poll(1)
+        late.result().close()
+    bench.close()
 
 
 def test_a_client_that_does_not_read_is_cut_off_and_nobody_waits_for_it(bench: Bench) -> None:

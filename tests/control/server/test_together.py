@@ -9,6 +9,7 @@ import pytest
 from control.motion.plan import plan_path
 from control.motion.waypoints import Waypoints
 from control.safety.table import Mode
+from control.server import cell_requests
 from tests.cell import FRICTION, scenario
 from tests.pair import APART, PAIR, PERIOD_S, Pair, holding_pair
 
@@ -105,6 +106,9 @@ def test_a_stop_ends_both_and_a_client_that_goes_stops_both() -> None:
         moves = {"left": {"q_rad": NEAR}, "right": {"q_rad": WIDE}}
         pair.clients["left"].ask("move_together", moves=moves)
         pair.run(0.1)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(cell_requests, "decoded", lambda request: pytest.fail("it was read"))
+            assert "is MOVING" in pair.refusal("left", do="move_together", moves=moves)
         pair.channels["left"].close()
         assert pair.mode("left") is pair.mode("right") is Mode.STOPPING
         pair.until(lambda: pair.mode("left") is pair.mode("right") is Mode.HOLDING, 0.6)
