@@ -58,7 +58,8 @@ solver-study: install  ## is the optimum of an identification a real one? 200 fr
 
 FUZZ_SECONDS ?= 60
 FUZZ_TARGETS = "encoder" "cobs" "motor" "slcan" "camera" "vicon" "natnet" "qtm" "capture.csv" "capture.c3d" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
-  "boards.json" "session.json" "run.armlog" "programme.json" "places.toml" "scenario.toml" "tolerances.toml"
+  "boards.json" "session.json" "run.armlog" "programme.json" "places.toml" "scenario.toml" "tolerances.toml" \
+  "cell.toml" "contacts.csv" "camera.json" "tags.csv" "arm.urdf" "arm.xml"
 
 .venv-fuzz/installed: tests/fuzz/requirements.lock
 	$(PYTHON) -m venv .venv-fuzz

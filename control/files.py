@@ -20,6 +20,8 @@ PROBE_bytes = 1 << 18  # size of the trial file: some full disks still accept a 
 LONGEST_NAME_bytes = 255
 TEXT_MOST_bytes = 1 << 26  # of a file that is read as a whole: 64 MB; the largest of ours has some 100 kB
 DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){32}")
+# A number of more digits is no float: 309 are in base 10, 256 in base 16.
+LONG_INTEGER = re.compile(r"[\da-fA-F_]{256,}")
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
@@ -69,17 +71,28 @@ def read_text(path: Path, encoding: str = "utf-8", most_bytes: int = TEXT_MOST_b
 
 
 def parsed_json(text: str | bytes) -> Any:
-    """json.loads, with a ValueError for whatever is wrong: nesting beyond Python's depth, too."""
+    """json.loads, with a ValueError for whatever is wrong: nesting beyond Python's depth, and integers beyond a float, too."""
     try:
-        return json.loads(text)
+        return json.loads(text, parse_int=_integer)
     except RecursionError:
         raise ValueError("nested too deeply") from None
 
 
+def _integer(text: str) -> int:
+    if LONG_INTEGER.search(text):
+        raise ValueError("a number of more than 255 digits")
+    return int(text)
+
+
 def parsed_toml(text: str) -> dict[str, Any]:
-    """tomllib.loads, with a TOMLDecodeError for whatever is nested too deeply: it needs memory by the square of the depth."""
+    """tomllib.loads, with a TOMLDecodeError for whatever is nested too deeply: it needs memory by the square of the depth.
+
+    For integers beyond a float, too.
+    """
     import tomllib
 
+    if LONG_INTEGER.search(text):
+        raise tomllib.TOMLDecodeError("a number of more than 255 digits")
     if DEEP_KEY.search(text):
         raise tomllib.TOMLDecodeError("a key of more than 32 parts")
     try:

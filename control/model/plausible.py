@@ -56,7 +56,9 @@ def _check_speed(drive: Drive, index: int) -> None:
 
 def _check_acceleration(drive: Drive, index: int) -> None:
     limit = drive.joint_acceleration_limit_rad_s2
-    rotor = drive.gear_ratio**2 * drive.rotor_inertia_kg_m2
+    rotor = (
+        drive.gear_ratio * drive.gear_ratio * drive.rotor_inertia_kg_m2
+    )  # `**` raises where this is infinite
     if not math.isfinite(limit) or rotor == 0.0:
         return
     most = _torque_Nm(drive) / rotor

@@ -82,7 +82,7 @@ class Recording:
             columns = (
                 columns_of(header["frames"], layout.codes) if start.startswith(MAGIC_OF_FRAMES) else None
             )
-        except (ValueError, KeyError, TypeError, struct.error) as error:
+        except (ValueError, KeyError, TypeError, OverflowError, struct.error) as error:
             raise RecordError(f"{path}: the header of this recording is damaged ({error})") from error
         return cls(path, header, layout, len(MAGIC) + 4 + length, columns)
 

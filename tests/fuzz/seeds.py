@@ -6,6 +6,9 @@ import json
 import tempfile
 from pathlib import Path
 
+from calib.export import export_text
+from calib.vision.lens import NAMES
+from control.model.description import load_arm
 from control.recording.record import Layout
 from control.recording.rotation import PartFile, begin
 from firmware_iface.camera import CameraFrame
@@ -35,6 +38,14 @@ POINTS = (
 LOG = "run,t_s,q1_rad,q2_rad,q3_rad,i1_A,i2_A,i3_A\n" + "".join(
     f"1,{0.002 * k:.3f},{0.001 * k},0.1,0.2,0.5,0.6,0.7\n" for k in range(12)
 )
+CONTACTS = (
+    "setup,point,repeat,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,distance_m,joined\n"
+    "contact,1,1,0.1,-0.5,0.4,0.2,-0.5,0.4,0.05,\ncontact,2,1,0.1,-0.5,0.4,0.2,-0.5,0.4,,clamp\n"
+)
+CAMERA = {
+    "format": "camera/1", "width_px": 640, "height_px": 480, "readout_s": 0.0, "noise_px": 0.1,
+    "lens": dict.fromkeys(NAMES, 1.0), "covariance": [[float(j == k) for j in NAMES] for k in NAMES],
+}  # fmt: skip
 SCENARIO = 'name = "x"\nseed = 3\n[start]\nhomed = true\n'
 
 
@@ -89,6 +100,12 @@ def seeds_of(name: str) -> list[bytes]:
             c3d_bytes(short.markers_m, kind, is_float)
             for kind, is_float in ((84, True), (85, True), (86, False))
         ],
+        "cell.toml": [(ROOT / "control/cells/pair.toml").read_bytes()],
+        "contacts.csv": [CONTACTS.encode()],
+        "camera.json": [json.dumps(CAMERA).encode()],
+        "tags.csv": [b"tag,size_m,x_m,y_m,z_m,qw,qx,qy,qz\n3,0.03,0.1,0,0.2,1,0,0,0\n4,0.03,0.2,0,0.2,,,,\n"],
+        "arm.urdf": [export_text(load_arm("right"), "urdf").encode()],
+        "arm.xml": [export_text(load_arm("right"), "mjcf").encode()],
         "places.toml": [b"[places.home]\nq_rad = [0.0, 0.1, 0.2]\n"],
     }
     return known[name]

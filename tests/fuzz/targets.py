@@ -11,16 +11,21 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from calib.arm_import import read_arm
 from calib.boards.boards import read_boards
 from calib.boards.markers import read_markers
 from calib.capture.c3d import read_c3d
 from calib.capture.vicon_csv import read_vicon_csv
+from calib.closed_chain.contacts import read_contacts
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle
 from calib.points.reading import read_points
 from calib.session.folder import SessionFolder
 from calib.tolerances.file import parse_tolerances, tolerances_text
+from calib.vision.camera_file import read_camera
+from calib.vision.targets import read_tags
 from console.places import read_places
+from control.model.cell import load_cell
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
 from control.recording.fixed_point import stored_columns
@@ -192,11 +197,17 @@ def _tolerances(path: Path) -> object:
     return parse_tolerances(tolerances_text(str(path)), str(path), load_arm("right"))
 
 
+def _contacts(path: Path) -> object:
+    return read_contacts(path, (load_arm("left"), load_arm("right")))
+
+
 READERS: dict[str, Callable[[Path], object]] = {
     "arm.toml": load_arm, "points.csv": read_points, "log.csv": read_log, "markers.csv": read_markers,
     "path.csv": read_waypoints, "boards.json": read_boards, "session.json": _session, "run.armlog": _recording,
     "programme.json": read_rectangle, "places.toml": read_places, "scenario.toml": load_scenario,
     "tolerances.toml": _tolerances, "capture.csv": read_vicon_csv, "capture.c3d": read_c3d,
+    "cell.toml": load_cell, "contacts.csv": _contacts, "camera.json": read_camera, "tags.csv": read_tags,
+    "arm.urdf": lambda path: read_arm(path, "urdf"), "arm.xml": lambda path: read_arm(path, "mjcf"),
 }  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 import zlib
 
 import pytest
@@ -22,6 +23,17 @@ def test_mutants_of_good_input_are_taken_or_refused_in_a_sentence(name: str) -> 
         is_survived(name, seed)
         for _ in range(60 if name in DECODERS else 25):
             is_survived(name, mutated(seed, chance))
+
+
+@pytest.mark.parametrize("name", ["arm.toml", "cell.toml", "places.toml", "camera.json", "run.armlog"])
+def test_any_number_of_a_good_file_may_be_any_other(name: str) -> None:
+    """One with more digits than a float has, or whose square is none."""
+    seed = seeds_of(name)[0]
+    numbers = list(re.finditer(rb"(?<![\w.-])\d+(?:\.\d+)?(?!\w)", seed))
+    assert len(numbers) >= 3
+    for number in numbers:
+        for other in (b"9" * 400, b"0x" + b"f" * 300, b"1e308", b"1e400"):
+            is_survived(name, seed[: number.start()] + other + seed[number.end() :])
 
 
 @pytest.mark.parametrize("name", DECODERS)
