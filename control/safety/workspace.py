@@ -45,7 +45,7 @@ class Body:
     def __post_init__(self) -> None:
         at_corners_m = (*(max(pair) for pair in pairwise(self.radii_m)), 0.0)
         object.__setattr__(self, "at_corners_m", at_corners_m)
-        object.__setattr__(self, "thickest_m", max(self.radii_m, default=0.0))
+        object.__setattr__(self, "thickest_m", max(self.radii_m))
 
 
 def _lines(corners: int) -> Body:

@@ -419,6 +419,14 @@ def test_a_joint_on_the_wrong_side_of_its_switch_for_ten_cycles_is_found(sense: 
         assert cycles(q_rad, 0, 40) == cycles(q_rad, HOME, 40) == []
 
 
+def test_a_switch_that_bounces_is_right_again_with_the_first_look_that_says_so() -> None:
+    watch = SwitchWatch([SwitchPlace("joint 1", 0.5, 1.0, 0.125)])
+    for looks in ([9, 1, 9, 1], [1, 40]):
+        for number, count in enumerate(looks):
+            for _ in range(count):
+                assert watch.look(CYCLE_s, [0.75], [ZERO_SET if number % 2 == 0 else HOME | ZERO_SET]) == []
+
+
 def test_an_index_pulse_elsewhere_is_found_and_the_first_one_is_the_reference() -> None:
     def watch(given: int | None) -> IndexWatch:
         return IndexWatch((1000, 1000), (None, given), lambda joint, count: count + 7000 * joint, NAMES)

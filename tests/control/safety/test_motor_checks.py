@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from control.safety.motor_checks import SHARE, SHARE_OF_TORQUE, Lasting, SpeedCheck, TorqueCheck
+from control.safety.motor_checks import SHARE, Lasting, SpeedCheck, TorqueCheck
 
 R, K, T = 0.3, 3.0, 0.002
 BASE_rad_s = 0.02
@@ -57,6 +57,25 @@ def test_an_encoder_that_says_something_else_is_doubted_in_time(
     assert first_doubt_s(-speed_rad_s, -said_rad_s) <= within_s
 
 
+def test_counts_that_stand_are_doubted_while_the_voltage_changes_in_every_cycle() -> None:
+    check = SpeedCheck(R, K, BASE_rad_s)
+    answers = [check.update(T, 6.0 + 0.01 * (-1) ** cycle, 0.0, 0.0, 0.0) for cycle in range(10)]
+    assert not answers[-1]
+
+
+def test_a_motor_at_rest_is_not_doubted_even_where_nothing_is_allowed() -> None:
+    assert SpeedCheck(R, K, 0.0).update(T, 0.0, 0.0, 0.0, 0.0)
+    assert TorqueCheck(0.0).update(T, 0.0, 0.0)
+
+
+def test_what_is_allowed_is_said_in_the_units_of_the_joint() -> None:
+    check = SpeedCheck(R, K, BASE_rad_s)
+    assert check.allowed_rad_s == pytest.approx(BASE_rad_s)
+    for _ in range(1000):
+        check.update(T, 2.0 * K, 0.0, 2.0, 0.0)
+    assert check.allowed_rad_s == pytest.approx(BASE_rad_s + SHARE * 2.0, rel=1e-3)
+
+
 def test_a_difference_below_the_limit_is_none() -> None:
     assert first_doubt_s(0.99 * BASE_rad_s, 0.0) == math.inf
     assert first_doubt_s(1.01 * BASE_rad_s, 0.0) < 0.3
@@ -82,11 +101,13 @@ def test_a_step_that_the_current_already_shows_is_not_doubted_but_a_current_that
             assert check.update(T, 0.0, 0.0, 0.0, 0.0)
         steps = [check.update(0.005, 1.3, 1.3 / R, 0.0, 0.0) for _ in range(3)]
         assert all(steps) is is_newest
+        if is_newest:
+            assert check.update(0.005, 0.0, 1.3 / R, 0.0, 0.0)  # a step down that it does not show yet
         assert not all(check.update(T, 1.3, -1.3 / R, 0.0, 0.0) for _ in range(100))
 
 
 def test_a_board_may_round_its_current_by_half_a_step() -> None:
-    for rounded_A, is_well in ((0.049, True), (0.15, False)):
+    for rounded_A, is_well in ((0.049, True), (0.07, False)):
         check = SpeedCheck(4.8, 1.9, BASE_rad_s, current_step_A=0.1)
         assert all(check.update(T, 4.8 * rounded_A, 0.0, 0.0, 0.0) for _ in range(500)) is is_well
 
@@ -108,9 +129,10 @@ def test_a_current_that_is_already_of_the_command_after_the_last_voltage_is_not_
 
 
 def test_a_board_that_sends_a_duty_cycle_is_not_doubted_when_the_supply_sags() -> None:
-    check = SpeedCheck(R, K, BASE_rad_s)
-    for _ in range(500):
-        assert check.update(T, 6.0, 0.0, 0.8 * 6.0 / K, supply_off=0.2)
+    for volts in (6.0, -6.0):
+        check = SpeedCheck(R, K, BASE_rad_s)
+        for _ in range(500):
+            assert check.update(T, volts, 0.0, 0.6 * volts / K, supply_off=0.3)
 
 
 def test_the_model_explains_a_torque_within_its_share_and_the_base() -> None:
@@ -118,14 +140,20 @@ def test_the_model_explains_a_torque_within_its_share_and_the_base() -> None:
         for extra_A, is_well in ((0.99, True), (1.01, False)):
             check = TorqueCheck(base_A=3.0)
             model_A = sign * 2.0
-            measured_A = model_A + sign * extra_A * (3.0 + SHARE_OF_TORQUE * 2.0)
+            measured_A = model_A + sign * extra_A * (3.0 + 0.3 * 2.0)
             assert all(check.update(T, measured_A, model_A) for _ in range(1000)) is is_well
+            assert check.allowed_A == pytest.approx(3.6, rel=5e-3)
 
 
 def test_an_impact_that_is_over_is_no_unexplained_torque() -> None:
     check = TorqueCheck(base_A=3.0)
     assert all(check.update(T, 8.0, 0.0) for _ in range(20))
     assert all(check.update(T, 0.0, 0.0) for _ in range(100))
+
+
+def test_a_collision_that_takes_twice_what_is_allowed_is_told_within_a_tenth_of_a_second() -> None:
+    check = TorqueCheck(base_A=3.0)
+    assert not all(check.update(T, 6.0, 0.0) for _ in range(50))
 
 
 @pytest.mark.parametrize("value", [-1.1, 2.1, math.nan, math.inf])
@@ -136,3 +164,12 @@ def test_a_value_must_be_outside_for_a_while(value: float) -> None:
     assert all(limit.update(T, value) for _ in range(9))
     assert not limit.update(T, value)
     assert limit.update(T, -1.0)
+
+
+def test_a_value_outside_is_pending_until_it_has_lasted_exactly_so_long() -> None:
+    limit = Lasting(-1.0, 2.0, 1.0)
+    assert not limit.is_pending
+    assert [limit.update(0.25, 3.0) for _ in range(4)] == [True, True, True, False]
+    assert limit.is_pending
+    assert limit.update(0.25, 0.0)
+    assert not limit.is_pending

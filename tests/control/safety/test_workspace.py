@@ -43,15 +43,38 @@ def test_a_floor_just_at_its_tolerance_is_free_and_what_is_below_is_not() -> Non
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
 def test_the_last_link_is_held_above_the_floor_between_its_ends_too(share: float) -> None:
     """A tilted board reaches up under the middle of a link whose ends are beside it."""
-    middle = (0.5, 0.0)
+    middle = (0.5, 0.2)
     narrow = Workspace(0.0, 0.0, Board((*middle, -0.2), 0.01, 0.0, 0.0), 0.4, 0.0)
-    start, end = (0.5 - share, 0.0, -0.1), (0.5 - share + 1.0, 0.0, -0.1)
-    found = [(distance, what) for distance, what in narrow.clearances(np.array([start, end])[:, :, None])]
+    along = np.array((0.8, -0.6, 0.0))
+    elbow = np.array((*middle, -0.1)) - share * along
+    corners = np.array([(0.0, 0.0, 0.3), elbow, elbow + along])
+    found = list(narrow.clearances(corners[:, :, None]))
     heights = [float(distance[0]) for distance, _ in found]
-    assert (
-        heights.count(pytest.approx(0.1)) == 1
-    )  # the one point over the board, which lies lower than the floor
-    assert [what for _, what in found] == [BODY, TIP, BODY, BODY, BODY]
+    # One point is over the board, which lies lower than the floor.
+    assert heights == pytest.approx(
+        [0.3, -0.1, -0.1, *(0.1 if each == share else -0.1 for each in (0.25, 0.5, 0.75))]
+    )
+    assert [what for _, what in found] == [BODY, BODY, TIP, BODY, BODY, BODY]
+
+
+def test_a_body_is_nearer_to_the_floor_by_its_thickness_and_the_tip_is_a_point() -> None:
+    """Where two parts meet the thicker one counts."""
+    body = Body((0.03, 0.05, 0.02))
+    elbow_down = [(0.3, 0.0, 0.5), (0.4, 0.0, 0.03), (0.9, 0.0, 0.5)]
+    assert BARE.clearance(elbow_down, body) == (pytest.approx(0.03 - 0.05 + 0.01), BODY)
+    tip_down = [(0.3, 0.0, 0.5), (0.9, 0.0, 0.5), (0.9, 0.0, 0.0)]
+    assert BARE.clearance(tip_down, Body((0.03, 0.02, 0.005))) == (pytest.approx(0.01), TIP)
+    thick = Body((0.0, 0.0, 0.1))
+    forearm = [(0.3, 0.2, 0.5), (0.3, 0.2, 0.2), (0.7, -0.2, 0.0)]
+    assert BARE.clearance(forearm, thick) == (pytest.approx(0.05 - 0.1 + 0.01), BODY)
+
+
+def test_a_body_is_nearer_to_the_base_by_its_thickness() -> None:
+    workspace = replace(BARE, base_radius_m=0.1)
+    assert workspace.clearance([(0.3, 0.0, 0.2), (0.3, 0.3, 0.2)], Body((0.0, 0.05))) == (
+        pytest.approx(0.15),
+        BASE,
+    )
 
 
 def test_over_the_board_the_board_counts_and_beside_it_the_floor() -> None:
@@ -74,6 +97,7 @@ def test_a_board_above_the_floor_allows_no_less_than_the_floor() -> None:
         (0.5, 0.0, (0.5, 0.1), 0.0), (0.5, 0.0, (0.5, -0.1), -0.05), (-0.5, 0.0, (0.5, 0.1), -0.05),
         (0.0, 0.5, (0.6, 0.0), -0.05), (0.0, 0.5, (0.4, 0.0), 0.0), (0.0, -0.5, (0.4, 0.0), -0.05),
         (0.5, 0.5, (0.6, -0.1), -0.05), (0.5, 0.25, (0.6, -0.1), -0.05), (0.25, 0.5, (0.6, -0.1), -0.05),
+        (0.5, 0.5, (0.4, 0.1), 0.0),
     ],
 )  # fmt: skip
 def test_a_tilted_board_is_as_low_as_its_lower_tilt_or_flat(
@@ -173,6 +197,9 @@ def test_an_arm_is_far_from_all_where_no_way_of_that_length_leads_to_floor_or_ba
     assert workspace.is_far(corners, body, 0.04)  # 0.53 - 0.02 - 0.04 > 0.4 + 0.06
     assert not workspace.is_far(corners, body, 0.0501)
     assert not workspace.is_far([(0.5, 0.0, 0.48), (0.3, 0.0, 0.9)], body, 0.0)  # 0.46: at the base's reach
+    exact = replace(BARE, base_top_m=0.5, base_radius_m=0.25)
+    assert not exact.is_far([(0.5, 0.0, 0.75), (0.3, 0.0, 0.9)], Body((0.0, 0.0)), 0.0)
+    assert exact.is_far([(0.5, 0.0, 0.7501), (0.3, 0.0, 0.9)], Body((0.0, 0.0)), 0.0)
     low = [(0.3, 0.0, 0.9), (0.5, 0.0, 0.01)]
     assert BARE.is_far(low, Body((0.0, 0.0)), 0.02)  # exactly to the tolerance below the floor
     assert not BARE.is_far(low, Body((0.0, 0.0)), 0.0201)
