@@ -62,7 +62,8 @@ class Conditions:
     """Poses at rest or on the way, and how each was reached.
 
     q_rad (m, n): joint angles; direction (m, n): sign of the last motion, 0 unknown; payload_kg (m,); current_A (m, n), or None;
-    moving_Nm (m, n): what moving links need beyond gravity, or None at rest.
+    moving_Nm (m, n): what moving links need beyond gravity, or None at rest; flank (m, n): mean of where each gear lies, -1 .. 1,
+    where poses have told it, or None.
     """
 
     q_rad: Array
@@ -70,6 +71,7 @@ class Conditions:
     payload_kg: Array
     current_A: Array | None = None
     moving_Nm: Array | None = None
+    flank: Array | None = None
 
     @classmethod
     def of(cls, q_rad: Array, direction: float = 0.0, payload_kg: float = 0.0) -> Conditions:
@@ -146,39 +148,49 @@ class Discrepancy:
                 source = Source(f"joint {j + 1}", follows, usual, values.shape[1])
                 yield source, by_joint[:, :, j, None] * values[:, None, :]
         for link, scale_m in self._bending.items():
-            shift = bending_m(self._arm, self._arm.dh, at.q_rad, at.payload_kg, link) / scale_m
-            yield Source(f"link {link}", "bending", BENDING_m, 1), shift[:, :, None]
+            yield Source(f"link {link}", "bending", BENDING_m, 2), self._bent(at, link) / scale_m
         yield Source("the tip", "place", FIELD_m, 3 * len(self._phases)), self._field(slopes.tips)
 
     def _laws(self, q_rad: Array, load: Array, flank: Array, j: int) -> Iterator[tuple[str, float, Array]]:
         """What a joint's angle may be off by: (m, columns) for each source, in its usual size.
 
-        Scale and eccentricity share a size: over a short travel they are alike, and beyond it they are not.
+        Scale and eccentricity share a size, per rad of either: over a short travel they are alike, and beyond it they are not.
         """
         q, x = q_rad[:, j], q_rad[:, j] - self._centre[j]
         travel = self._travel[j]
         rest = DEPARTURE * _smooth_functions(x, BEYOND * travel)
-        yield "angle", ANGLE_rad, np.column_stack((x / travel, np.sin(q), np.cos(q), rest))
+        yield "angle", ANGLE_rad, np.column_stack((x, np.sin(q), np.cos(q), rest))
         others = [k for k in range(self._arm.joint_count) if k != j]
         if others:
-            yield "other angles", COUPLING_rad, (q_rad - self._centre)[:, others] / self._travel[others]
+            straight = (q_rad - self._centre)[:, others] / self._travel[others]
+            bent = [DEPARTURE * _waves(q_rad[:, k]) for k in others]
+            yield "other angles", COUPLING_rad, np.column_stack((straight, *bent))
         if self._load_Nm is not None and self._load_Nm[j] > 0.0:
             pull = load[:, j]
             curve = DEPARTURE * np.column_stack((np.abs(pull), pull * np.abs(pull)))
             yield "load", LOAD_rad, np.column_stack((pull, curve))
-        side = flank[:, j, None]
-        worn = [wave(order * q) for order in (1, 2) for wave in (np.sin, np.cos)]
-        pressed = np.abs(load[:, j, None])
-        wear = DEPARTURE * side * np.column_stack((*worn, pressed))
-        yield "direction", DIRECTION_rad, np.column_stack((side, wear))
+        yield "direction", DIRECTION_rad, flank[:, j, None] * _play(q, load[:, j])
+
+    def _bent(self, at: Conditions, link: int) -> Array:
+        """The tip's displacement by a bending link, and how its payload's part departs: no link is an even beam, (m, 3, 2)."""
+        whole, bare = (
+            bending_m(self._arm, self._arm.dh, at.q_rad, kg, link)
+            for kg in (at.payload_kg, 0.0 * at.payload_kg)
+        )
+        return np.stack((whole, DEPARTURE * (whole - bare)), axis=2)
 
     def _gears(self, at: Conditions) -> tuple[Array, Array]:
         """Gravity torque over the largest, and the mean of the gear's flank, (m, n) each."""
         found = self._at_rest(at)
         if found is None or self._load_Nm is None:
             return np.zeros(at.q_rad.shape), np.sign(at.direction)
-        scale_Nm = np.where(self._load_Nm > 0.0, self._load_Nm, np.inf)
-        return np.asarray(found.state.gravity_Nm / scale_Nm), found.expected()
+        flank = found.expected() if at.flank is None else at.flank
+        return self._loads(found), flank
+
+    def _loads(self, found: Gears) -> Array:
+        """Gravity torque over the largest (m, n), 0 of an upright axis."""
+        largest_Nm = np.zeros(len(self._travel)) if self._load_Nm is None else self._load_Nm
+        return np.asarray(found.state.gravity_Nm / np.where(largest_Nm > 0.0, largest_Nm, np.inf))
 
     def _at_rest(self, at: Conditions) -> Gears | None:
         """The state of the gears; None without masses."""
@@ -203,13 +215,16 @@ class Discrepancy:
         """The same (m, 3, n), by the standard deviation of where its gear lies."""
         return self.by_play(at, dh, tool_m) * np.sqrt(1.0 - self._gears(at)[1] ** 2)[:, None, :]
 
-    def odds_of(self, at: Conditions, left_m: Array, moves_m: Array, noise_m: float) -> Array:
-        """Odds (n, SHARES) by what is left (m, 3) at poses where full play moves the tip by moves_m (m, 3, n)."""
+    def weighed(
+        self, at: Conditions, left_m: Array, moves_m: Array, noise_m: float
+    ) -> tuple[Array, Array | None]:
+        """Odds (n, SHARES) and flanks (m, n) by what is left (m, 3) at poses where play moves the tip by moves_m (m, 3, n)."""
         found = self._at_rest(at)
         if found is None:
-            return self.odds
-        here_m = np.einsum("mij,mj->mi", moves_m, found.is_open * found.expected())
-        return found.told(left_m + here_m, moves_m, noise_m)
+            return self.odds, None
+        mean = found.expected() if at.flank is None else at.flank
+        here_m = np.einsum("mij,mj->mi", moves_m, found.is_open * mean)
+        return found.weighed(left_m + here_m, moves_m, mean, noise_m)
 
     def strayed(self, at: Conditions, count: int, rng: np.random.Generator) -> Array:
         """Draws of each gear's place between its flanks, -1 .. 1, beyond the mean, (count, m, n)."""
@@ -218,14 +233,14 @@ class Discrepancy:
             return np.where(at.direction == 0.0, rng.uniform(-1.0, 1.0, (count, *at.q_rad.shape)), 0.0)
         return found.drawn(count, rng) - found.expected()
 
-    def play_places(self) -> list[int]:
-        """The column of each joint's play."""
+    def plays_rad(self, at: Conditions, weights: Array) -> Array:
+        """Half the play of each joint at poses (..., m, n), by weights (..., columns) of the columns."""
+        found = self._at_rest(at)
+        load = np.zeros(at.q_rad.shape) if found is None else self._loads(found)
         named = zip(self.sources, self.slices, strict=True)
-        return [part.start for source, part in named if source.follows == "direction"]
-
-    def plays_rad(self, weights: Array) -> Array:
-        """Half the play of each joint (n,), by weights (columns,) of the columns."""
-        return np.asarray(np.abs(weights[self.play_places()]))
+        parts = [part for source, part in named if source.follows == "direction"]
+        widths = [weights[..., part] @ _play(at.q_rad[:, j], load[:, j]).T for j, part in enumerate(parts)]
+        return np.stack(widths, axis=-1)
 
     def _bending_scales(self, sample: Array) -> dict[int, float]:
         """For each link that can bend: its displacement of the tip for EI = 1, root mean square over the travel."""
@@ -262,6 +277,16 @@ def _field_waves(arm: Arm, rng: np.random.Generator) -> tuple[Array, Array]:
     reach_m = float(np.abs(arm.dh[:, (0, 2)]).sum()) + float(np.linalg.norm(arm.tool.position_m))
     waves = rng.standard_normal((FIELD_WAVES, 3)) / (FIELD_LENGTH * max(reach_m, 1e-3))
     return waves, rng.uniform(0.0, 2.0 * math.pi, FIELD_WAVES)
+
+
+def _play(q_rad: Array, load: Array) -> Array:
+    """Play of width 1, and how it departs: unevenly worn over the angle, wider under load, (m, 6)."""
+    return np.column_stack((np.ones(len(q_rad)), DEPARTURE * np.column_stack((_waves(q_rad), np.abs(load)))))
+
+
+def _waves(q_rad: Array) -> Array:
+    """One and two waves a turn, (m, 4)."""
+    return np.column_stack([wave(order * q_rad) for order in (1, 2) for wave in (np.sin, np.cos)])
 
 
 def _smooth_functions(x: Array, half_rad: float) -> Array:

@@ -17,6 +17,7 @@ from control.dynamics.static_pose import GRAVITY_ERROR, LINK_SHARE_LEAST, Restin
 SHARES: Final = np.linspace(LINK_SHARE_LEAST, 1.0, 33)
 MISTAKE: Final = 1e-3  # probability of a flank that no model explains: no single pose decides
 TINY_Nm: Final = 1e-12
+SWEEPS: Final = 3  # over the joints, each time with what is then known of the others
 
 
 def even_odds(joint_count: int) -> Array:
@@ -65,20 +66,39 @@ class Gears:
         drawn = np.where(state.is_led, rng.uniform(-1.0, 1.0, shape), pressed)
         return np.asarray(np.where(state.flank != 0.0, state.flank, drawn))
 
-    def told(self, left_m: Array, moves_m: Array, noise_m: float) -> Array:
-        """Odds (n, SHARES) by `left_m` (m, 3): what open flanks and noise displaced the tip by.
+    def weighed(self, left_m: Array, moves_m: Array, mean: Array, noise_m: float) -> tuple[Array, Array]:
+        """Odds (n, SHARES), and mean flank of each gear (m, n), by `left_m` (m, 3): what open flanks and noise displaced.
 
-        moves_m (m, 3, n): displacement to the positive flank. Every gear lies on one flank or the other; the play of other
-        joints counts as noise.
+        moves_m (m, 3, n): displacement to the positive flank, 0 where the pose does not count; mean (m, n): flanks so far.
+        Every open gear lies on one flank or the other. Joint after joint, the others count as they are believed to lie, what
+        is unclear of them as noise.
         """
-        moves_m = moves_m * self.is_open[:, None, :]
-        each, logs = np.einsum("mij,mkj->jmik", moves_m, moves_m), np.empty(self.odds.shape)
-        for joint, move in enumerate(np.moveaxis(moves_m, 2, 0)):
-            precision = np.linalg.inv(each.sum(axis=0) - each[joint] + noise_m**2 * np.eye(3))
-            pulled = np.einsum("mi,mij,mj->m", move, precision, left_m)
-            for k, share in enumerate(SHARES.tolist()):
-                positive = np.clip(self.positive(share)[:, joint], MISTAKE, 1.0 - MISTAKE)
-                both = np.logaddexp(np.log(positive) + pulled, np.log1p(-positive) - pulled)
-                logs[joint, k] = both @ self.is_open[:, joint]
-        odds = np.exp(logs - logs.max(axis=1, keepdims=True))
-        return np.asarray(odds / odds.sum(axis=1, keepdims=True))
+        moves_m, odds = moves_m * self.is_open[:, None, :], self.odds.copy()
+        mean = np.where(self.is_open, mean, 0.0)
+        positive = np.array([self.positive(share) for share in SHARES.tolist()])
+        logits = _logit(np.clip(positive, MISTAKE, 1.0 - MISTAKE))
+        for j in np.flatnonzero(self.is_open.any(axis=0)).tolist() * SWEEPS:
+            pulled = _pulled(left_m, moves_m, mean, j, noise_m)
+            own = logits[:, :, j]
+            told = np.logaddexp(pulled, -pulled - own) - np.logaddexp(0.0, -own)
+            logs = told @ self.is_open[:, j]
+            odds[j] = np.exp(logs - logs.max())
+            odds[j] /= odds[j].sum()
+            prior = _logit(np.clip(odds[j] @ positive[:, :, j], MISTAKE, 1.0 - MISTAKE))
+            mean[:, j] = np.where(self.is_open[:, j], np.tanh(0.5 * prior + pulled), 0.0)
+        return odds, np.where(self.is_open, mean, self.state.flank)
+
+
+def _logit(probability: Array) -> Array:
+    return np.asarray(np.log(probability) - np.log1p(-probability))
+
+
+def _pulled(left_m: Array, moves_m: Array, mean: Array, joint: int, noise_m: float) -> Array:
+    """Half the logarithm (m,) of how much likelier the positive flank of a joint is by what displaced the tip."""
+    is_other = np.arange(mean.shape[1]) != joint
+    loose_m = moves_m * np.sqrt(is_other * (1.0 - mean**2))[:, None, :]
+    spread = np.einsum("mij,mkj->mik", loose_m, loose_m) + noise_m**2 * np.eye(3)
+    rest = left_m - np.einsum("mij,mj->mi", moves_m, is_other * mean)
+    return np.asarray(
+        np.einsum("mi,mi->m", moves_m[:, :, joint], np.linalg.solve(spread, rest[:, :, None])[:, :, 0])
+    )

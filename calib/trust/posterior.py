@@ -8,7 +8,7 @@ Computation 4, 1992), with a broad prior about the usual sizes: what no pose tes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -73,24 +73,22 @@ def posterior_of(
         logs = evidence.best(logs)
         found = evidence.posterior(logs)
         x = np.clip(found.x, -1.0 * _limits(problem), _limits(problem))
-        odds = _share_odds(problem, at, discrepancy, found, rows)
-        discrepancy = discrepancy.knowing(odds)
+        odds, flank = _weighed(problem, at, discrepancy, found, rows)
+        discrepancy, at = discrepancy.knowing(odds), replace(at, flank=flank)
         loose_m2 = loose_play_m2(discrepancy, at, problem.solution(x), found)
     return found
 
 
-def _share_odds(
+def _weighed(
     problem: ArmProblem, at: Conditions, discrepancy: Discrepancy, found: Posterior, rows: Mask
-) -> Array:
-    """What the rows say about the shares of friction, given the play that the posterior expects."""
+) -> tuple[Array, Array | None]:
+    """What the rows say about the shares of friction, and about their own flanks, given the play that the posterior expects."""
     design, wanted = linearised(problem, at, discrepancy, found.x)
-    solved, plays = (
-        problem.solution(found.x),
-        found.mean[found.x_count :][discrepancy.play_places()],
-    )
-    moves_m = discrepancy.by_play(at, solved.dh, solved.tool_m) * plays
+    solved = problem.solution(found.x)
+    plays = discrepancy.plays_rad(at, found.mean[found.x_count :])
+    moves_m = discrepancy.by_play(at, solved.dh, solved.tool_m) * plays[:, None, :]
     left_m = design @ found.mean - wanted
-    return discrepancy.odds_of(at, left_m * rows[:, None], moves_m * rows[:, None, None], found.noise_m)
+    return discrepancy.weighed(at, left_m * rows[:, None], moves_m * rows[:, None, None], found.noise_m)
 
 
 def linearised(
@@ -105,9 +103,8 @@ def linearised(
 
 def loose_play_m2(discrepancy: Discrepancy, at: Conditions, solved: Solution, found: Posterior) -> Array:
     """Covariance of the tip (m, 3, 3) by gears that lie anywhere in their play."""
-    moves = discrepancy.unclear(at, solved.dh, solved.tool_m) * discrepancy.plays_rad(
-        found.mean[found.x_count :]
-    )
+    plays = discrepancy.plays_rad(at, found.mean[found.x_count :])
+    moves = discrepancy.unclear(at, solved.dh, solved.tool_m) * plays[:, None, :]
     return np.asarray(np.einsum("mij,mkj->mik", moves, moves))
 
 

@@ -131,9 +131,9 @@ class Predictor:
     def drawn_play_m(self, poses: Conditions, drawn: Array, rng: np.random.Generator) -> Array:
         """Displacement of the tip (d, m, 3) by gears whose flank is unclear, of each of the posterior's draws (d, k)."""
         by_play = self._discrepancy.by_play(poses, self._solved.dh, self._solved.tool_m)
-        plays = drawn[:, self.posterior.x_count :][:, self._discrepancy.play_places()]
+        plays = self._discrepancy.plays_rad(poses, drawn[:, self.posterior.x_count :])
         strayed = self._discrepancy.strayed(poses, len(drawn), rng)
-        return np.asarray(np.einsum("mij,dmj,dj->dmi", by_play, strayed, plays, optimize=True))
+        return np.asarray(np.einsum("mij,dmj->dmi", by_play, strayed * plays, optimize=True))
 
 
 def _is_tied(problem: ArmProblem) -> bool:

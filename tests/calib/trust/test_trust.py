@@ -82,19 +82,26 @@ def test_play_is_no_systematic_error_where_nothing_tells_the_flank() -> None:
     assert scatter_m[is_loose].min() > 5.0 * scatter_m[is_sure].max()
 
 
-def test_poses_with_visible_play_tell_the_share_of_friction_on_the_links_side() -> None:
+def test_poses_with_visible_play_tell_their_flank_and_the_share_of_friction_on_the_links_side() -> None:
     rng = np.random.default_rng(3)
-    gravity, held = rng.uniform(-0.5, 0.5, (200, 1)), rng.choice((-1.0, 1.0), (200, 1))
+    gravity, held = rng.uniform(-0.5, 0.5, (200, 2)), rng.choice((-1.0, 1.0), (200, 2))
     open_ones = np.zeros(gravity.shape)
     state = RestingPose(gravity, held, open_ones, open_ones, np.zeros(gravity.shape, dtype=bool))
-    gears = Gears(state, even_odds(1), np.array([0.01]))
-    move = np.tile([[[1e-3], [0.0], [0.0]]], (200, 1, 1))
-    left = move[:, :, 0] * np.sign(gravity + 0.3 * held) + rng.normal(0.0, 2e-4, (200, 3))
-    odds = gears.told(left, move, 2e-4)
-    assert odds[0] @ SHARES == pytest.approx(0.3, abs=0.03)
+    gears = Gears(state, even_odds(2), np.array([0.01, 0.01]))
+    move = np.tile([[1e-3, 3e-4], [0.0, 6e-4], [0.0, 0.0]], (200, 1, 1))
+    flank = np.sign(gravity + 0.3 * held)
+    left = np.einsum("mij,mj->mi", move, flank) + rng.normal(0.0, 2e-4, (200, 3))
+    odds, told = gears.weighed(left, move, gears.expected(), 2e-4)
+    assert odds @ SHARES == pytest.approx([0.3, 0.3], abs=0.03)
+    assert np.mean(told * flank > 0.9) > 0.97
     known = dataclasses.replace(gears, odds=odds)
     clear = np.abs(gravity + 0.3 * held) > 0.1
-    assert np.allclose(known.expected()[clear], np.sign(gravity + 0.3 * held)[clear], atol=0.05)
+    assert np.allclose(known.expected()[clear], flank[clear], atol=0.05)
+    unseen = gears.weighed(left, 0.0 * move, gears.expected(), 2e-4)
+    assert unseen[0] == pytest.approx(gears.odds)
+    assert unseen[1] == pytest.approx(
+        gears.expected(), abs=2.5e-3
+    )  # no single pose decides more than MISTAKE
 
 
 def test_a_map_without_points_far_from_the_table_says_so() -> None:
