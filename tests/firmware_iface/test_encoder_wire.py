@@ -45,13 +45,6 @@ def test_golden_bytes_decode_to_the_frames(name: str) -> None:
     assert wire.Decoder().feed(golden()[name][1]) == [FRAMES[name]]
 
 
-def test_the_document_quotes_the_golden_frames() -> None:
-    document = (ROOT / "docs/encoder_board.md").read_text()
-    for name, (decoded, coded) in golden().items():
-        row = next(line for line in document.splitlines() if line.startswith(f"| {name}, sequence"))
-        assert f"| `{decoded.hex(' ')}` | `{coded.hex(' ')}` |" in row
-
-
 def test_a_report_takes_25_bytes_on_the_wire_whatever_it_holds() -> None:
     for filler in (0, 1, -1):
         report = wire.Report(filler & 0xFF, filler & 0xFFFFFFFF, (filler & 0xFF,) * 3, (filler,) * 3)

@@ -103,12 +103,6 @@ def test_the_golden_frames_have_the_ids_and_lengths_of_the_dbc(dbc: Any) -> None
         assert len(payload) == message.length
 
 
-def test_the_document_quotes_the_golden_frames() -> None:
-    document = (ROOT / "docs/motor_board.md").read_text()
-    for _, can_id, payload in golden():
-        assert f"| {can_id:03x} | `{payload.hex(' ')}` |" in document
-
-
 def test_ids_and_lengths_are_those_of_the_dbc(dbc: Any) -> None:
     bases = {"COMMAND": wire.COMMAND_ID, "REPLY": wire.REPLY_ID}
     bases |= {"PARAMETER_REQUEST": wire.PARAMETER_REQUEST_ID, "PARAMETER_ANSWER": wire.PARAMETER_ANSWER_ID}
