@@ -197,7 +197,8 @@ def load_scenario(path_or_name: str | Path) -> Scenario:
     try:
         text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"scenario {where}: cannot be read as text: {error}.") from None
+        reason = error.strerror if isinstance(error, OSError) else f"byte {error.start} is not UTF-8 text"
+        raise ScenarioError(f"scenario {where}: cannot be read: {reason}.") from None
     return parse_scenario(text, where)
 
 

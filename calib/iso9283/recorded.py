@@ -310,7 +310,9 @@ def _rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
                     where = f"{path}, line {reader.line_num}"
                     raise Iso9283Error(f"{where}: {len(row)} values, line 1 names {len(header)}")
                 yield {**dict(zip(header, row, strict=True)), "": str(reader.line_num)}
-    except (UnicodeDecodeError, csv.Error, EOFError, gzip.BadGzipFile) as error:
+    except UnicodeDecodeError as error:
+        raise Iso9283Error(f"{path}: byte {error.start} is not UTF-8 text: save the file in UTF-8") from error
+    except (csv.Error, EOFError, gzip.BadGzipFile) as error:
         raise Iso9283Error(f"{path}: not comma-separated text ({error})") from error
 
 

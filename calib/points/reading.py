@@ -29,6 +29,7 @@ from control.kinematics.rotation import checked_quaternion
 OWN_EXTRAS = re.compile(
     r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_(of|m|sd_m)"
 )  # added by our own sessions; kept like any other column, without a warning
+LARGEST = 1e18  # of any value; beyond it squares overflow, and no unit of any column gets near
 POINTS_MOST = 1_000_000  # poses, which take 1.5 GB to calibrate; calibrations have hundreds
 
 
@@ -66,7 +67,7 @@ def opened_text(path: Path) -> Iterator[TextIO]:
         raise PointsFileError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise PointsFileError(
-            f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz"
+            f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz; save the file in UTF-8"
         ) from error
     except csv.Error as error:
         raise PointsFileError(f"{path}: not comma-separated text ({error})") from error
@@ -202,7 +203,7 @@ class _Table:
             value = float(text) if text.strip() else math.nan
         except ValueError:
             raise self._bad(line, name, text, "a number") from None
-        if math.isinf(value) or (is_required and math.isnan(value)):
+        if abs(value) > LARGEST or (is_required and math.isnan(value)):
             raise self._bad(line, name, text, "a finite number")
         return value
 

@@ -43,7 +43,7 @@ def read_series(path: Path, arm: Arm | None = None, report: Report = lambda done
     else:
         raise ArmError(
             f"{path}: expected a recording (.armlog), a log.csv or log.csv.gz, or an MCAP of `armwright export`;"
-            f" it {f'begins with {start!r}' if start else 'is empty'}"
+            f" {'this file is none of them' if start else 'the file is empty'}"
         )
     if arm is not None and arm.joint_count != series.joint_count:
         raise ArmError(f"{path}: {series.joint_count} joints, but arm {arm.name} has {arm.joint_count}")

@@ -61,8 +61,8 @@ class Recording:
             start = file.read(len(MAGIC) + 4)
             if len(start) < len(MAGIC) + 4 or not start.startswith((MAGIC, MAGIC_OF_FRAMES)):
                 raise RecordError(
-                    f"{path}: not an armwright recording: expected it to start with {MAGIC_OF_FRAMES!r} or"
-                    f" {MAGIC!r}, got {start[:8]!r}"
+                    f"{path}: not an armwright recording: expected an .armlog of `armwright serve`, which begins with"
+                    f" ARMLOG2 or ARMLOG1, got {'an empty file' if not start else 'other bytes'}"
                 )
             (length,) = struct.unpack("<I", start[len(MAGIC) :])
             if length > min(HEADER_MOST_bytes, os.fstat(file.fileno()).st_size - len(start)):

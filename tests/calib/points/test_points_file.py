@@ -83,6 +83,7 @@ def test_arrays_are_read_only(tmp_path: Path) -> None:
         (GOOD.replace("0.4", "nan"), 'line 3, column q2_rad: got "nan", expected a finite number'),
         (GOOD.replace("0.4", ""), "line 3, column q2_rad: got an empty cell, expected a finite number"),
         (GOOD.replace("0.5", "inf"), 'line 2, column x_m: got "inf", expected a finite number'),
+        (GOOD.replace("0.4", "1e300"), 'line 3, column q2_rad: got "1e300", expected a finite number'),
         (GOOD.replace(",0,0\n", ",,0\n"), "line 2, column y_m: got an empty cell"),
         (GOOD.replace("1,1,0.1", "1,1.5,0.1"), 'line 2, column repeat: got "1.5", expected a whole number'),
         (GOOD.replace("0.3,0.4,", "0.3,"), "line 3: 7 values, line 1 names 8"),
