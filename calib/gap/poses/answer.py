@@ -36,7 +36,7 @@ from calib.gap.poses.remainder import remainders, unknown_part
 from calib.gap.poses.state import Around
 from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, UNSURE, CHANGED_sd
 from calib.gap.posterior.decide import Decision, share_of
-from calib.gap.posterior.nameable import nameable
+from calib.gap.posterior.nameable import ODDS, nameable
 from calib.gap.posterior.parameters import Estimated, estimated
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key, Term
@@ -89,7 +89,7 @@ def answered(
     floor = looked.refloored(left).floor
     if floor.doubt >= UNMEASURED:
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa)
-    changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
+    changed = [name for name in decision.names if _is_new(looked.arm, around, best, name, estimates[name])]
     order = _ordered(around, best, changed)
     geometry, stages = _stages(around, best, decision, order)
     named = [Named(name, estimates[name], left) for name, left in zip(order, stages, strict=True)]
@@ -217,11 +217,16 @@ def _known(arm: Arm, name: EffectName) -> Effect | None:
     return next((one for one in arm.effects if (one.effect, one.joint) == (name.effect, name.joint)), None)
 
 
-def _is_new(arm: Arm, name: EffectName, found: Estimated) -> bool:
-    """Whether the total differs from what the arm's file has."""
+def _is_new(arm: Arm, around: Around, best: Weighed, name: EffectName, found: Estimated) -> bool:
+    """Whether the total differs from what the arm's file has.
+
+    The frame of a camera is in every set, because nobody knows it to the noise: what it adds to the evidence says whether it is
+    another than the file's.
+    """
     known = _known(arm, name)
     if known is None:
-        return not _is_nothing(found)  # the frame of a camera is always looked for
+        gains = {around.terms[k].key: gain for (k, _), gain in zip(best.members, best.gains, strict=True)}
+        return gains[name] > ODDS and not _is_nothing(found)
     before = () if is_load(name.effect) else linear_values(name.effect, known.parameters)
     if before:
         return found.differs_from(np.array(before))

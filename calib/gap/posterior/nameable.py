@@ -14,10 +14,10 @@ from calib.gap.finding import EffectName, Nameable
 from calib.gap.posterior.constants import CERTAIN, DEPARTURES, NAME_PRIOR, SIZE_COST, SIZE_LEVELS, MOSTLY_sd
 from calib.gap.posterior.evidence import Evidence
 
-_ODDS = math.log(CERTAIN / (1.0 - CERTAIN))
+ODDS = math.log(CERTAIN / (1.0 - CERTAIN))
 # Standard deviations at which the expected log evidence, half their square, pays a name, and its margin over a rival:
-NAMEABLE_sd = math.sqrt(2.0 * (_ODDS - math.log(NAME_PRIOR) + SIZE_COST)) + MOSTLY_sd
-TOLD_APART_sd = math.sqrt(2.0 * _ODDS) + MOSTLY_sd
+NAMEABLE_sd = math.sqrt(2.0 * (ODDS - math.log(NAME_PRIOR) + SIZE_COST)) + MOSTLY_sd
+TOLD_APART_sd = math.sqrt(2.0 * ODDS) + MOSTLY_sd
 RIVAL_LEVEL, RIVAL_DEPARTURE = SIZE_LEVELS[2], DEPARTURES[2]  # a large one, of the usual roughness
 
 
