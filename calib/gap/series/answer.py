@@ -59,8 +59,6 @@ class Verdict:
     unknown: Unknown | None
     remainder: tuple[Remainder, ...]
     kept: frozenset[Key]
-    harming: tuple[Key, ...]
-    """What was withdrawn, as the runs kept apart are better without it."""
     warnings: tuple[str, ...]
 
 
@@ -114,7 +112,9 @@ def _verdict(
     left_over = list(other)
     for one in some:
         key = one.term.key
-        if not isinstance(key, Block) or key in kept or fit.decision.probability.get(key, 0.0) <= 0.5:
+        is_open = any(key in group for group in fit.decision.remainders)
+        is_likely = is_open or fit.decision.probability.get(key, 0.0) > 0.5
+        if not isinstance(key, Block) or key in kept or not is_likely:
             continue
         worth = _worth(fit, one.number, reporting)
         if worth <= REMAINS:
@@ -126,10 +126,11 @@ def _verdict(
             departs[law] = math.hypot(departs[law], share)
             kept.add(key)
     remainder = _remainder(whole, left_over, reporting)
-    unknown = _unknown(whole, left_over, kept)
-    return Verdict(
-        fit, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(harming), tuple(said)
+    explained = kept.union(*sets)  # one of a set explains what it does, whichever it is
+    unknown = _unknown(whole, left_over, kept) or _silent(
+        whole, what_is_left(whole, explained), reporting, harming
     )
+    return Verdict(fit, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(said))
 
 
 def _overshadowed(fit: Fit, number: int, others: Sequence[int], reporting: Picked) -> Left:
@@ -224,6 +225,25 @@ def _unknown(fit: Fit, other: Sequence[Left], kept: Collection[Key]) -> Unknown 
     return Unknown(one.words, one.rival or nearest, round(share, 3))
 
 
+def _silent(fit: Fit, after: Array, reporting: Picked, harming: Sequence[Key]) -> Unknown | None:
+    """What is left above the floor although no block takes it: the worst cell, and the name that was withdrawn, if one was."""
+    scene = fit.around.scene
+    rivals = [key for key in harming if isinstance(key, EffectName) and key.effect in EFFECTS]
+    most = math.sqrt(1.0 + REMAINS) if rivals else SILENT_MOST
+    if not reporting.any() or gap(after, scene.rows.table, reporting) < most:
+        return None
+    size, words = max(
+        (float(np.sqrt(np.mean(after[c.rows][reporting[c.rows]] ** 2))), str(c))
+        for c in scene.cells
+        if reporting[c.rows].any()
+    )
+    return Unknown(
+        f"the {words}: {size:.1f} times its noise is left, and follows nothing that was tried",
+        rivals[0] if rivals else None,
+        0.0,
+    )
+
+
 def _nearest(fit: Fit, kept: Collection[Key]) -> tuple[EffectName | None, float]:
     """The effect that is not named and explains most beside the names, and its share of what these leave."""
     evidence, best, terms = fit.evidence, fit.best, fit.linear.terms
@@ -306,25 +326,6 @@ def stages(fit: Fit, verdict: Verdict, reporting: Picked) -> tuple[NamedEffect, 
             )
         )
     return tuple(found)
-
-
-def silent(fit: Fit, after: Array, reporting: Picked, harming: Sequence[Key] = ()) -> Unknown | None:
-    """What is left above the floor although no block takes it: the worst cell, and the name that was withdrawn, if one was."""
-    scene = fit.around.scene
-    rivals = [key for key in harming if isinstance(key, EffectName) and key.effect in EFFECTS]
-    most = math.sqrt(1.0 + REMAINS) if rivals else SILENT_MOST
-    if not reporting.any() or gap(after, scene.rows.table, reporting) < most:
-        return None
-    size, words = max(
-        (float(np.sqrt(np.mean(after[c.rows][reporting[c.rows]] ** 2))), str(c))
-        for c in scene.cells
-        if reporting[c.rows].any()
-    )
-    return Unknown(
-        f"the {words}: {size:.1f} times its noise is left, and follows nothing that was tried",
-        rivals[0] if rivals else None,
-        0.0,
-    )
 
 
 def nameable_effects(fit: Fit) -> tuple[Nameable, ...]:

@@ -13,7 +13,7 @@ from calib.gap.log import Log
 from calib.gap.residuals.rows import Rows, without_motion
 from calib.gap.residuals.scene import Scene
 from calib.gap.series.advice import next_experiment, open_questions
-from calib.gap.series.answer import Verdict, judged, nameable_effects, silent, stages, what_is_left
+from calib.gap.series.answer import Verdict, judged, nameable_effects, stages, what_is_left
 from calib.gap.series.beyond import ripples
 from calib.gap.series.drawing.laws import drawn_laws
 from calib.gap.series.fit import Fit
@@ -105,7 +105,6 @@ def _finding(
     before, after, written = sizes
     rows, known, reporting = fit.around.scene.rows, fit.around.known, parts.reporting
     moved = motion_gaps(rows.physics, known, (*known, *verdict.laws.values()), parts.report_runs)
-    unknown = verdict.unknown or silent(fit, what_is_left(fit, verdict.kept), reporting, verdict.harming)
     return GapFinding(
         arm=arm.name,
         data=log.sources,
@@ -116,9 +115,9 @@ def _finding(
         after_si={**in_si(after, rows.table, reporting, arm), **in_rad(moved, "after_rad")},
         effects=stages(fit, verdict, reporting),
         ambiguous=verdict.ambiguous,
-        unknown=unknown,
+        unknown=verdict.unknown,
         nameable=nameable_effects(fit),
-        next_experiment=next_experiment(recording, verdict.ambiguous, unknown),
+        next_experiment=next_experiment(recording, verdict.ambiguous, verdict.unknown),
         remainder=verdict.remainder,
         open_questions=open_questions(recording, verdict),
         gap_as_written=gap(written, rows.table, reporting),

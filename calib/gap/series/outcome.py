@@ -10,6 +10,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.drawn_law import DrawnLaw
 from calib.gap.finding import GapFinding
+from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.residuals.rows import Cell, RowTable
 from calib.gap.series.split import Picked, Split
 from calib.gap.signals.motion import MotionGap
@@ -112,4 +113,9 @@ def grown(finding: GapFinding) -> Iterator[str]:
         yield (
             f"on the held-out runs the gap grows from {finding.gap_before:.2f} to {finding.gap_after:.2f}: what was named"
             " helps the other runs alone"
+        )
+    if finding.gap_after > SILENT_MOST and finding.unknown is None and not finding.ambiguous:
+        yield (
+            f"{finding.gap_after:.1f} times the noise is left on the held-out runs: errors of the nominal values, each too small"
+            " for a name, explain it"
         )

@@ -56,3 +56,10 @@ def test_a_name_that_the_runs_kept_apart_contradict_is_unknown_with_a_sentence()
 
 def test_a_name_that_they_bear_out_stays() -> None:
     assert [effect.name for effect in with_reported(1.0).finding.effects] == [LOAD_2]
+
+
+def test_what_one_of_a_set_explains_is_not_said_to_follow_nothing() -> None:
+    one_way = Log(log_of(ARM, link_friction).runs[:1])
+    finding = examine(ARM, one_way, candidates=("load_friction", "coulomb_friction")).finding
+    assert [set(names) for names in finding.ambiguous] == [{LOAD_2, EffectName("coulomb_friction", 2)}]
+    assert finding.unknown is None
