@@ -76,6 +76,8 @@ class Cia402Mock:
         self._last_s: float | None = None
         self._beat_s = 0.0
         self._held = 0
+        self._aim = self._since = self._target = 0  # of the interpolation
+        self._share = 1.0
         self.outgoing.append((0x700 + node, bytes((INITIALISING,))))
 
     @property
@@ -259,6 +261,8 @@ class Cia402Mock:
         shaft = self._read_shaft()
         rate, self._before = (shaft - self._before) / step_s, shaft
         self._speed += (rate - self._speed) * step_s / (step_s + SPEED_FILTER_S)
+        if self.state is not State.ENABLED or self.objects[0x6060, 0][1] != 8:
+            self._aim = self._target = self.position
         if self.state is State.ENABLED:
             self.output = self._by_mode(step_s)
         elif self.state is State.QUICK_STOP:
@@ -278,8 +282,18 @@ class Cia402Mock:
             case 9:
                 return self._to_speed(self.objects[0x60FF, 0][1], step_s)
             case 8:
-                return self._to_position(self.objects[0x607A, 0][1], step_s)
+                return self._to_position(self._interpolated(self.objects[0x607A, 0][1], step_s), step_s)
         return self._to_position(self._held, step_s)
+
+    def _interpolated(self, target: int, step_s: float) -> int:
+        """From one target to the next within the interpolation time (0x60C2)."""
+        period_s = self.objects[0x60C2, 1][1] * 10.0 ** self.objects[0x60C2, 2][1]
+        if target != self._target:
+            self._since, self._target, self._share = self._aim, target, 0.0
+        self._share = min(self._share + step_s / period_s, 1.0) if period_s > 0.0 else 1.0
+        way = _signed32(target - self._since)
+        self._aim = _signed32(self._since + round(self._share * way))
+        return self._aim
 
     def _to_position(self, target: int, step_s: float) -> Output:
         return self._to_speed(POSITION_RATE * _signed32(target - self.position), step_s)
