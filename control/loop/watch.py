@@ -203,7 +203,7 @@ class Watch:
                 "drive_silent",
                 self._names[joint],
                 f"its drive sent no reply for {age_s:.3f} s (limit {limit_s:.3f} s)",
-                "check the CAN cable, its termination and the drive's supply",
+                "check its cable (on CAN the termination, too) and the drive's supply",
                 Reaction.HOLD,
             )
             return
