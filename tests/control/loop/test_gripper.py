@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from control.end_effector.gripper import GripperControl
 from control.errors import ArmError
+from control.hardware.gripper_board import GripperFeedback
 from control.model.end_effector import Gripper
 from control.recording.layout import about_columns, layout_of
 from control.safety.table import Mode
@@ -200,6 +202,36 @@ def test_a_board_that_fails_stops_the_arm_under_control_and_works_again_after(
     assert opening_m(cell) == pytest.approx(at_m, abs=0.5e-3)
     assert (state(cell)["opening_m"] is None) == (kind == "board_reset")
     assert cell.client.grip("open")["state"] == "OPEN"
+
+
+class Board:
+    """Replies in every cycle, and counts until it is told not to."""
+
+    def __init__(self) -> None:
+        self.feedback, self.counts = GripperFeedback(is_enabled=True), True
+
+    def read(self, now_s: float) -> GripperFeedback:
+        counted_s = now_s if self.counts else self.feedback.moved_at_s
+        self.feedback = replace(self.feedback, reply_at_s=now_s, moved_m=0.0, moved_at_s=counted_s)
+        return self.feedback
+
+    def write(self, volts: float | None, now_s: float) -> None: ...
+
+    enable = disable = reset_fault = emergency_stop = lambda self: None
+
+
+@pytest.mark.parametrize(("counts_per_rev", "codes"), [(2048, ["gripper_count"]), (0, [])])
+def test_a_board_that_replies_without_a_count_is_found_where_an_encoder_is_described(
+    counts_per_rev: int, codes: list[str]
+) -> None:
+    board = Board()
+    control = GripperControl(replace(GRIPPER, encoder_counts_per_rev=counts_per_rev), board)
+    found = []
+    for cycle in range(200):
+        board.counts = cycle < 100
+        found.append(control.cycle(0.01 * cycle, is_ready=True, is_fault=False, is_off=False))
+    assert not any(found[:115])
+    assert [fault.code for fault in found if fault] == codes
 
 
 def refused_acknowledge(cell: Cell) -> str:

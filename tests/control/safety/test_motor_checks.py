@@ -64,7 +64,8 @@ def test_counts_that_stand_are_doubted_while_the_voltage_changes_in_every_cycle(
 
 
 def test_a_motor_at_rest_is_not_doubted_even_where_nothing_is_allowed() -> None:
-    assert SpeedCheck(R, K, 0.0).update(T, 0.0, 0.0, 0.0, 0.0)
+    check = SpeedCheck(R, K, 0.0)
+    assert all(check.update(T, 0.0, 0.0, 0.0, 0.0) for _ in range(5))
     assert TorqueCheck(0.0).update(T, 0.0, 0.0)
 
 
@@ -168,8 +169,5 @@ def test_a_value_must_be_outside_for_a_while(value: float) -> None:
 
 def test_a_value_outside_is_pending_until_it_has_lasted_exactly_so_long() -> None:
     limit = Lasting(-1.0, 2.0, 1.0)
-    assert not limit.is_pending
-    assert [limit.update(0.25, 3.0) for _ in range(4)] == [True, True, True, False]
-    assert limit.is_pending
-    assert limit.update(0.25, 0.0)
-    assert not limit.is_pending
+    said = [(limit.update(0.25, value), limit.is_pending) for value in (0.0, 3.0, 3.0, 3.0, 3.0, 0.0)]
+    assert said == [(True, False), (True, True), (True, True), (True, True), (False, True), (True, False)]
