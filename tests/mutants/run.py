@@ -40,6 +40,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/control/loop/test_reactions.py",
     ),
     "control.safety.workspace": ("tests/control/safety/test_workspace.py",),
+    "control.motion.lookout": ("tests/control/motion/test_lookout.py",),
     "control.loop.watch": ("tests/control/loop/test_reactions.py", "tests/control/loop/test_watch.py"),
     "control.loop.cross_checks": ("tests/control/loop/test_reactions.py",),
 }

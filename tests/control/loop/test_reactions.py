@@ -131,10 +131,14 @@ def test_a_cycle_in_order_needs_no_thorough_look() -> None:
     assert watch.look(8.0, good(), *still, 10, expected) == []
     watch.note_pause(8.0, 0.125)
     assert watch.look(8.0, good(7.875), *still, 0, expected) == []  # the host's own pause
+    for speed_set_rad_s in (2.0, -2.0):  # a joint that moves may follow further behind
+        assert (
+            watch.look(8.0, good(), [0.5] * 2, [0.0] * 2, [0.6] * 2, [speed_set_rad_s] * 2, 0, expected) == []
+        )
     wild = [9.0, 9.0], [9.0, 9.0], [0.5, 0.5], [0.0, 0.0]
     assert watch.look(8.0, good(), *wild, 0, Expectation(True, True, False)) == []
     unhomed = good()
-    unhomed.channel_flags = [ZERO_SET, QUADRATURE_ERROR]
+    unhomed.channel_flags = [ZERO_SET | 0x01, QUADRATURE_ERROR]
     assert watch.look(8.0, unhomed, *still, 0, Expectation(True, False, True)) == []
     with pytest.raises(AssertionError, match="thoroughly"):
         watch.look(8.0, good(), *still, 11, expected)
@@ -145,6 +149,14 @@ def test_a_silent_encoder_board_and_a_late_loop_are_one_finding_each() -> None:
         ("encoder_stale", "encoder board")
     ]
     assert said(looked(missed=11)) == [("loop_late", "control loop")]
+
+
+def test_messages_say_how_long_a_board_has_been_silent_and_how_far_a_joint_is_off() -> None:
+    silent, off = looked(both("reply_at_s", 7.9))[0], looked(q_rad=0.6)[0]
+    assert "no reply for 0.100 s (limit 0.031 s)" in silent.message
+    (unheard,) = looked(lambda feedback: setattr(feedback, "encoder_at_s", 7.9))
+    assert "0.100 s (limit 0.031 s)" in unheard.message
+    assert "following error -0.1000 rad (limit 0.0625 rad at 0.00 rad/s)" in off.message
 
 
 def test_a_leap_is_a_fault_of_the_joint_that_made_it() -> None:

@@ -218,8 +218,9 @@ def test_any_move_interrupted_anywhere_stops_inside_the_range():
                 assert low - 1e-9 <= q <= high + 1e-9
 
 
-def test_a_straight_stop_continues_a_straight_move_and_brakes_all_joints_by_one_law():
-    state = JointMove(START, END, LIMITS).at(0.3)
+@pytest.mark.parametrize("time_s", [0.03, 0.05, 0.3])  # the acceleration rises, is at its limit, is over
+def test_a_straight_stop_continues_a_straight_move_and_brakes_all_joints_by_one_law(time_s: float):
+    state = JointMove(START, END, LIMITS).at(time_s)
     stop = StraightStop(state, LIMITS, 0)
     _same(stop.at(0.0), state)
     _within(stop, LIMITS)
