@@ -80,8 +80,8 @@ def plan_path(
 
     Args:
         arm: its geometry, limits and calibration table are respected.
-        waypoints_m: (m, 3) in the base frame, or (m, 7) with the unit quaternion w, x, y, z of the last link frame, or a CSV
-            file with the columns x_m, y_m, z_m and, optionally, qw, qx, qy, qz and speed_m_s.
+        waypoints_m: (m, 3) in the base frame, or (m, 7) with the unit quaternion w, x, y, z of the last link frame. Or a CSV
+            file: columns x_m, y_m, z_m and, optionally, qw, qx, qy, qz and speed_m_s.
         speed_m_s: one speed for all sections or one for each way-point; None takes the file's, else 0.1 m/s.
         near_rad: (n,) the posture nearest to this is chosen; by default the arm's rest pose.
 

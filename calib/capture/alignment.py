@@ -3,8 +3,8 @@
     t = offset + (1 + rate) tau
 
 First where the speeds of tip and body correlate best, which needs to know neither where the system stands nor where the body is
-on the arm. Then least squares of positions: tip(q(t)) against the body in a frame of unknown place, with the arm's deviations (a
-prior of half the usual bounds) and the body's place on the last link unknown, so that an uncalibrated arm does not shift the
+on the arm. Then least squares of positions: tip(q(t)) against the body in a frame of unknown place. The arm's deviations (a prior
+of half the usual bounds) and the body's place on the last link are unknown, too: an uncalibrated arm does not shift the
 time. The covariance is that of blocks of time (a sandwich), because residuals of neighbouring frames are alike.
 """
 

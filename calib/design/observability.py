@@ -8,10 +8,10 @@ They are functions of the singular values s1 >= ... >= sr of the identification 
     O4 = sr^2 / s1                         Nahvi and Hollerbach, IEEE ICRA 1996: the noise amplification index
     O5 = 1 / (1/s1 + ... + 1/sr)           Sun and Hollerbach, IEEE ICRA 2008: the mean of all uncertainties
 
-Here the Jacobian is in scaled unknowns (a parameter divided by its bound) and in standard deviations of the noise, so
-that the indices have no unit and 1/sr is the standard deviation of the least certain combination, as a share of the
-bound. Only combinations that some pose of the arm could determine count (`calib.design.information`); one of those
-that these poses do not determine makes all five zero.
+Here the Jacobian is in scaled unknowns (a parameter divided by its bound) and in standard deviations of the noise: the
+indices have no unit. 1/sr is the standard deviation of the least certain combination, as a share of the bound. Only
+combinations that some pose of the arm could determine count (`calib.design.information`); one of those that these poses
+do not determine makes all five zero.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 What the data do not determine stays at nominal. After the best search, the null space of its Jacobian is fixed at nominal
 and the rest refitted; if that costs more than COST_OF_NEARNESS, a narrower null space is fixed. An identification allows
-more (`Equal` "by noise"): the expected gain of the fixed unknowns by fitting noise, and it begins with all combinations of
-which a change by the bound is less than the noise, so that none of them ends at a bound because of noise.
+more (`Equal` "by noise"): what the fixed unknowns would gain by fitting noise. It begins with all combinations of which a
+change by the bound is less than the noise: none of them ends at a bound because of noise.
 """
 
 from __future__ import annotations

@@ -14,9 +14,9 @@ damp more than that; then two poles are at -w and the third is the motor's own, 
 
     kp = (w^2 + 2 w (a - 2 w)) / b,   ki = w^2 (a - 2 w) / b.
 
-With the loop's delay (one and a half cycles of 2 ms, counts up to 1 ms
-old) and the filters of the speed estimate, w = 40 rad/s leaves the reference arm at least 50 degrees of phase margin (40 with
-0.5 kg at the tip) and a sensitivity of at most 1.65 in every pose, at a crossover of 28 to 72 rad/s. In current mode no
+The delay of the loop is one and a half cycles of 2 ms, counts up to 1 ms old, and the filters of the speed estimate. With it
+w = 40 rad/s leaves the reference arm at least 50 degrees of phase margin (40 with 0.5 kg at the tip). The sensitivity is at
+most 1.65 in every pose, the crossover at 28 to 72 rad/s. In current mode no
 back-EMF damps and the derivative has to, so delay costs more: w = 25 rad/s leaves 44 degrees at the design inertia
 and only 15 at joint 1 with the arm retracted. The loop scales the PID by `InertiaScale`, which restores the 44.
 """

@@ -1,7 +1,7 @@
 """The two filters that every term of the equations goes through, so that none is biased against another.
 
-The state filter is a windowed sinc whose derivatives are taken of the kernel itself, so that speed and acceleration
-are the exact derivatives of the filtered angle (central differences are 1.6 % short at 25 Hz and 500 samples a second).
+The state filter is a windowed sinc whose derivatives are taken of the kernel itself. Speed and acceleration are thus the
+exact derivatives of the filtered angle; central differences are 1.6 % short at 25 Hz and 500 samples a second.
 The row filter is narrower and keeps one sample in `step`: rows that follow each other are nearly independent.
 """
 

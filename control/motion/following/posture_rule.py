@@ -1,8 +1,8 @@
 """How free joints are resolved: stay near the pose before, away from joint limits and from singular poses.
 
-Along a path each pose is the one nearest to the pose before among those that hold the tip, after that has been pushed
-off a joint's limit within the outer fifth of its range, and up the gradient of the margin from singular poses where
-that is small (Siciliano et al., Robotics, 3.5.1). The pushes fade in, so that the postures stay smooth.
+Of the poses that hold the tip, each is the one nearest to the pose before. That one is first pushed off a joint's limit
+within the outer fifth of its range, and up the gradient of the margin from singular poses where that is small (Siciliano et
+al., Robotics, 3.5.1). The pushes fade in, so that the postures stay smooth.
 """
 
 import numpy as np
