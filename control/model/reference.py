@@ -17,14 +17,16 @@ from control.model.reader import keys_of
 from control.model.rules import Rule
 
 PAGE = Path("docs/arm_toml.md")
+REQUIRED = "required"  # as a default
 HEAD = """# arm.toml: every key
 One file describes one arm. `armwright new` writes one with comments ([new_arm.md](new_arm.md)); `control/arms/right.toml` is a
 complete example; `armwright arm FILE` checks a file.
 
 - SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused.
 - Unknown keys are errors. A section without required keys may be absent; a command that needs it says so.
-- A range without a type is of a number. A name has 1 to 64 characters without / and \\, and does not begin with . or -.
-  A word has 1 to 32 letters, digits, - and _, and begins with a letter.
+- Keys in bold are required. A range without a type is of a number.
+- A name has 1 to 64 characters without / and \\, and does not begin with . or -. A word has 1 to 32 letters, digits, - and _,
+  and begins with a letter.
 
 `make arm-reference` makes this page from the reader's own definitions. Effects: [formats.md](formats.md#effects).
 """
@@ -80,11 +82,18 @@ def reference_text() -> str:
     """The page."""
     parts = [HEAD]
     for section in sections():
-        rows = [f"| `{k.name}` | {k.kind} | {k.default} | {k.text} |" for k in section.keys]
+        rows = [_row(key) for key in section.keys]
         title = f"`{section.header}`" if section.header else "Top level"
-        head = f"## {title}\n{section.about}\n\n| key | value | default | |\n| --- | --- | --- | --- |"
+        head = f"## {title}\n{section.about}\n\n| key | value | |\n| --- | --- | --- |"
         parts.append("\n".join((head, *rows)) + "\n")
     return "\n".join(parts)
+
+
+def _row(key: Key) -> str:
+    """A key in the table, in bold if it is required."""
+    name = f"**`{key.name}`**" if key.default == REQUIRED else f"`{key.name}`"
+    default = f"; default: {key.default}" if key.default not in ("", REQUIRED) else ""
+    return f"| {name} | {key.kind}{default} | {key.text} |"
 
 
 def _sections(header: str, kind: type[Any]) -> Iterator[Section]:
@@ -182,7 +191,7 @@ def _default(field: "dataclasses.Field[Any]") -> str:
     if field.default_factory is not dataclasses.MISSING:
         value = field.default_factory()
     if value is dataclasses.MISSING:
-        return "required"
+        return REQUIRED
     if value is None or value in ((), {}) or (isinstance(value, float) and math.isinf(value)):
         return ""
     if isinstance(value, bool):

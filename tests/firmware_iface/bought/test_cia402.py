@@ -46,7 +46,7 @@ def test_the_document_has_the_same_table() -> None:
         origins, *targets = (cell.strip() for cell in line.strip("|").split("|"))
         for origin in origins.split(", "):
             for column, target in zip(COLUMNS, targets, strict=True):
-                if target != "–":
+                if target:
                     found[State(origin), DriveCommand[column]] = State(target.split(" (")[0])
     assert found == dict(TRANSITIONS)
 
