@@ -62,6 +62,7 @@ def _draw_plane(axes: Axes, pair: TrackPair, i: int, j: int) -> None:
     axes.plot(after[:, i], after[:, j], "-", color=AFTER, lw=1.6, label="actual, after")
     axes.plot(ideal[:, i], ideal[:, j], "--", color=PLANNED, lw=1.2, label="ideal", zorder=3)
     label_plane(axes, i, j, f"{NAMES[i]}{NAMES[j]} plane")
+    axes.locator_params(axis="x", nbins=5)  # more labels run into each other
     _widen(axes)
 
 

@@ -28,7 +28,7 @@ from console.screen.session_texts import HEADING, board_rows, legend_rows, recor
 from console.screen.widgets import CommandBox
 from control.files import write_whole
 
-HINTS = "Enter yes  redo  skip  bad  note TEXT  jog z -5  quit     space STOP  escape back"
+HINTS = "Enter yes  redo  skip  bad  note TEXT  jog z -5  quit  space STOP  esc back"
 NEAR_ENDING_S = 5.0
 
 

@@ -16,7 +16,7 @@ from console.screen.drawing.event_log import EventLog
 from console.screen.drawing.panel import Panel
 from console.screen.drawing.rows import text_of
 from console.screen.session import SessionScreen
-from console.screen.session_texts import board_rows, legend_rows, record_text
+from console.screen.session_texts import HEADING, board_rows, legend_rows, record_text
 from tests.cell import Cell, holding_cell
 from tests.console.screen.console_rig import console_on, press, said, until
 
@@ -123,6 +123,7 @@ def test_a_record_tells_how_it_fits_and_one_that_does_not_is_an_error() -> None:
     assert (text.split(), look) == (["normal", "3", "20.00", "0.40", "2.6"], "plain")
     text, look = record_text({**record, "deviation_sd": 3.1})
     assert (text.split()[-2:], look) == (["3.1", "~"], "warning")
+    assert max(len(HEADING), len(text)) <= 42  # columns beside the board at 80 by 24
     assert record_text({**record, "is_suspect": True}) == ("normal 3 recorded; look", "error")
     assert record_text({**record, "deviation_sd": None, "deviation_mm": None})[0].split() == [
         "normal",
