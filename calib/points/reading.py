@@ -66,8 +66,10 @@ def opened_text(path: Path) -> Iterator[TextIO]:
     except OSError as error:
         raise PointsFileError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
+        is_recording = path.suffix == ".armlog"
+        remedy = "`armwright export` makes a log.csv.gz of it" if is_recording else "save the file in UTF-8"
         raise PointsFileError(
-            f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz; save the file in UTF-8"
+            f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz; {remedy}"
         ) from error
     except csv.Error as error:
         raise PointsFileError(f"{path}: not comma-separated text ({error})") from error

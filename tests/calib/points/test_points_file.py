@@ -103,6 +103,21 @@ def test_a_bad_file_is_one_message_with_file_line_and_column(tmp_path: Path, tex
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "remedy"),
+    [
+        ("run.armlog", b"ARMLOG2\n\xff", "`armwright export` makes a log.csv.gz of it"),
+        ("points.csv", GOOD.encode("utf-16"), "save the file in UTF-8"),
+    ],
+)
+def test_what_is_no_text_is_refused_with_what_to_do(
+    tmp_path: Path, name: str, content: bytes, remedy: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(PointsFileError, match=f"{name}: byte [0-9]+ is not UTF-8 text: .*; {remedy}"):
+        read_points(tmp_path / name)
+
+
 def test_another_joint_count_than_expected_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PointsFileError, match="required column q3_rad is missing"):
         read_points(file_with(tmp_path, GOOD), joint_count=3)
