@@ -41,18 +41,15 @@ class SeriesTerm(Term):
         return self.width
 
     def departed_by(self, size: Array) -> float:
-        """What the departures do together, with coefficients of all columns (c,), over what the law does.
+        """What the departures do together, with coefficients of all columns (c,), over what the law does, in all rows.
 
-        Each column is as large as the law where it shows; those of one variable look alike, and may take each other's place.
+        Those of one variable look alike, and may take each other's place; those of a channel that hardly shows the law are noise.
         """
-        law = float(np.linalg.norm(size[: self.laws])) / math.sqrt(self.laws)
-        own = slice(self.laws, self.laws + self.departures)
-        if not law or not self.departures:
-            return 0.0
-        gram = np.sum([columns[:, own].T @ columns[:, own] for columns in self.response.values()], axis=0)
-        norms = np.maximum(np.sqrt(np.diag(gram)), 1e-300)
-        together = float((size[own] / norms) @ gram @ (size[own] / norms))
-        return math.sqrt(max(together, 0.0)) / law
+        ends = self.laws, self.laws + self.departures
+        law = sum(float(np.sum((own[:, : ends[0]] @ size[: ends[0]]) ** 2)) for own in self.response.values())
+        bent = slice(*ends)
+        departs = sum(float(np.sum((own[:, bent] @ size[bent]) ** 2)) for own in self.response.values())
+        return math.sqrt(departs / law) if law > 0.0 else 0.0
 
     @property
     def log_odds(self) -> float:

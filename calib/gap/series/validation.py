@@ -43,7 +43,7 @@ class Member:
 
     @property
     def departure(self) -> float:
-        """Of the departures' coefficients over the law's: their columns are as large as its."""
+        """What its departures do, over what its law does."""
         return self.term.departed_by(self.size)
 
 

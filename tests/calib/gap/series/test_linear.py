@@ -51,13 +51,15 @@ def test_averaged_frames_keep_their_noise_and_do_not_reach_over_a_gap() -> None:
     assert thin.all_of(np.arange(len(sample)) > 0)[1:].all()
 
 
-def test_departures_that_take_each_others_place_count_by_what_they_do_together() -> None:
+def test_departures_count_by_what_they_do_together_beside_the_law_where_it_shows() -> None:
     rng = np.random.default_rng(3)
     law, bend = rng.normal(size=(2, 400))
     law, bend = law / np.linalg.norm(law), bend / np.linalg.norm(bend)
     near = bend + 0.05 * law
-    columns = np.column_stack((law, bend, near / np.linalg.norm(near)))
-    term = SeriesTerm(COULOMB, "", 1, 2, 1.0, response={0: 30.0 * columns}, width=3)
-    assert term.departed_by(np.array([2.0, 0.8, -0.8])) < 0.05
-    assert term.departed_by(np.array([2.0, 0.4, 0.4])) == pytest.approx(0.4, rel=0.01)
-    assert term.departed_by(np.array([-2.0, 0.8, 0.0])) == pytest.approx(0.4, rel=0.01)
+    columns = np.column_stack((law, bend, near / np.linalg.norm(near), 0.0 * law))
+    faint = np.column_stack((0.02 * law, 0.0 * law, 0.0 * law, 0.02 * bend))
+    term = SeriesTerm(COULOMB, "", 1, 3, 1.0, response={0: 30.0 * columns, 1: 30.0 * faint}, width=4)
+    assert term.departed_by(np.array([2.0, 0.8, -0.8, 0.0])) < 0.05  # they take each other's place
+    assert term.departed_by(np.array([2.0, 0.4, 0.4, 0.0])) == pytest.approx(0.4, rel=0.01)
+    assert term.departed_by(np.array([-2.0, 0.8, 0.0, 0.0])) == pytest.approx(0.4, rel=0.01)
+    assert term.departed_by(np.array([2.0, 0.0, 0.0, 1.0])) < 0.05  # where the law hardly shows
