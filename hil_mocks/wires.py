@@ -20,15 +20,9 @@ from unittest.mock import patch
 
 import can
 
+from firmware_iface.can_link import CanFrameLink, open_can, open_extended_can, open_fd_can
 from firmware_iface.errors import LinkLost
-from firmware_iface.link import (
-    CanFormat,
-    CanFrameLink,
-    FrameLink,
-    open_can,
-    open_extended_can,
-    open_fd_can,
-)
+from firmware_iface.link import CanFormat, FrameLink
 from hil_mocks.camera_wires import camera_wire, free_udp_port
 from hil_mocks.devices.camera import Transport
 from hil_mocks.devices.motor_inputs import Frame

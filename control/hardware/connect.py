@@ -22,12 +22,13 @@ from control.hardware.reference_encoders import ReferenceEncoders, start_stream
 from control.hardware.roles import Line
 from control.hardware.tip_camera import TipCamera, open_camera
 from control.model.arm import Arm, CanBus, EncoderBoardPort
+from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import ConnectionFailed, LinkError, WrongIdentity
-from firmware_iface.link import open_can, open_serial
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.digital_pins import DigitalPins
+from firmware_iface.serial_link import open_serial
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping
 from control.hardware.connect import Connection, connect
 from control.model.arm import CanBus
 from control.model.cell import Cell
+from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.errors import ConnectionFailed, LinkError
-from firmware_iface.link import open_can
 from firmware_iface.motor.board import MotorBus
 
 

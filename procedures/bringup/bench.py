@@ -14,13 +14,14 @@ from control.errors import ArmError
 from control.hardware.reference_encoders import start_stream
 from control.model.arm import Arm
 from control.model.joint_map import Unwrapper
+from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import LinkError, MisuseError, connect_all
-from firmware_iface.link import open_can, open_serial
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import State
 from firmware_iface.motor.wire import Output, Parameter
+from firmware_iface.serial_link import open_serial
 from procedures.bringup.operator import Operator, Stopped
 from procedures.bringup.workbench import Channel, DriveLimits, SafetyTrip, Sample
 

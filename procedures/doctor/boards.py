@@ -8,13 +8,15 @@ from control.hardware.kinds import open_boards as open_kinds
 from control.hardware.opened import Opened
 from control.hardware.roles import Encoders
 from control.model.arm import Arm, Drive, EncoderBoardPort
+from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder import wire as encoder_wire
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import BoardSilent, LinkError, PortMissing
-from firmware_iface.link import FrameLink, open_can, open_serial
+from firmware_iface.link import FrameLink
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.scan import BusScan, listen, scan_nodes
+from firmware_iface.serial_link import open_serial
 from procedures.doctor.finding import Finding, Level
 
 GROUP = "boards"

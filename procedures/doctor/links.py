@@ -9,7 +9,8 @@ from typing import Any
 from control.model.arm import Arm, CanBus
 from control.model.board_kinds import KINDS
 from firmware_iface.can_adapters import INTERFACES
-from firmware_iface.link import LATENCY_ms, PortHere, can_buses, latency_file, lower_latency, serial_ports
+from firmware_iface.can_link import can_buses
+from firmware_iface.serial_link import LATENCY_ms, PortHere, latency_file, lower_latency, serial_ports
 from procedures.doctor.finding import Finding, Level
 
 GROUP = "ports"

@@ -11,7 +11,7 @@ from control.errors import ArmError
 from control.model.arm import Convention
 from control.model.board_kinds import KINDS, bus_conflict
 from control.model.rules import LENGTH, NAME
-from firmware_iface.link import PortHere
+from firmware_iface.serial_link import PortHere
 from procedures.on_boards import REFERENCE, serial_lines
 
 T = TypeVar("T")

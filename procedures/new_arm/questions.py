@@ -10,7 +10,7 @@ from calib.arm_import import SerialArm
 from control.errors import ArmError
 from control.model.arm import Convention
 from control.model.board_kinds import KINDS
-from firmware_iface.link import serial_ports
+from firmware_iface.serial_link import serial_ports
 from procedures.new_arm import answers
 from procedures.new_arm.answers import Answers, Parts, Shape
 from procedures.on_boards import REFERENCE, serial_lines

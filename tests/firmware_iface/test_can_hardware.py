@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from firmware_iface.can_link import open_can, open_fd_can
 from firmware_iface.clock import MonotonicClock
-from firmware_iface.link import FrameLink, open_can, open_fd_can
+from firmware_iface.link import FrameLink
 
 pytestmark = pytest.mark.hardware
 PATIENCE_S = 0.5

@@ -11,18 +11,10 @@ import pytest
 from serial.tools.list_ports_common import ListPortInfo
 
 from firmware_iface.can_adapters import channel_of
+from firmware_iface.can_link import open_can, open_extended_can, open_fd_can
 from firmware_iface.errors import LinkLost, PortMissing
-from firmware_iface.link import (
-    FrameLink,
-    PortHere,
-    latency_file,
-    lower_latency,
-    open_can,
-    open_extended_can,
-    open_fd_can,
-    open_serial,
-    serial_ports,
-)
+from firmware_iface.link import FrameLink
+from firmware_iface.serial_link import PortHere, latency_file, lower_latency, open_serial, serial_ports
 
 ERROR_PASSIVE, BUS_OFF = 0x04, 0x40
 
@@ -94,7 +86,7 @@ def test_bus_off_is_a_lost_link_that_says_where_to_look(ends: tuple[FrameLink, c
 
 
 def test_a_port_that_takes_no_more_bytes_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("firmware_iface.link.WRITE_TIMEOUT_ms", 1)
+    monkeypatch.setattr("firmware_iface.serial_link.WRITE_TIMEOUT_ms", 1)
     master, slave = pty.openpty()
     tty.setraw(master)
     link = open_serial(os.ttyname(slave), 1_000_000)
@@ -134,6 +126,6 @@ def test_ports_have_the_stable_names_that_the_system_links_to_them(
     folder.mkdir()
     (folder / "usb-Basicmicro-if00").symlink_to(device)
     info = ListPortInfo(str(device))
-    monkeypatch.setattr("firmware_iface.link.list_ports.comports", lambda: [info])
+    monkeypatch.setattr("firmware_iface.serial_link.list_ports.comports", lambda: [info])
     assert serial_ports(folder) == [PortHere(str(device), "", str(folder / "usb-Basicmicro-if00"))]
     assert serial_ports(tmp_path / "none") == [PortHere(str(device), "")]

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 import can
 import pytest
 
+from firmware_iface.can_link import open_can
 from firmware_iface.errors import PortMissing
-from firmware_iface.link import FrameLink, open_can
+from firmware_iface.link import FrameLink
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
 from firmware_iface.motor.cia402 import State

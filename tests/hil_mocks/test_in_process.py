@@ -16,8 +16,9 @@ from control.model.description import load_arm
 from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
+from firmware_iface.can_link import open_can
 from firmware_iface.errors import LinkLost, PortMissing
-from firmware_iface.link import open_can, open_serial
+from firmware_iface.serial_link import open_serial
 from hil_mocks.in_process import CAN_INTERFACE, register
 from hil_mocks.in_process.line import Line
 from hil_mocks.rig import SteppedRig

@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from firmware_iface.encoder.board import EncoderBoard
-from firmware_iface.link import open_serial
+from firmware_iface.serial_link import open_serial
 from hil_mocks.errors import RigError
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.scenario import FaultTable

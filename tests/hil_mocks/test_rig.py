@@ -13,9 +13,11 @@ import pytest
 
 from control.model.description import load_arm
 from firmware_iface.camera import CameraFrame, CameraReceiver
+from firmware_iface.can_link import open_can
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.encoder.wire import ChannelFlag
-from firmware_iface.link import ByteLink, FrameLink, open_can, open_serial
+from firmware_iface.link import ByteLink, FrameLink
+from firmware_iface.serial_link import open_serial
 from hil_mocks.devices.framing import frame
 from hil_mocks.errors import ScenarioError
 from hil_mocks.faults import BUILT_IN, OF_ENCODER, OF_MOTOR

@@ -23,11 +23,12 @@ from control.hardware.words import (
 )
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
+from firmware_iface.can_link import open_can
 from firmware_iface.canopen.bus import CanOpenBus
 from firmware_iface.canopen.drive import MAX_TORQUE, Cia402Drive
 from firmware_iface.clock import Clock
 from firmware_iface.errors import WrongIdentity
-from firmware_iface.link import FrameLink, open_can
+from firmware_iface.link import FrameLink
 from firmware_iface.motor.cia402 import State
 
 PROFILE = 402

@@ -22,9 +22,9 @@ from control.hardware.words import (
     WATCHDOG,
 )
 from control.model.arm import Arm, Board, Drive
+from firmware_iface.can_link import open_fd_can
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted
-from firmware_iface.link import open_fd_can
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.controller import Moteus, MoteusBus
 from firmware_iface.moteus.wire import Mode

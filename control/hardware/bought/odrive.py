@@ -21,9 +21,9 @@ from control.hardware.words import (
     WATCHDOG,
 )
 from control.model.arm import Arm, Board, Drive
+from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted
-from firmware_iface.link import open_can
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
 from firmware_iface.odrive.wire import Error
 

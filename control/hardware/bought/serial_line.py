@@ -7,8 +7,9 @@ from typing import Protocol
 from control.hardware.opened import Opened, collect
 from control.model.arm import Board
 from firmware_iface.errors import LinkError, MisuseError
-from firmware_iface.link import ByteLink, open_serial
+from firmware_iface.link import ByteLink
 from firmware_iface.polled_line import PolledLine
+from firmware_iface.serial_link import open_serial
 
 TURN_AROUND_S = 0.0005  # from a request's last byte to the answer's first, and from there to the next request
 # A line is looked at every quarter of a millisecond, so a read that may wait for the kernel comes once in 10 ms at most.

@@ -22,9 +22,9 @@ from control.hardware.words import (
 )
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
+from firmware_iface.can_link import open_extended_can
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, MisuseError
-from firmware_iface.link import open_extended_can
 from firmware_iface.vesc import wire
 from firmware_iface.vesc.controller import Vesc, VescBus
 

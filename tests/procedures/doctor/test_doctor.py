@@ -16,8 +16,8 @@ import pytest
 from console.main import main
 from control.model.arm import Arm, CanBus
 from firmware_iface.clock import MonotonicClock
-from firmware_iface.link import PortHere
 from firmware_iface.motor.cia402 import State
+from firmware_iface.serial_link import PortHere
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
 from procedures.doctor import host

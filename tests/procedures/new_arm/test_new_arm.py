@@ -16,7 +16,7 @@ from console.main import main
 from control.kinematics.corners import Corners
 from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from firmware_iface.link import PortHere
+from firmware_iface.serial_link import PortHere
 from hil_mocks.scenario import load_scenario
 from procedures.new_arm.answers import usual_ports
 from tests.cell import open_cell

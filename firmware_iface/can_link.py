@@ -1,0 +1,220 @@
+"""CAN links and adapters. The only file that imports python-can."""
+
+import contextlib
+import logging
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+
+import can
+
+from firmware_iface import slcan
+from firmware_iface.can_adapters import INTERFACES, channel_of
+from firmware_iface.errors import LinkLost, PortMissing
+from firmware_iface.link import CanFormat, FrameLink
+from firmware_iface.serial_link import open_serial
+
+_SOCKETCAN_BUS_OFF = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h, in the id of an error frame
+_ADAPTERS = ("socketcan", "pcan")  # python-can detects these without waiting
+_SLCAN_BAUD = 115_200
+_ECHO_MEMORY = 64  # our own frames that may be echoed at once
+_DATA_BITRATE = 5_000_000  # of FD frames, on adapters that are not set up by the system; moteus needs it
+_LONGEST_STANDARD_ID = 0x7FF
+
+
+def can_buses() -> list[tuple[str, str]]:
+    """List interface and channel of the CAN adapters that their drivers can detect, without opening them."""
+    with _can_log():
+        adapters = can.detect_available_configs([name for name in _ADAPTERS if name in can.VALID_INTERFACES])
+    return [(str(bus["interface"]), str(bus["channel"])) for bus in adapters]
+
+
+def open_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
+    """Open a CAN bus by any interface of python-can: socketcan, slcan, gs_usb, pcan, udp_multicast, virtual ...
+
+    `options` are passed to python-can unchanged. slcan is our own (slcan.py). Raises PortMissing with the remedy.
+    """
+    return _open_can(interface, channel, bitrate, CanFormat.STANDARD, options)
+
+
+def open_extended_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
+    """As `open_can`, for frames with 29-bit ids instead of 11-bit ones."""
+    return _open_can(interface, channel, bitrate, CanFormat.EXTENDED, options)
+
+
+def open_fd_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
+    """As `open_can`, for CAN FD frames with a faster data phase (bit rate switch). `bitrate` is that of the arbitration."""
+    return _open_can(interface, channel, bitrate, CanFormat.FD, options)
+
+
+def _open_can(
+    interface: str, channel: str, bitrate: int, carried: CanFormat, options: Mapping[str, object]
+) -> FrameLink:
+    name = f"{interface}:{channel}"
+    if interface == "slcan":
+        return _open_slcan(name, channel, bitrate, carried, **options)
+    arguments: dict[str, object] = {"bitrate": bitrate, "receive_own_messages": False, **options}
+    if carried is CanFormat.FD:
+        arguments = {"fd": True, "data_bitrate": _DATA_BITRATE, **arguments}
+    elif interface == "udp_multicast":
+        arguments.setdefault("fd", True)  # it would drop what it finds of others' FD frames one a read
+    with _can_log() as log_messages:
+        try:
+            arguments["channel"] = channel_of(interface, channel)
+            bus = can.Bus(interface=interface, ignore_config=True, **arguments)  # type: ignore[arg-type]
+        except Exception as problem:  # drivers raise anything: OSError, NameError, their own errors
+            reason = "; ".join(dict.fromkeys([str(problem) or type(problem).__name__, *log_messages]))
+            remedy = _can_remedy(interface, channel, bitrate)
+            raise PortMissing(f"CAN bus {name}: cannot open it: {reason}; {remedy}") from None
+    return CanFrameLink(bus, name, carried, hears_itself=interface == "udp_multicast")
+
+
+def _open_slcan(name: str, channel: str, bitrate: int, carried: CanFormat, **options: object) -> FrameLink:
+    """An slcan adapter by its serial port. Most are on USB, where the line's own rate does not matter."""
+    if carried is not CanFormat.STANDARD:
+        raise PortMissing(
+            f"CAN bus {name}: slcan carries {CanFormat.STANDARD.value}, not {carried.value}: use an adapter that SocketCAN knows"
+        )
+    if strange := sorted(set(options) - set(slcan.OPTIONS)):
+        raise PortMissing(
+            f"CAN bus {name}: unknown option {strange[0]}; slcan takes {', '.join(slcan.OPTIONS)}"
+        )
+    if bitrate not in slcan.BITRATE_CODES:
+        raise PortMissing(
+            f"CAN bus {name}: bitrate {bitrate}: slcan knows {', '.join(map(str, slcan.BITRATE_CODES))}"
+        )
+    port = open_serial(channel, int(str(options.get("tty_baudrate", _SLCAN_BAUD))))
+    return slcan.SlcanLink(port, name, bitrate)
+
+
+def _can_remedy(interface: str, channel: str, bitrate: int) -> str:
+    known = INTERFACES.get(interface)
+    if known is not None:
+        remedy = known.remedy.format(channel=channel, bitrate=bitrate)
+        return "; ".join(part for part in (known.missing(), remedy) if part)
+    if interface in can.VALID_INTERFACES:
+        return "check that the adapter is plugged in and its driver installed"
+    return f"interfaces: {', '.join(sorted(can.VALID_INTERFACES))}"
+
+
+@contextlib.contextmanager
+def _can_log() -> Iterator[list[str]]:
+    """Collect python-can's log messages: it reports missing drivers there, not in its errors."""
+    messages: list[str] = []
+    logger = logging.getLogger("can")
+    listener = logging.Handler(logging.WARNING)
+    listener.emit = lambda record: messages.append(record.getMessage())  # type: ignore[method-assign]
+    if not any(isinstance(handler, logging.NullHandler) for handler in logger.handlers):
+        # As libraries should: without it, python-can logs a failure to stderr.
+        logger.addHandler(logging.NullHandler())
+    logger.addHandler(listener)
+    try:
+        yield messages
+    finally:
+        logger.removeHandler(listener)
+
+
+class _OwnMessage(can.Message):
+    """A message for one `send` that is never modified, so it need not be copied.
+
+    python-can's virtual bus deep-copies each message for every receiver, which costs five times the rest.
+    """
+
+    __slots__ = ()
+
+    def __deepcopy__(self, memo: object) -> "_OwnMessage":
+        return self
+
+
+def _now(bus: can.BusABC) -> Callable[[], can.Message | None]:
+    """A function that returns the next message at once, or None.
+
+    python-can's own `recv(timeout=0)` reads the time of day: where that steps back in between, it waits for as long as the step.
+    An interface that has its own `recv` is used as it is. No filters are set, so none are applied.
+    """
+    if type(bus).recv is not can.BusABC.recv:
+        return lambda: bus.recv(timeout=0)
+    return lambda: bus._recv_internal(timeout=0)[0]
+
+
+class CanFrameLink:
+    """Any python-can bus: what `open_can` and its like open, but for slcan.
+
+    Frames other than data frames of the wanted format are counted in `rejected`.
+    """
+
+    def __init__(self, bus: can.BusABC, name: str, carried: CanFormat, hears_itself: bool) -> None:
+        self.name = name
+        self.rejected = 0
+        self._bus = bus
+        self._is_fd = carried is CanFormat.FD
+        self._is_extended = carried is CanFormat.EXTENDED
+        # Multicast echoes our own frames; each is dropped once.
+        self._echoes: deque[tuple[int, bytes]] | None = deque(maxlen=_ECHO_MEMORY) if hears_itself else None
+        self._is_open = True
+        self._receive = _now(bus)
+
+    def send(self, can_id: int, payload: bytes) -> None:
+        message = _OwnMessage(
+            arbitration_id=can_id, data=payload, is_extended_id=self._has_long_id(can_id),
+            is_fd=self._is_fd, bitrate_switch=self._is_fd, check=False,
+        )  # fmt: skip
+        try:
+            self._bus.send(message)
+        except (can.CanError, OSError, ValueError) as problem:
+            raise self._lost(problem) from None
+        if self._echoes is not None:
+            self._echoes.append((can_id, bytes(payload)))
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        return [frame for _, frame in self.receive_timed()]
+
+    def receive_timed(self) -> list[tuple[float, tuple[int, bytes]]]:
+        """As `receive`, with when each frame came in seconds since 1970, where the interface says so."""
+        frames = []
+        while (message := self._next()) is not None:
+            if message.is_error_frame:
+                self._check_bus_off(message)
+                self.rejected += 1
+            elif message.is_remote_frame or not self._is_wanted(message):
+                self.rejected += 1
+            elif not self._is_echo(frame := (message.arbitration_id, bytes(message.data))):
+                frames.append((message.timestamp, frame))
+        return frames
+
+    def _is_wanted(self, message: can.Message) -> bool:
+        if self._is_fd or message.is_fd:
+            return self._is_fd and message.is_fd
+        return message.is_extended_id is self._is_extended
+
+    def _has_long_id(self, can_id: int) -> bool:
+        return can_id > _LONGEST_STANDARD_ID if self._is_fd else self._is_extended
+
+    def _next(self) -> can.Message | None:
+        while True:
+            try:
+                return self._receive()
+            except can.CanOperationError as problem:
+                if "unpack" not in str(problem):
+                    raise self._lost(problem) from None
+                self.rejected += 1  # a foreign datagram in our multicast group: noise
+            except (can.CanError, OSError, ValueError) as problem:
+                raise self._lost(problem) from None
+
+    def _check_bus_off(self, message: can.Message) -> None:
+        if message.arbitration_id & _SOCKETCAN_BUS_OFF:
+            raise self._lost("bus off: wiring, termination (120 ohm at both ends) or bit rate is wrong")
+
+    def _is_echo(self, frame: tuple[int, bytes]) -> bool:
+        """Whether it is our own; its memory ends with it."""
+        if not self._echoes or frame not in self._echoes:
+            return False
+        self._echoes.remove(frame)
+        return True
+
+    def _lost(self, problem: object) -> LinkLost:
+        return LinkLost(f"CAN bus {self.name}: lost: {problem}")
+
+    def close(self) -> None:
+        if self._is_open:
+            self._is_open = False
+            self._bus.shutdown()
