@@ -6,7 +6,7 @@ All times are those of the simulation; the board's own clock drifts against it.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -80,8 +80,8 @@ class EncoderBoardHardware(ABC):
         if self.stuck or self.lost or self.backwards:
             self._miscount()
         if self._armed:
-            for at in tuple(self._armed):
-                self._watch_index(at, now_s)
+            for moment_s, at, counter in sorted(self._passed_indices(now_s)):
+                self._index(at, self._board_us(moment_s), counter, now_s)
         if self.drift:
             self._drift(now_s)
         if self._due_us is not None:
@@ -174,14 +174,14 @@ class EncoderBoardHardware(ABC):
             )
             self._shift[at] += int(whole)
 
-    def _watch_index(self, at: int, now_s: float) -> None:
-        """Latch the counter where the shaft passed the index, at the interpolated time."""
-        before, raw = self._before[at], self._raw[at]
-        here = self._index_between(at, before, raw)
-        if here is None or at in self.stuck or at in self.lost:
-            return
-        moment_s = self._tick_s + (now_s - self._tick_s) * (here - before) / (raw - before)
-        self._index(at, self._board_us(moment_s), here + self._shift[at], now_s)
+    def _passed_indices(self, now_s: float) -> Iterator[tuple[float, int, int]]:
+        """Interpolated time, channel and counter where armed shafts passed their index."""
+        for at in self._armed:
+            before, raw = self._before[at], self._raw[at]
+            here = self._index_between(at, before, raw)
+            if here is not None and at not in self.stuck and at not in self.lost:
+                share = (here - before) / (raw - before)
+                yield self._tick_s + (now_s - self._tick_s) * share, at, here + self._shift[at]
 
     def _index_between(self, at: int, before: int, raw: int) -> int | None:
         """The index position that the shaft came upon, in either direction: one that it stood on must be left first."""

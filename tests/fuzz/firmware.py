@@ -34,6 +34,7 @@ _HIGHEST = {
     36: 60, 48: 2, 49: 16, 50: 16, 51: 16,
 }  # fmt: skip
 _INDICES = (0, 1, 2, 3, 4, 5, 99, *_HIGHEST, *_HIGHEST)
+FASTEST = 4000  # counts in the shortest period: 2^24 a second, at which the firmware cuts speeds as the document lets it
 _PERIODS_US = (1000, 1000, 1000, 250, 1700, 10_000)  # the firmware cuts longer ones
 
 
@@ -205,7 +206,7 @@ def motor_step(chance: random.Random) -> Step:
                 (
                     Step("forced", chance.choice((0, 0, 1, 2, 32))),
                     Step("outside", draw(256)),
-                    Step("leap", draw(-(2**31), 2**31)),
+                    Step("leap", draw(-FASTEST, FASTEST + 1)),
                     Step("reset", None),
                 )
             )
