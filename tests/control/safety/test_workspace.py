@@ -64,9 +64,9 @@ def test_a_body_is_nearer_to_the_floor_by_its_thickness_and_the_tip_is_a_point()
     assert BARE.clearance(elbow_down, body) == (pytest.approx(0.03 - 0.05 + 0.01), BODY)
     tip_down = [(0.3, 0.0, 0.5), (0.9, 0.0, 0.5), (0.9, 0.0, 0.0)]
     assert BARE.clearance(tip_down, Body((0.03, 0.02, 0.005))) == (pytest.approx(0.01), TIP)
-    thick = Body((0.0, 0.0, 0.1))
     forearm = [(0.3, 0.2, 0.5), (0.3, 0.2, 0.2), (0.7, -0.2, 0.0)]
-    assert BARE.clearance(forearm, thick) == (pytest.approx(0.05 - 0.1 + 0.01), BODY)
+    for corners, body in ((forearm, Body((0.0, 0.0, 0.1))), (forearm[1:], Body((0.0, 0.1)))):
+        assert BARE.clearance(corners, body) == (pytest.approx(0.05 - 0.1 + 0.01), BODY)
 
 
 def test_a_body_is_nearer_to_the_base_by_its_thickness() -> None:
