@@ -30,7 +30,7 @@ OWN_EXTRAS = re.compile(
     r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_(of|m|sd_m)"
 )  # added by our own sessions; kept like any other column, without a warning
 LARGEST = 1e18  # of any value; beyond it squares overflow, and no unit of any column gets near
-POINTS_MOST = 1_000_000  # poses, which take 1.5 GB to calibrate; calibrations have hundreds
+POINTS_MOST = 1_000_000  # poses, which take 0.7 GB to calibrate; calibrations have hundreds
 
 
 def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tuple[str, ...]]:

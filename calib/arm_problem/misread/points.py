@@ -61,10 +61,14 @@ def require_read_as_meant(arm: Arm, problem: ArmProblem) -> None:
 
 def _some(observed: Observations) -> Observations:
     """At most ROWS_LIMIT evenly spaced poses, without corrections, with free frames unplaced."""
-    every = max(1, -(-len(observed) // ROWS_LIMIT))
     frames = tuple(dataclasses.replace(frame, is_placed=not frame.is_free) for frame in observed.frames)
-    chosen = observed.chosen(np.arange(0, len(observed), every))
+    chosen = observed.chosen(np.arange(len(observed))[_spread(len(observed))])
     return dataclasses.replace(chosen, frames=frames, corrections=())
+
+
+def _spread(count: int) -> slice:
+    """Rows of `count` that are evenly spaced, at most ROWS_LIMIT."""
+    return slice(None, None, max(1, -(-count // ROWS_LIMIT)))
 
 
 def _distance_m(problem: ArmProblem, observed: Observations) -> float:
@@ -81,9 +85,10 @@ def _distance_m(problem: ArmProblem, observed: Observations) -> float:
 
 
 def _reach_m(problem: ArmProblem) -> float:
-    """Largest displacement of a tip with all bounded parameters at their bounds, median over the points."""
+    """Largest displacement of a tip with all bounded parameters at their bounds, median over evenly spaced points."""
     bounded = [k for k, p in enumerate(problem.parameters) if p.has_bound]
-    jacobian = problem.residuals_and_jacobian(np.zeros(len(problem.parameters)))[1][:, :, bounded]
+    nominal, rows = np.zeros(len(problem.parameters)), _spread(len(problem))
+    jacobian = problem.residuals_and_jacobian(nominal, rows)[1][:, :, bounded]
     limits = np.array([problem.parameters[k].limit for k in bounded])
     return float(np.median(np.sum(np.linalg.norm(jacobian, axis=1) * limits, axis=1)))
 

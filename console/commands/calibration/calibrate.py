@@ -84,7 +84,9 @@ def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]
             " tips, too"
         )
     left_out = _rows_of(points, given.without or [])
-    return points.chosen([k for k in range(len(points)) if k not in left_out]), warnings
+    if left_out:
+        points = points.chosen([k for k in range(len(points)) if k not in left_out])
+    return points, warnings
 
 
 def _rows_of(points: Points, names: list[str]) -> set[int]:
