@@ -142,7 +142,10 @@ def _entry(line: bytes, where: str) -> Entry:
     try:
         entry = msgspec.json.decode(line, type=Entry)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise HistoryFileError(f"{where}: {error}") from None
+        raise HistoryFileError(
+            f"{where}: not an entry of a history ({error}): expected a line as `calibrate --history` writes it; correct it, or"
+            " take it out"
+        ) from None
     if entry.format != FORMAT:
         raise HistoryFileError(f'{where}: expected format "{FORMAT}", got "{entry.format}"')
     if entry.measured.tzinfo is None:

@@ -47,13 +47,15 @@ class Rate:
 class GeometryTrend:
     """The line through the calibrations, the rates of the joints' zeros, and what they leave.
 
-    rest_drifts: geometry beyond the zeros changes. is_steady: the calibrations lie on the line as well as they say.
+    rest_drifts: geometry beyond the zeros changes. is_steady: the calibrations lie on the line as well as they say. odd: when
+    they do not, the one without which the others do, if there is one.
     """
 
     line: Line
     zeros: tuple[Rate, ...]
     rest_drifts: bool
     is_steady: bool
+    odd: Entry | None
 
 
 def geometry_trend(arm: Arm, entries: Sequence[Entry]) -> GeometryTrend | None:
@@ -63,6 +65,7 @@ def geometry_trend(arm: Arm, entries: Sequence[Entry]) -> GeometryTrend | None:
     line = line_of(arm, entries)
     if line is None:
         return None
+    is_steady = _is_steady(line)
     told = np.flatnonzero(np.isfinite(line.toward).all(axis=0))
     toward, info = line.toward[:, told], line.information
     covariance = np.linalg.pinv(toward.T @ info @ toward, rcond=KNOWN, hermitian=True)
@@ -77,8 +80,25 @@ def geometry_trend(arm: Arm, entries: Sequence[Entry]) -> GeometryTrend | None:
         line,
         zeros,
         freedom > 0 and float(chi2.sf(float(rest @ info @ rest), freedom)) < 1.0 - SURE,
-        not line.freedom or float(chi2.sf(line.chi_squared, line.freedom)) >= UNSTEADY,
+        is_steady,
+        None if is_steady else _odd(arm, entries),
     )
+
+
+def _is_steady(line: Line) -> bool:
+    from scipy.stats import chi2
+
+    return not line.freedom or float(chi2.sf(line.chi_squared, line.freedom)) >= UNSTEADY
+
+
+def _odd(arm: Arm, entries: Sequence[Entry]) -> Entry | None:
+    """The only calibration without which LEAST or more others lie on a line."""
+    found = []
+    for one in (one for one in entries if one.geometry is not None):
+        line = line_of(arm, [other for other in entries if other is not one])
+        if line is not None and line.count >= LEAST and line.freedom and _is_steady(line):
+            found.append(one)
+    return found[0] if len(found) == 1 else None
 
 
 def _zero(line: Line, joint: int, speed: float, variance: float) -> Rate:

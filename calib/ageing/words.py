@@ -49,10 +49,10 @@ def sentences(trend: Trend) -> tuple[str, ...]:
 def _sentences(trend: Trend) -> Iterator[str]:
     calibrations = sum(one.geometry is not None for one in trend.entries)
     gaps = sum(bool(one.quantities) for one in trend.entries)
-    yield f"Arm {trend.arm}: {calibrations} calibrations and {gaps} gaps on record."
+    yield f"Arm {trend.arm}: {_count(calibrations, 'calibration')} and {_count(gaps, 'gap')} on record."
     few = [what for what, count in (("calibrations", calibrations), ("gaps", gaps)) if 0 < count < LEAST]
     if calibrations < 2 and not trend.quantities:
-        yield "One calibration shows no drift: calibrate again with --history, some weeks later."
+        yield "Drift shows between two calibrations of different days: calibrate again with --history, some weeks later."
         return
     if few:
         yield (
@@ -68,12 +68,21 @@ def _sentences(trend: Trend) -> Iterator[str]:
     yield from _about_due(trend)
 
 
+def _count(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def _about_geometry(trend: Trend) -> Iterator[str]:
     found = trend.geometry
     if found is None:
         return
     if found.rest_drifts:
         yield "Geometry changes beyond the joints' zeros: look for a loose link, a bent part, or a base that moved."
+    if found.odd is not None:
+        yield (
+            f"The calibration of {found.odd.measured.date()} contradicts the others, which lie on a line: if it was spoilt, take"
+            " its line out of the history; if the arm was changed and changed back, keep in mind when."
+        )
     if not found.is_steady:
         yield (
             f"The calibrations scatter {found.line.scatter:.1f} times as much as their intervals say: the change is not steady,"
@@ -94,9 +103,11 @@ def _about_due(trend: Trend) -> Iterator[str]:
         return
     last = [one for one in trend.entries if one.geometry is not None][-1].measured
     if trend.due.days <= 0.0:
+        steady = trend.geometry is None or trend.geometry.is_steady
         yield (
-            f"The last calibration itself leaves {MILLI * trend.due.now_m:.2g} mm uncertain (root mean square over the"
-            f" workspace): {limit} cannot be promised on any day. More poses, or more calibrations, are needed."
+            f"{'The calibrations leave' if steady else 'That scatter leaves'} {MILLI * trend.due.now_m:.2g} mm uncertain on the"
+            f" day of the last one (root mean square over the workspace): {limit} cannot be promised on any day."
+            f" {'More poses, or more calibrations, are needed.' if steady else 'Find its cause first.'}"
         )
     elif trend.due.is_open:
         yield (

@@ -78,7 +78,8 @@ def test_two_calibrations_tell_no_due_date_and_one_tells_nothing() -> None:
     assert "A line through two points always fits" in said(two)
     one = trend_of(ARM, drifting()[:1], TOLERANCE_m)
     assert (one.geometry, one.rates) == (None, ())
-    assert "One calibration shows no drift" in said(one)
+    assert "1 calibration and 0 gaps" in said(one)
+    assert "Drift shows between two calibrations of different days" in said(one)
     assert "No drift" not in said(one)
 
 
@@ -90,6 +91,17 @@ def test_a_jump_is_no_steady_drift() -> None:
     assert not trend.geometry.is_steady
     assert not any(one.drifts for one in trend.rates)
     assert "the change is not steady" in said(trend)
+    assert trend.geometry.odd is None
+
+
+def test_the_one_calibration_that_contradicts_the_others_is_named() -> None:
+    spoilt = REFERENCE_DH.copy()
+    spoilt[1, 1] += 0.01
+    trend = trend_of(ARM, measured_as(REFERENCE_DH, REFERENCE_DH, spoilt, REFERENCE_DH, REFERENCE_DH), 1e-4)
+    assert trend.geometry is not None
+    assert trend.geometry.odd is trend.entries[2]
+    assert f"The calibration of {trend.entries[2].measured.date()} contradicts the others" in said(trend)
+    assert "Find its cause first" in said(trend)
 
 
 def test_a_link_that_grows_is_no_zero() -> None:
