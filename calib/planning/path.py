@@ -98,12 +98,17 @@ class _Search:
         )
         steps: list[tuple[str, float]] = []
         for name, found in choices:
+            self._advance(f"looking for a better {name}", self._share())
             better = [one for one in found(best) if self._is_better(one, best)]
             if better:
                 least_m = min(one.cost.rms_m for one in better)
                 best = next(one for one in better if WORTH * one.cost.rms_m <= least_m)
                 steps.append((name, best.cost.rms_m))
         return PathPlan(self._plain, best, tuple(steps))
+
+    def _share(self) -> float:
+        """Of the search: nearly all of it are the places."""
+        return min(1.0, self._done / places_count(self._freedom.shift_m))
 
     def _turned(self, best: WayOfPath) -> list[WayOfPath]:
         return list(self._ways(best.shift_m, True)) if self._freedom.any_order else []
@@ -127,7 +132,7 @@ class _Search:
 
     def _best_at(self, shift_m: Vector3) -> WayOfPath | None:
         self._done += 1
-        self._advance("looking for a place", min(1.0, self._done / places_count(self._freedom.shift_m)))
+        self._advance("looking for a better place", self._share())
         return min(self._ways(shift_m), key=lambda one: one.cost.rms_m, default=None)
 
     def _ways(self, shift_m: Vector3, is_reversed: bool = False, pace: float = 1.0) -> Iterator[WayOfPath]:

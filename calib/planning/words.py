@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from calib.planning.cost import Cost
@@ -57,7 +58,8 @@ def _detail(name: str, chosen: WayOfPath | WayOfStops) -> str:
     if isinstance(chosen, WayOfStops):
         return ", each joint comes from the side that a lead-in gives it"
     if name == "branch":
-        return f", {chosen.plan.branch}"
+        start_deg = ", ".join(f"{math.degrees(angle):.0f}" for angle in chosen.plan.q_start_rad)
+        return f", {chosen.plan.branch or f'the joints start at ({start_deg}) deg'}"
     return ", the last way-point first" if name == "way round" else f", {chosen.pace:g} of the speed given"
 
 

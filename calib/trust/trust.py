@@ -107,8 +107,10 @@ def trust_in(arm: Arm, points: Points, request: MapRequest, advance: Advance = s
         for payload_kg in request.payloads_kg
         for direction in DIRECTIONS
     )
-    advance("predicting poses that are left out", 0.6)
-    coverage = coverage_of(problem, at, unknown) if request.is_checked else None
+    coverage = None
+    if request.is_checked:
+        advance("predicting poses that are left out", 0.6)
+        coverage = coverage_of(problem, at, unknown)
     groups = importances(predictor, problem, discrepancy, Conditions.of(poses, 1.0, request.payloads_kg[0]))
     advance("done", 1.0)
     return Trust(

@@ -28,6 +28,7 @@ from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
 from procedures.folders import require_new
 
+PREDICTED = 0.4  # of the work is the prediction, the rest the search
 FARTHEST_m = 1.0  # that work is moved; more is a number in mm
 
 
@@ -43,9 +44,15 @@ def run(given: argparse.Namespace) -> int:
     )
     plan: Plan
     with Bar("plan-path") as bar:
-        trust = trust_in(arm, points, request, bar.advance)
+        trust = trust_in(arm, points, request, lambda what, done: bar.advance(what, PREDICTED * done))
         planner = planned_stops if given.stops else planned_path
-        plan = planner(arm, trust.predictor, waypoints, freedom, bar.advance)
+        plan = planner(
+            arm,
+            trust.predictor,
+            waypoints,
+            freedom,
+            lambda what, done: bar.advance(what, PREDICTED + (1.0 - PREDICTED) * done),
+        )
     for warning in (*warnings, *trust.warnings):
         sys.stderr.write(f"armwright: warning: {warning}\n")
     tasks = None if wanted_m is None else _tasks(trust.predictor, plan, wanted_m)
