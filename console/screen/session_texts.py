@@ -18,7 +18,7 @@ MEANINGS = {
     "bad": "bad",
 }
 ODD = 3.0  # standard deviations: a warning; the session itself decides what is suspect
-HEADING = f"{'point':<12}{'model mm':>9}{'others mm':>10}{'in sd':>7}"
+HEADING = f"{'point':<12}{'model mm':>9}{'others mm':>11}{'in sd':>7}"
 
 
 def legend_rows(width: int) -> list[Row]:
@@ -60,6 +60,6 @@ def record_text(message: Mapping[str, Any]) -> Span:
     if sd is None or deviation_mm is None:
         return text, "plain"
     return (
-        f"{text}{deviation_mm:10.2f}{sd:7.1f}{' ~' if sd > ODD else ''}",
+        f"{text}{deviation_mm:11.2f}{sd:7.1f}{' ~' if sd > ODD else ''}",
         "warning" if sd > ODD else "plain",
     )

@@ -78,11 +78,12 @@ def nominal_of(calibrated: Arm, against: str | None) -> Arm:
     ArmError if its file does not name one, the file is missing, or the two are not the same arm.
     """
     nominal = load_arm(against or _source_of(calibrated))
-    shapes = [(a.joint_count, len(a.links), a.dh_convention) for a in (nominal, calibrated)]
+    shapes = [
+        f"{arm.joint_count} joints, {len(arm.links)} links and {arm.dh_convention} DH"
+        for arm in (nominal, calibrated)
+    ]
     if shapes[0] != shapes[1]:
-        raise ArmError(
-            f"{calibrated.path} and {nominal.path} are not the same arm: {shapes[1]} and {shapes[0]} (joints, links, DH)"
-        )
+        raise ArmError(f"{calibrated.path} has {shapes[1]}, {nominal.path} {shapes[0]}: not the same arm")
     return nominal
 
 

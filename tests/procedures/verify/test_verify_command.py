@@ -143,7 +143,10 @@ def test_the_wrong_input_is_named_and_nothing_is_written(
     wrong = (
         (["--arm", "right", "--points", str(measured)], "has no [calibration]"),
         (["--arm", str(calibrated), "--points", str(tmp_path / "none.csv")], "cannot be read"),
-        (["--arm", str(calibrated), "--against", str(panda), "--mock"], "not the same arm"),
+        (
+            ["--arm", str(calibrated), "--against", str(panda), "--mock"],
+            "7 joints, 8 links and modified DH: not the same arm",
+        ),
         (["--arm", str(calibrated), "--mock", "--repeats", "0"], "--repeats: expected 1 or more, got 0"),
         (["--arm", str(calibrated), "--mock", "--height", "0.9"], "verification point normal v1"),
         (["--arm", str(calibrated), "--mock", "--scenario", "nowhere"], "scenario nowhere"),
