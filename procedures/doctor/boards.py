@@ -13,40 +13,16 @@ from firmware_iface.clock import Clock
 from firmware_iface.encoder import wire as encoder_wire
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import BoardSilent, LinkError, PortMissing
-from firmware_iface.link import FrameLink
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.scan import BusScan, listen, scan_nodes
 from firmware_iface.serial_link import open_serial
 from procedures.doctor.finding import Finding, Level
+from procedures.doctor.links import CountedLink
 
 GROUP = "boards"
 LISTEN_S = 0.1
 ASKED = 50  # questions to a bought board, to see how fast it answers
 OTHER_BAUDS = (1_000_000, 921_600, 500_000, 460_800, 230_400, 115_200)
-
-
-class CountedLink:
-    """A CAN bus that counts its frames, to measure the true load."""
-
-    def __init__(self, link: FrameLink) -> None:
-        self.name = link.name
-        self.frames = 0
-        self._link = link
-
-    def send(self, can_id: int, payload: bytes) -> None:
-        """Send one frame."""
-        self.frames += 1
-        self._link.send(can_id, payload)
-
-    def receive(self) -> list[tuple[int, bytes]]:
-        """Return all frames received."""
-        frames = self._link.receive()
-        self.frames += len(frames)
-        return frames
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._link.close()
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""Checks of ports and buses before they are opened: stable names, latency settings, the state of a CAN interface."""
+"""Ports and buses: stable names, latency settings, the state of a CAN interface before it is opened, and its frames after."""
 
 import json
 import subprocess
@@ -10,6 +10,7 @@ from control.model.arm import Arm, CanBus
 from control.model.board_kinds import KINDS
 from firmware_iface.can_adapters import INTERFACES
 from firmware_iface.can_link import can_buses
+from firmware_iface.link import FrameLink
 from firmware_iface.serial_link import LATENCY_ms, PortHere, latency_file, lower_latency, serial_ports
 from procedures.doctor.finding import Finding, Level
 
@@ -17,6 +18,30 @@ GROUP = "ports"
 LEAST_QUEUE = 50  # frames: a burst of set-up requests must fit
 _ASK_LIMIT_S = 5.0
 Details = Callable[[str], Mapping[str, Any] | None]
+
+
+class CountedLink:
+    """A CAN bus that counts its frames, to measure the true load."""
+
+    def __init__(self, link: FrameLink) -> None:
+        self.name = link.name
+        self.frames = 0
+        self._link = link
+
+    def send(self, can_id: int, payload: bytes) -> None:
+        """Send one frame."""
+        self.frames += 1
+        self._link.send(can_id, payload)
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        """Return all frames received."""
+        frames = self._link.receive()
+        self.frames += len(frames)
+        return frames
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._link.close()
 
 
 def look_at_ports() -> list[Finding]:
