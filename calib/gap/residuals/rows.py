@@ -29,6 +29,9 @@ LANDING_s = 0.04  # the reach of a row's filter around an impact
 NOISE_SPEEDS = 4.0  # standard deviations of the measured speed that count as rest
 
 
+CHANNELS = {"current_A": "current", "voltage_as_A": "voltage", "tip_m": "tip"}  # in words
+
+
 @dataclass(frozen=True, slots=True)
 class Cell:
     """A channel of a joint (0-based; -1: the tip): its rows in the vector, and its noise floor in SI."""
@@ -39,8 +42,9 @@ class Cell:
     floor: float
 
     def __str__(self) -> str:
-        """As `current_A of joint 2`."""
-        return self.channel if self.joint < 0 else f"{self.channel} of joint {self.joint + 1}"
+        """As `current of joint 2`."""
+        what = CHANNELS.get(self.channel, self.channel)
+        return what if self.joint < 0 else f"{what} of joint {self.joint + 1}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,7 +131,7 @@ def test_cogging_comes_round_with_the_motor_and_not_with_an_encoder_that_misread
     cogging = law_of(Effect("cogging", 2, {"amplitude_Nm": 0.4, "order": 4.0, "phase_rad": 0.5}))
     scale = law_of(Effect("encoder_scale", 2, {"scale": 0.01}))
     rows = Rows(Physics(RIGHT, recording), ())
-    (current,) = (cell.rows for cell in rows.table.cells if str(cell) == "current_A of joint 2")
+    (current,) = (cell.rows for cell in rows.table.cells if str(cell) == "current of joint 2")
     added = (rows.residual((scale, cogging)) - rows.residual((scale,)))[current]
     np.testing.assert_allclose(
         rows.friction_slope(cogging, (scale,))[current], added, atol=1e-6 * np.abs(added).max()
