@@ -103,15 +103,3 @@ def inside(arm: Arm, q_rad: Array) -> Array:
     """The angles within the joints' limits."""
     lower, upper = np.array(arm.limits_rad).T
     return np.clip(q_rad, lower, upper)
-
-
-def approached(
-    poses: Sequence[tuple[str, str, tuple[float, ...]]], start_rad: Sequence[float]
-) -> tuple[Pose, ...]:
-    """Poses from (setup, point, angles) in order; each joint's last motion is the direction it comes from."""
-    found, before = [], np.array(start_rad)
-    for setup, point, q_rad in poses:
-        way = np.where(np.array(q_rad) >= before, 1, -1)
-        found.append(Pose(setup, point, q_rad, tuple(map(int, way))))
-        before = np.array(q_rad)
-    return tuple(found)
