@@ -82,7 +82,7 @@ def main() -> None:
         found = trend_of(ARM, entries, TOLERANCE_m)
         assert found.geometry is not None
         for one, true in zip(found.geometry.zeros, rates, strict=True):
-            inside += abs(one.per_year - true) <= one.half
+            inside += abs(one.change - true) <= one.half
             drifting, named = drifting + (true != 0.0), named + (true != 0.0 and one.drifts)
             still, false = still + (true == 0.0), false + (true == 0.0 and one.drifts)
         rest += found.geometry.rest_drifts

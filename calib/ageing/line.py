@@ -3,7 +3,8 @@
 Few DH parameters are determined by themselves, and which combinations are depends on the parameters. So geometry is compared
 where it shows, at the tip: each calibration's tips at fixed poses over the workspace, by the full kinematics, relative to the
 last one's. Their coordinates c are along what parameters can change there (left singular vectors of the tips' derivatives), so
-that |c|^2 / poses is the mean square at the tip. Then c(t) = start + rate t, by generalised least squares.
+that |c|^2 / poses is the mean square at the tip. Then c(t) = start + rate t, by generalised least squares; a step on a given day
+is fitted in the same way, with its change in the place of the rate.
 """
 
 from __future__ import annotations
@@ -30,10 +31,11 @@ KNOWN: Final = 1e-10  # of the largest eigenvalue of an information matrix, belo
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """Coordinates (r,) [m sqrt(poses)]: start at the last calibration, and rate [1/day]; covariance (2 r, 2 r) of both.
+    """Coordinates (r,) [m sqrt(poses)]: start at the last calibration, and rate [1/day], or a step's change;
+    covariance (2 r, 2 r) of both.
 
     scatter: how much more the calibrations scatter than they say, at least 1; freedom: degrees of freedom of that, 0 of two
-    calibrations; chi_squared: of their scatter. toward (r, n): one radian of each joint's zero; NaN: not in the record.
+    calibrations; chi_squared: of their scatter. toward (r, n): one radian of each joint's zero, halfway; NaN: not in the record.
     unseen: combinations of geometry that show at the tip and that the calibrations do not tell the drift of.
     """
 
@@ -57,21 +59,28 @@ class Line:
         return np.asarray(np.linalg.pinv(self.covariance[size:, size:], rcond=KNOWN, hermitian=True))
 
 
-def line_of(arm: Arm, entries: Sequence[Entry]) -> Line | None:
-    """Through all entries that have a geometry; None with fewer than two days."""
+def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -> Line | None:
+    """Through all entries that have a geometry, or a step that the entries from that day on are behind; None with fewer than two
+    days.
+    """
     used = [(one.day, one.geometry) for one in entries if one.geometry is not None]
     if len({day for day, _ in used}) < 2:
         return None
-    view = _View(arm, used[-1][1])
+    view = _View(arm, used[0][1], used[-1][1])
     days = np.array([day for day, _ in used]) - used[-1][0]
     seen = [view.seen(one) for _, one in used]
-    return _fitted(view, days, [value for value, _ in seen], [info for _, info in seen])
+    span = float(-days.min())
+    if step_day is None:
+        passed, unit = days / span, span
+    else:
+        passed, unit = np.array([0.0 if day >= step_day else -1.0 for day, _ in used]), 1.0
+    return _fitted(view, (passed, unit, span), [value for value, _ in seen], [info for _, info in seen])
 
 
 class _View:
-    """The coordinates of what geometry does at the tip, about one calibration's."""
+    """The coordinates of what geometry does at the tip, about the last calibration's."""
 
-    def __init__(self, arm: Arm, last: Geometry) -> None:
+    def __init__(self, arm: Arm, first: Geometry, last: Geometry) -> None:
         self._arm, self._model = arm, ArmModel(arm)
         self._every = dh_names(len(arm.links))
         self._q = workspace_poses(arm, (), DRAWN * POSES)[:POSES]
@@ -87,7 +96,9 @@ class _View:
         left, singular, _ = np.linalg.svd(by_dh[:, places] * scales, full_matrices=False)
         self._basis = left[:, singular > RANK_TOLERANCE * singular[0]]
         thetas = list(self._model.theta_places)
-        self.toward = self._basis.T @ by_dh[:, thetas]
+        # Halfway between the first and the last, where a tangent is the chord of a large change.
+        midway = self._model.slopes(0.5 * (self._table(first) + self._dh), self._q).by_dh
+        self.toward = self._basis.T @ midway.reshape(-1, len(self._every))[:, thetas]
         self.toward[:, [self._every[place] not in last.names for place in thetas]] = np.nan
         self.zeros_rad = self._dh.ravel()[thetas]
 
@@ -123,10 +134,13 @@ def _about(information: Array, rows: list[int]) -> Array:
     return np.asarray(own - across @ inverse @ across.T)
 
 
-def _fitted(view: _View, days: Array, values: list[Array], informations: list[Array]) -> Line:
-    size, span = len(values[-1]), float(-days.min())
+def _fitted(
+    view: _View, time: tuple[Array, float, float], values: list[Array], informations: list[Array]
+) -> Line:
+    """`time`: what has passed until each calibration, -1 to 0; what the rate is per, in days; and the days of the record."""
+    size, (passed, unit, span) = len(values[-1]), time
     normal, moment = np.zeros((2 * size, 2 * size)), np.zeros(2 * size)
-    rows = [np.array([1.0, day]) for day in days / span]
+    rows = [np.array([1.0, day]) for day in passed]
     for at, value, info in zip(rows, values, informations, strict=True):
         normal += np.kron(np.outer(at, at), info)
         moment += np.kron(at, info @ value)
@@ -136,14 +150,14 @@ def _fitted(view: _View, days: Array, values: list[Array], informations: list[Ar
     chi_squared = sum(float(one @ info @ one) for one, info in zip(left, informations, strict=True))
     freedom = sum(_rank(info) for info in informations) - _rank(normal)
     scatter = math.sqrt(max(1.0, chi_squared / freedom)) if freedom else 1.0
-    by_day = np.repeat([1.0, 1.0 / span], size)
+    by_day = np.repeat([1.0, 1.0 / unit], size)
     of_both: Array = covariance * np.outer(by_day, by_day) * scatter**2
     return Line(
         poses_count=view.count,
         days=span,
         count=len(values),
         start=np.asarray(found[0]),
-        rate=np.asarray(found[1] / span),
+        rate=np.asarray(found[1] / unit),
         covariance=of_both,
         scatter=scatter,
         freedom=freedom,

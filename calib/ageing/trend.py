@@ -29,7 +29,7 @@ LEAST: Final = 3  # entries: a straight line through two always fits
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A quantity's change in a year, in its unit: `half` of its 95 % interval; drifts: the 99 % interval excludes 0.
+    """Change in a year, or by a step, in the quantity's unit; `half` of its 95 % interval; drifts: the 99 % interval excludes 0.
 
     value: at the last of `count` entries. Rate and half are infinite where the entries do not tell.
     """
@@ -37,7 +37,7 @@ class Rate:
     name: str
     unit: str
     value: float
-    per_year: float
+    change: float
     half: float
     drifts: bool
     count: int
@@ -60,12 +60,18 @@ class GeometryTrend:
 
 def geometry_trend(arm: Arm, entries: Sequence[Entry]) -> GeometryTrend | None:
     """None with calibrations of fewer than two days."""
-    from scipy.stats import chi2
-
     line = line_of(arm, entries)
     if line is None:
         return None
     is_steady = _is_steady(line)
+    zeros, rest_drifts = by_zeros(line, YEAR_days)
+    return GeometryTrend(line, zeros, rest_drifts, is_steady, None if is_steady else _odd(arm, entries))
+
+
+def by_zeros(line: Line, days: float) -> tuple[tuple[Rate, ...], bool]:
+    """The line's rate over so many `days` as changes of the joints' zeros, and whether they leave more than uncertainty."""
+    from scipy.stats import chi2
+
     told = np.flatnonzero(np.isfinite(line.toward).all(axis=0))
     toward, info = line.toward[:, told], line.information
     covariance = np.linalg.pinv(toward.T @ info @ toward, rcond=KNOWN, hermitian=True)
@@ -73,16 +79,10 @@ def geometry_trend(arm: Arm, entries: Sequence[Entry]) -> GeometryTrend | None:
     rest = line.rate - toward @ speeds
     freedom = max(0, len(line.rate) - len(told))
     zeros = tuple(
-        _zero(line, joint, float(speed), float(variance))
+        _zero(line, joint, days * float(speed), days * math.sqrt(variance))
         for joint, speed, variance in zip(told.tolist(), speeds, np.diag(covariance), strict=True)
     )
-    return GeometryTrend(
-        line,
-        zeros,
-        freedom > 0 and float(chi2.sf(float(rest @ info @ rest), freedom)) < 1.0 - SURE,
-        is_steady,
-        None if is_steady else _odd(arm, entries),
-    )
+    return zeros, freedom > 0 and float(chi2.sf(float(rest @ info @ rest), freedom)) < 1.0 - SURE
 
 
 def _is_steady(line: Line) -> bool:
@@ -101,15 +101,15 @@ def _odd(arm: Arm, entries: Sequence[Entry]) -> Entry | None:
     return found[0] if len(found) == 1 else None
 
 
-def _zero(line: Line, joint: int, speed: float, variance: float) -> Rate:
-    half, sure = (_quantile(level, line.freedom) * math.sqrt(variance) for level in (LEVEL, SURE))
+def _zero(line: Line, joint: int, change: float, sd: float) -> Rate:
+    half, sure = (_quantile(level, line.freedom) * sd for level in (LEVEL, SURE))
     return Rate(
         f"joint {joint + 1}: zero",
         "rad",
         float(line.zeros_rad[joint]),
-        speed * YEAR_days,
-        half * YEAR_days,
-        abs(speed) > sure,
+        change,
+        half,
+        abs(change) > sure,
         line.count,
     )
 
@@ -141,8 +141,8 @@ def _quantity_rate(name: str, entries: Sequence[Entry]) -> Rate | None:
     scatter = left / freedom if freedom else (1.0 if is_known else math.inf)
     sd = math.sqrt(variance * (max(1.0, scatter) if is_known else scatter)) * YEAR_days
     half, sure = (_quantile(level, freedom) * sd for level in (LEVEL, SURE))
-    per_year = speed * YEAR_days
-    return Rate(words_of(name), "", float(values[-1]), per_year, half, abs(per_year) > sure, len(entries))
+    change = speed * YEAR_days
+    return Rate(words_of(name), "", float(values[-1]), change, half, abs(change) > sure, len(entries))
 
 
 def _straight(days: Array, values: Array, weights: Array) -> tuple[float, float, float]:

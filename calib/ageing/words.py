@@ -9,16 +9,18 @@ from dataclasses import dataclass
 
 from calib.ageing.due import Due, due
 from calib.ageing.history import Entry
+from calib.ageing.step import Step, step_json, step_of
 from calib.ageing.trend import LEAST, GeometryTrend, Rate, geometry_trend, quantity_rates
 from control.model.arm import Arm
 
 MILLI = 1e3
+CLOCKS_DIFFER = datetime.timedelta(days=1)  # of computers, and of dates that name no zone
 
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """All that `armwright trend` says. geometry: None if fewer than two calibrations are on record; due: None if not asked for,
-    or not to be told.
+    """All that `armwright trend` says. step: what changed at once, if that explains the record; geometry: of the calibrations
+    since then, None if they are fewer than two; due: None if not asked for, or not to be told; now: when it is said.
     """
 
     arm: str
@@ -27,6 +29,8 @@ class Trend:
     quantities: tuple[Rate, ...]
     tolerance_m: float | None
     due: Due | None
+    step: Step | None
+    now: datetime.datetime
 
     @property
     def rates(self) -> tuple[Rate, ...]:
@@ -34,11 +38,17 @@ class Trend:
         return (*(self.geometry.zeros if self.geometry else ()), *self.quantities)
 
 
-def trend_of(arm: Arm, entries: Sequence[Entry], tolerance_m: float | None = None) -> Trend:
-    """The trend of an arm's history."""
+def trend_of(
+    arm: Arm, entries: Sequence[Entry], tolerance_m: float | None = None, now: datetime.datetime | None = None
+) -> Trend:
+    """The trend of an arm's history, sorted by date."""
     geometry = geometry_trend(arm, entries)
+    step = None if geometry is None or geometry.is_steady else step_of(arm, entries, geometry.line)
+    if step is not None:
+        geometry = geometry_trend(arm, step.since)
     when = due(geometry.line, tolerance_m) if geometry is not None and tolerance_m is not None else None
-    return Trend(arm.name, tuple(entries), geometry, quantity_rates(entries), tolerance_m, when)
+    moment = now or datetime.datetime.now(datetime.UTC)
+    return Trend(arm.name, tuple(entries), geometry, quantity_rates(entries), tolerance_m, when, step, moment)
 
 
 def sentences(trend: Trend) -> tuple[str, ...]:
@@ -50,7 +60,11 @@ def _sentences(trend: Trend) -> Iterator[str]:
     calibrations = sum(one.geometry is not None for one in trend.entries)
     gaps = sum(bool(one.quantities) for one in trend.entries)
     yield f"Arm {trend.arm}: {_count(calibrations, 'calibration')} and {_count(gaps, 'gap')} on record."
-    few = [what for what, count in (("calibrations", calibrations), ("gaps", gaps)) if 0 < count < LEAST]
+    yield from _about_dates(trend)
+    if trend.step is not None:
+        yield from _about_step(trend.step)
+        calibrations = len(trend.step.since)
+    few = [what for what, count in (("calibrations", calibrations), ("gaps", gaps)) if 1 < count < LEAST]
     if calibrations < 2 and not trend.quantities:
         yield "Drift shows between two calibrations of different days: calibrate again with --history, some weeks later."
         return
@@ -62,7 +76,7 @@ def _sentences(trend: Trend) -> Iterator[str]:
     drifting = [one for one in trend.rates if one.drifts]
     for one in drifting:
         yield f"{one.name} drifts by {_rate(one)} a year."
-    if not drifting:
+    if trend.rates and not drifting:
         yield "No drift is seen beyond what the records leave uncertain."
     yield from _about_geometry(trend)
     yield from _about_due(trend)
@@ -70,6 +84,31 @@ def _sentences(trend: Trend) -> Iterator[str]:
 
 def _count(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _about_dates(trend: Trend) -> Iterator[str]:
+    ahead = [str(one.measured.date()) for one in trend.entries if one.measured > trend.now + CLOCKS_DIFFER]
+    if ahead:
+        yield (
+            f"Dated in the future: {', '.join(ahead)} (today is {trend.now.date()}). Correct `measured` of these lines of the"
+            " history: rates and dates below count them as they are."
+        )
+
+
+def _about_step(step: Step) -> Iterator[str]:
+    changes = [f"{one.name} by {_rate(one)}" for one in step.changes if one.drifts]
+    if step.has_rest:
+        changes.append("other geometry")
+    count = _count(len(step.since), "calibration")
+    yield (
+        f"Between {step.before.measured.date()} and {step.after.measured.date()} the arm changed at once:"
+        f" {', '.join(changes)}. Look for what slipped, was hit or was exchanged. The rest is about the {count} since then."
+    )
+    if step.alone is not None:
+        yield (
+            f"Only the calibration of {step.alone.measured.date()} is on its side of that: if it was spoilt, take its line out"
+            " of the history."
+        )
 
 
 def _about_geometry(trend: Trend) -> Iterator[str]:
@@ -121,6 +160,7 @@ def _about_due(trend: Trend) -> Iterator[str]:
         yield (
             f"Calibrate again by {by.date()}, {trend.due.days:.0f} days after the last: until then the tip drifts by less than"
             f" {limit} (root mean square over the workspace) with a probability of 95 %. Median: {most}."
+            f"{' That date has passed.' if by < trend.now else ''}"
         )
 
 
@@ -143,13 +183,14 @@ def trend_json(trend: Trend) -> dict[str, object]:
             {
                 "name": one.name,
                 "value": one.value,
-                "per_year": _finite(one.per_year),
+                "per_year": _finite(one.change),
                 "half_interval": _finite(one.half),
                 "drifts": one.drifts,
                 "records": one.count,
             }
             for one in trend.rates
         ],
+        "step": step_json(trend.step) if trend.step else None,
         "scatter": found.line.scatter if found else None,
         "other_geometry_drifts": found.rest_drifts if found else None,
         "tolerance_m": trend.tolerance_m,
@@ -169,8 +210,8 @@ def _rate(one: Rate) -> str:
     if not math.isfinite(one.half):
         return "cannot be told"
     scale, unit = (MILLI, " mrad") if one.unit == "rad" else (1.0, "")
-    low, high = one.per_year - one.half, one.per_year + one.half
-    return f"{scale * one.per_year:.3g}{unit} ({scale * low:.3g} to {scale * high:.3g})"
+    low, high = one.change - one.half, one.change + one.half
+    return f"{scale * one.change:.3g}{unit} ({scale * low:.3g} to {scale * high:.3g})"
 
 
 def _value(one: Rate) -> str:

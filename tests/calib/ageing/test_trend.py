@@ -42,7 +42,7 @@ def test_the_joint_that_drifts_is_named_with_its_rate_and_no_other() -> None:
     trend = trend_of(ARM, drifting())
     one, two, three = trend.rates
     assert (one.drifts, two.drifts, three.drifts) == (False, True, False)
-    assert abs(two.per_year - RATE) < two.half < 0.2 * RATE
+    assert abs(two.change - RATE) < two.half < 0.2 * RATE
     assert trend.geometry is not None
     assert (trend.geometry.rest_drifts, trend.geometry.is_steady, trend.geometry.line.unseen) == (
         False,
@@ -118,7 +118,7 @@ def test_play_that_grows_is_named_by_gaps() -> None:
     (rate,) = trend_of(ARM, gaps(1e-3, 1.5e-3, 2.1e-3, 2.5e-3)).rates
     assert rate.drifts
     assert rate.name == "backlash on joint 1: width_rad"
-    assert abs(rate.per_year - 0.51e-3 * 365.25 / 30.0) < rate.half
+    assert abs(rate.change - 0.51e-3 * 365.25 / 30.0) < rate.half
     (still,) = trend_of(ARM, gaps(1e-3, 1.1e-3, 0.9e-3, 1.0e-3)).rates
     assert not still.drifts
 
@@ -141,3 +141,39 @@ def test_the_json_has_no_number_that_is_none() -> None:
 
 def test_values_of_one_day_are_no_trend() -> None:
     assert trend_of(ARM, gaps(1e-3, 2e-3, 3e-3, days=0.0)).rates == ()
+
+
+def test_a_jump_that_stays_is_a_step_between_two_dates() -> None:
+    slipped = REFERENCE_DH.copy()
+    slipped[1, 1] += 0.03
+    entries = measured_as(REFERENCE_DH, REFERENCE_DH, slipped, slipped, slipped)
+    trend = trend_of(ARM, entries, TOLERANCE_m)
+    assert trend.step is not None
+    assert (trend.step.before, trend.step.after, trend.step.alone) == (entries[1], entries[2], None)
+    one, two, three = trend.step.changes
+    assert (one.drifts, two.drifts, three.drifts, trend.step.has_rest) == (False, True, False, False)
+    assert abs(two.change - 0.03) < two.half < 1e-3
+    assert not any(rate.drifts for rate in trend.rates)  # of the three since then
+    assert "changed at once: joint 2: zero by 30" in said(trend)
+    assert "not steady" not in said(trend)
+    assert trend.due is not None
+    last = trend_of(ARM, entries[:3])  # a slip, or a spoilt calibration
+    assert last.step is not None
+    assert (last.step.alone, last.geometry) == (entries[2], None)
+    assert "No drift" not in said(last)
+
+
+def test_dates_in_the_future_are_remarked_on() -> None:
+    now = drifting()[-1].measured - datetime.timedelta(days=10)
+    assert "Dated in the future: 2026-05-31" in said(trend_of(ARM, drifting(), now=now))
+    assert "future" not in said(trend_of(ARM, drifting(), now=drifting()[-1].measured))
+
+
+def test_a_due_date_that_has_passed_is_called_so() -> None:
+    last = drifting()[-1].measured
+    soon, late = (
+        said(trend_of(ARM, drifting(), TOLERANCE_m, last + datetime.timedelta(days=days)))
+        for days in (1, 400)
+    )
+    assert "That date has passed." not in soon
+    assert "That date has passed." in late
