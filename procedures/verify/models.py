@@ -95,7 +95,7 @@ def _source_of(calibrated: Arm) -> str:
     source = calibrated.calibration.source
     beside = (calibrated.path or Path()).parent / source
     for candidate in (beside, Path(source)):
-        if candidate.is_file():
+        if candidate.is_file() and (calibrated.path is None or not candidate.samefile(calibrated.path)):
             return str(candidate)
     if Path(source).stem in arm_names():
         return Path(source).stem

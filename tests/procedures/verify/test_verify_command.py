@@ -314,9 +314,10 @@ def test_the_nominal_arm_is_found_beside_the_calibrated_one_first(tmp_path: Path
     assert nominal_of(arm, None).path == RIGHT.path
     save_arm(replace(RIGHT, name="mine"), tmp_path / "right.toml")
     assert nominal_of(arm, None).name == "mine"
-    lost = replace(arm, calibration=replace(made, source="elsewhere.toml"))
-    with pytest.raises(ArmError, match="neither beside it nor in this folder"):
-        nominal_of(lost, None)
+    for source in ("elsewhere.toml", "calibrated.toml"):  # an arm is never its own nominal one
+        lost = replace(arm, calibration=replace(made, source=source))
+        with pytest.raises(ArmError, match="neither beside it nor in this folder"):
+            nominal_of(lost, None)
 
 
 def recording(path: Path, delay_s: float, offset_m: float) -> np.ndarray:
