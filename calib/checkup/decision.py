@@ -18,6 +18,9 @@ SLIP_rad: Final = (
 )
 BENT_m: Final = 0.003  # of the tip, by one link: more than parts settle
 MISFIT: Final = 1.6  # chi-squared a coordinate that the best cause leaves, above which none of them is enough
+LEFT_MOST: Final = (
+    0.05  # of chi-squared if nothing had changed: a cause that leaves less is one, whatever else there is
+)
 CAUSES_NAMED: Final = 3
 
 FINE, RECALIBRATE = "fine", "recalibrate"
@@ -27,13 +30,16 @@ FINE, RECALIBRATE = "fine", "recalibrate"
 class Decision:
     """`action`: fine, recalibrate, or "inspect joint 2"; its probability; other actions that are left open, with theirs.
 
-    expected_m: root mean square of what the tips may be off by if nothing has changed; left_m: of what was measured.
+    is_one_cause: the first cause explains most; is_all: it explains everything. expected_m: root mean square of what the tips
+    may be off by if nothing has changed; left_m: of what was measured.
     """
 
     action: str
     probability: float
     open: tuple[tuple[str, float], ...]
     causes: tuple[Judged, ...]
+    is_one_cause: bool
+    is_all: bool
     expected_m: float
     left_m: float
     poses_count: int
@@ -49,7 +55,9 @@ def decide(at: Expectation) -> Decision:
     found = judged(at)
     noise_m = math.sqrt(float(np.mean(np.trace(at.scatter_m2, axis1=1, axis2=2))))
     actions: dict[str, float] = {}
-    if found[0].misfit > MISFIT:
+    unchanged = next(one.misfit for one in found if one.cause.kind == "nothing")
+    is_one_cause = found[0].misfit <= max(MISFIT, LEFT_MOST * unchanged)
+    if not is_one_cause:
         actions[RECALIBRATE] = 1.0  # more than one thing has changed
     else:
         for one in found:
@@ -61,6 +69,8 @@ def decide(at: Expectation) -> Decision:
         first[1],
         tuple((action, share) for action, share in others if share >= 1.0 - SURE),
         found[:CAUSES_NAMED],
+        is_one_cause,
+        found[0].misfit <= MISFIT,
         math.sqrt(float(np.trace(at.covariance)) / len(at)),
         math.sqrt(float(np.mean(np.sum(at.left_m**2, axis=1)))),
         len(at),
@@ -108,13 +118,15 @@ def _sentences(found: Decision) -> Iterator[str]:
         f" {1e3 * found.expected_m:.2g} mm are usual (root mean square)."
     )
     first = found.causes[0]
-    if first.misfit > MISFIT:
+    if not found.is_one_cause:
         yield f"Recalibrate: no single cause explains it; nearest: {words_of(first)}."
         return
     if found.is_sure:
         yield f"{found.action.capitalize()} ({_percent(found.probability)}): {words_of(first)}."
         if found.action.startswith("inspect"):
             yield _advice(first)
+        if not found.is_all:
+            yield "It does not explain everything: something smaller may have changed as well."
         return
     options = [(found.action, found.probability), *found.open]
     told = " or ".join(f"{action} ({_percent(share)})" for action, share in options)

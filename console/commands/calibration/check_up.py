@@ -17,6 +17,7 @@ from calib.points.points import Points
 from calib.points.writer import replace_file
 from console.commands.calibration.gap import REAL_SPEED, record_on_arm
 from console.commands.progress import Bar
+from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_new
@@ -77,7 +78,22 @@ def _record(given: argparse.Namespace, arm: Arm, plan: RecordingPlan, out: Path)
     from procedures.gap.mock import record_on_mock
 
     with Bar("check-up") as bar:
-        record_on_mock(arm, given.scenario or "demo", given.seed, plan, out, bar.advance)
+        record_on_mock(_mocked(arm), given.scenario or "demo", given.seed, plan, out, bar.advance)
+
+
+def _mocked(arm: Arm) -> Arm:
+    """What a mock is made of: the file that a calibrated arm came from, or it would be another robot than was calibrated."""
+    if arm.calibration is None:
+        return arm
+    from procedures.verify.models import nominal_of
+
+    try:
+        return nominal_of(arm, None)
+    except ArmError:
+        raise CalibrationError(
+            f"--mock: a mock is made of the arm that {arm.path} was calibrated from, and {arm.calibration.source} is neither"
+            " beside it nor in this folder: put it there, or give --arm the uncalibrated file"
+        ) from None
 
 
 def _plan_text(plan: RecordingPlan) -> str:

@@ -108,6 +108,13 @@ def test_what_no_single_cause_explains_is_recalibrated_and_says_so() -> None:
     assert "no single cause explains it" in " ".join(sentences(found))
 
 
+def test_a_cause_that_explains_most_is_named_although_something_smaller_is_left() -> None:
+    at = quiet()
+    soft = decide(moved(-1.4e-2 * at.load[:, 1, None] * at.by_joint[:, :, 1] + at.turned_m(0, 1e-3)))
+    assert (soft.action, soft.is_all) == ("inspect joint 2", False)
+    assert "something smaller may have changed as well" in " ".join(sentences(soft))
+
+
 def test_a_change_below_a_visits_scatter_is_none_and_few_poses_are_not_sure_of_what() -> None:
     at = quiet()
     assert decide(moved(at.turned_m(1, 1.2e-4))).action == "fine"
