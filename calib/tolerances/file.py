@@ -141,7 +141,8 @@ def parse_tolerances(text: str, where: str, arm: Arm) -> Tolerances:
     """Tolerances from TOML text; `where` names it in errors."""
 
     def fault(what: str) -> Exception:
-        return TolerancesFileError(f"{where}: {what}")
+        hint = ", such as { within = 2e-4 }" if "Expected a table" in what else ""
+        return TolerancesFileError(f"{where}: {what}{hint}")
 
     document = converted(text, _Document, fault)
     links = _of_each(document.link, document.every_link, LinkTolerances, len(arm.links), "link", fault)

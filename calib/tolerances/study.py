@@ -17,7 +17,7 @@ from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
 from calib.studies.executor import Results, task_rng
 from calib.tolerances.calibrating import Identification
-from calib.tolerances.file import Tolerances
+from calib.tolerances.file import Tolerances, TolerancesFileError
 from calib.tolerances.making import STEPS, MadeArms
 from calib.tolerances.terms import MadePoses
 from calib.trust.discrepancy import Conditions
@@ -33,6 +33,8 @@ MAP_POSES: Final = 250  # where errors count; the calibration has others
 DRAWN_MOST: Final = 50  # poses drawn for each one that is wanted: most arms keep a half of them
 SHARE: Final = 0.95  # of the poses, which keep an arm's accuracy
 POSES_SEED: Final = 20161771
+TRIED: Final = 100  # arms that say whether a study holds
+FAR: Final = 0.1  # of the reach: beyond it small deflections are none, and calibrations that start from nominal run astray
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +82,27 @@ def design_of(
     calibration = _approached(calibration_q, 0.0, rng)
     at_map = _approached(spread_q[tolerances.poses :], payload_kg, rng)
     return Design(arm, tolerances, calibration, at_map, arms_count, seed)
+
+
+def require_near(design: Design, where: str) -> None:
+    """TolerancesFileError, naming the part, where such arms are so far from nominal that the study does not hold."""
+    made = MadeArms(design.arm, design.tolerances)
+    poses = MadePoses(design.arm, made.terms, design.map)
+    nominal = poses.tips(made.file_z[None])
+    reach_m = float(np.sqrt(np.sum(nominal**2, axis=0)).max())
+
+    def off_m(exact: str) -> float:
+        tips = poses.tips(made.drawn(np.random.default_rng(1), TRIED, exact))
+        return float(np.sqrt(np.mean(_distances(tips, nominal) ** 2)))
+
+    found_m = off_m("")
+    if found_m <= FAR * reach_m:
+        return
+    worst = min((one.name for one in made.factors), key=off_m)
+    raise TolerancesFileError(
+        f"{where}: such arms miss by {1e3 * found_m:.3g} mm (root mean square), mostly by {worst}; expected at most"
+        f" {1e3 * FAR * reach_m:.3g} mm, a tenth of the reach. Units are m, rad, Nm/rad and Nm^2: 0.2 mm are 2e-4"
+    )
 
 
 def _spread(arm: Arm, count: int) -> Array:

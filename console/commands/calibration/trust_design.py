@@ -17,7 +17,7 @@ from calib.tolerances.file import parse_tolerances, tolerances_text
 from calib.tolerances.files import made_json, write_json, write_map
 from calib.tolerances.report import tolerances_report
 from calib.tolerances.result import Made, made_of
-from calib.tolerances.study import Design, design_of, study_task
+from calib.tolerances.study import Design, design_of, require_near, study_task
 from calib.tolerances.words import as_text, warnings_about
 from console.commands.progress import Bar
 from console.quantities import tolerance_m
@@ -44,6 +44,7 @@ def study_design(given: argparse.Namespace) -> int:
     text = tolerances_text(given.tolerances)
     wanted_m = tolerance_m(given.tolerance)
     design = _design(given, arm, text)
+    require_near(design, given.tolerances)
     warnings = warnings_about(design)
     inputs = {Path(given.design).name: _hash(arm_text(arm)), Path(given.tolerances).name: _hash(text)}
     with executor(design.tasks, given.workers, given.cluster) as runs, Bar("arms") as bar:

@@ -14,10 +14,10 @@ from calib.points.points import Points, make_points
 from calib.studies.chunks import ChunkStore, run_study
 from calib.studies.executor import InProcess
 from calib.tolerances.calibrating import Identification
-from calib.tolerances.file import Tolerances, parse_tolerances, tolerances_text
+from calib.tolerances.file import Tolerances, TolerancesFileError, parse_tolerances, tolerances_text
 from calib.tolerances.making import MadeArms
 from calib.tolerances.result import Made, costliest, made_of
-from calib.tolerances.study import Design, design_of, study_task
+from calib.tolerances.study import Design, design_of, require_near, study_task
 from calib.tolerances.terms import MadePoses, Term
 from calib.tolerances.words import sentences, warnings_about
 from control.model.arm import Arm, Effect
@@ -177,3 +177,16 @@ def test_tolerances_beyond_the_bounds_of_calibrate_are_told() -> None:
     assert ["bounds of 5 mm and 2 deg" in one for one in warnings_about(wide)] == [True]
     few = design_of(ARM, tolerances(GEOMETRY + "[calibration]\nposes = 10"), 20)
     assert ["10 poses are few" in one for one in warnings_about(few)] == [True]
+
+
+def test_tolerances_in_a_wrong_unit_are_refused_and_the_part_is_named() -> None:
+    require_near(design_of(ARM, ALL, 20), "t.toml")
+    require_near(design_of(ARM, tolerances("[joint.1]\nencoder_zero_rad = { within = 0.1 }"), 20), "t.toml")
+    for text, part in (
+        (GEOMETRY + "[link.2]\nL_m = { within = 0.3 }", "link 2: L"),  # millimetres
+        ("[joint.2]\nstiffness_Nm_rad = { from = 1.0, to = 2.0 }", "joint 2: stiffness"),
+    ):
+        with pytest.raises(
+            TolerancesFileError, match=f"t.toml: such arms miss by .* mostly by {part}; expected"
+        ):
+            require_near(design_of(ARM, tolerances(text), 20), "t.toml")

@@ -50,7 +50,7 @@ def test_distributions_are_as_they_are_written(
         ("[joint.2]\nbacklash = { from = 0, to = 1 }", "[joint.2] unknown key `backlash`"),
         ("[joint.4]\nencoder_zero_rad = { sd = 1e-3 }", "[joint.4]: expected a number from 1 to 3"),
         ("[link.one]\nd_m = { sd = 1e-3 }", "[link.one]: expected a number from 1 to 4"),
-        ("[every_link]\nd_m = 0.0002", "[every_link.d_m] Expected a table, got `float`"),
+        ("[every_link]\nd_m = 0.0002", "Expected a table, got `float`, such as { within = 2e-4 }"),
         ("[every_link]\nd_m = { within = -0.1 }", "Expected `float` >= 0.0"),
         ("[every_link]\nd_m = { within = nan }", "every_link.d_m.within must be finite"),
         ("[link.2]\nd_m = { within = 1e-4, sd = 1e-4 }", "[link.2.d_m] expected one of { within }, { sd }"),
