@@ -138,6 +138,7 @@ def _compared(
 
 def run_path(way: WayOfPath, lead_in_rad: Sequence[float] | None, client: ArmClient, log: Path) -> float:
     """Run the path, by way of a lead-in if given; its error by the camera, root mean square [m]."""
+    to_rest(way.arm, client)
     if lead_in_rad is not None:
         client.move_joints(lead_in_rad)
     client.move_joints(way.plan.q_start_rad, 0.5)
@@ -148,9 +149,16 @@ def run_path(way: WayOfPath, lead_in_rad: Sequence[float] | None, client: ArmCli
     return _rms_m(track.measured_m - track.planned_m)
 
 
+def to_rest(arm: Arm, client: ArmClient) -> None:
+    """Where plans begin: a way straight from the last task's place may lead through the table."""
+    if arm.rest is not None:
+        client.move_joints(arm.rest.q_rad)
+
+
 def visit_stops(way: WayOfStops, client: ArmClient) -> float:
     """Visit the stops; their error by the camera, root mean square [m]."""
     off = []
+    to_rest(way.arm, client)
     for row in way.order:
         if way.has_lead_in[row]:
             client.move_joints(way.lead_in_rad[row].tolist())
