@@ -12,7 +12,7 @@ import argparse
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -120,7 +120,7 @@ def _compared(
     stops = {name: planned_stops(arm, predictor, ring, freedom) for name, freedom in freedoms.items()}
     bench = SteppedBench(nominal, scenario, log)
     try:
-        client = bench.start(arm)
+        client = bench.start(replace(arm, table=None))  # it moves with the work
         client.enable()
         client.home()
         given_m = run_path(paths["moved"].plain, None, client, log)

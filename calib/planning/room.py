@@ -23,11 +23,18 @@ def lead_in_of(q_rad: Array, direction: Array) -> Array:
     return np.asarray(q_rad - APPROACH_rad * direction)
 
 
+def table_m(arm: Arm) -> float:
+    """Height of the table's origin; of the floor without one."""
+    table = arm.table
+    return table.origin_m[2] if table is not None and table.origin_m is not None else arm.limits.floor_z_m
+
+
 class Room:
     """The joints' ranges, floor, table and own base of an arm; `arm` of the methods is the same with its table moved."""
 
     def __init__(self, arm: Arm) -> None:
         self._corners = Corners(arm)
+        self._lowest_table_m = min(table_m(arm), arm.limits.floor_z_m)
         self._body = Body(self._corners.radii_m, self._corners.first_free)
 
     def holds(self, arm: Arm, q_rad: Array) -> bool:
@@ -51,7 +58,8 @@ class Room:
         return np.asarray(is_right.reshape(len(ways), -1).all(axis=0) & is_clear)
 
     def _may_be(self, arm: Arm, q_rad: Array) -> Mask:
-        found = np.ones(len(q_rad), dtype=np.bool_)
+        # The floor ends at a board that is let into it, but not where a plan puts one.
+        found = np.full(len(q_rad), table_m(arm) >= self._lowest_table_m - ROUNDING_m)
         for distance_m, _ in Workspace.of(arm).clearances(self._corners.batch(q_rad), self._body):
             found &= distance_m >= -ROUNDING_m
         return found

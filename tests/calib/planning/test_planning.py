@@ -206,3 +206,11 @@ def test_what_cannot_be_reached_as_given_is_an_error() -> None:
             RIGHT, leaning(), dataclasses.replace(far, orientations=((1.0, 0.0, 0.0, 0.0),) * 2), Freedom()
         )
     assert NOWHERE == (0.0, 0.0, 0.0)
+
+
+def test_work_is_never_moved_through_the_floor_with_its_table() -> None:
+    q, given = workspace_poses(RIGHT, (), 20), Waypoints(((0.5, 0.0, 0.1),), None)
+    sunk, raised = (shifted(RIGHT, given, (0.0, 0.0, dz))[0] for dz in (-0.05, 0.05))
+    assert Room(RIGHT).holds(raised, q)
+    assert not Room(RIGHT).holds(sunk, q)
+    assert Room(sunk).holds(sunk, q)  # a board that is let into the floor
