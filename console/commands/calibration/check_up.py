@@ -78,10 +78,10 @@ def _record(given: argparse.Namespace, arm: Arm, plan: RecordingPlan, out: Path)
     from procedures.gap.mock import record_on_mock
 
     with Bar("check-up") as bar:
-        record_on_mock(_mocked(arm), given.scenario or "demo", given.seed, plan, out, bar.advance)
+        record_on_mock(mocked_arm(arm), given.scenario or "demo", given.seed, plan, out, bar.advance)
 
 
-def _mocked(arm: Arm) -> Arm:
+def mocked_arm(arm: Arm) -> Arm:
     """What a mock is made of: the file that a calibrated arm came from, or it would be another robot than was calibrated."""
     if arm.calibration is None:
         return arm

@@ -15,9 +15,12 @@ from calib.checkup.causes import judged
 from calib.checkup.decision import BENT_m, SLIP_rad, decide, decision_json, sentences
 from calib.checkup.expectation import Expectation
 from calib.design.candidates import workspace_poses
+from calib.errors import CalibrationError
 from calib.points.writer import write_points
+from console.commands.calibration.check_up import mocked_arm
 from console.main import main
 from control.dynamics.static_pose import resting
+from control.model.arm import Arm, Calibration
 from control.model.description import load_arm
 
 ARM = load_arm("right")
@@ -157,6 +160,16 @@ def test_recorded_poses_are_decided_without_moving(
     assert (tmp_path / "out" / "check-up.json").exists()
     assert main([*line, "--recorded", str(tmp_path / "new.csv")]) == 2
     assert "never overwritten" in capsys.readouterr().err
+
+
+def test_a_mock_of_a_calibrated_arm_is_made_of_the_file_that_it_came_from() -> None:
+    def calibrated(source: str) -> Arm:
+        return dataclasses.replace(ARM, calibration=Calibration(source, {}, "2026-01-01", "E2", "0.1.0"))
+
+    assert mocked_arm(ARM) is ARM
+    assert mocked_arm(calibrated("left.toml")).name == "left"
+    with pytest.raises(CalibrationError, match=r"elsewhere\.toml is neither beside it nor in this folder"):
+        mocked_arm(calibrated("elsewhere.toml"))
 
 
 @pytest.mark.parametrize(
