@@ -147,4 +147,4 @@ def test_runs_without_the_driver_end_in_an_answer_and_a_sentence() -> None:
         return replace(run, voltage_V=off, current_A=np.zeros_like(run.current_A), is_commanded=True)
 
     outcome = examine(ARM, changed(coasting))
-    assert any("voltage_as_A of joint 1" in sentence for sentence in outcome.warnings)
+    assert any("voltage of joint 1" in sentence for sentence in outcome.warnings)
