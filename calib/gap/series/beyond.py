@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +10,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects.cogging import ORDERS
 from calib.gap.posterior.constants import REMAINS
-from calib.gap.signals.filters import ROW_Hz
 from calib.gap.signals.recording import Motion, Recording
-from control.model.arm import Arm
 
 SAMPLES_LEAST = 200  # in each half
 SAMPLES_MOST = 8000  # that are looked at; more tell nothing else
@@ -22,30 +20,33 @@ CLEAR = 1.2  # times the band: within, the rows show it themselves
 
 @dataclass(frozen=True, slots=True)
 class Ripple:
-    """A current that follows its motor `order` times a turn, at `rate_Hz` in the middle of these runs."""
+    """A current that follows its motor `order` times a turn, at `rate_Hz` in the middle of these runs; below `slow_rad_s` of the
+    joint it is within `band_Hz`, where the equations are looked at. `share`: of what is above the band.
+    """
 
     joint: int
     order: float
     amplitude_A: float
     rate_Hz: float
     share: float
+    band_Hz: float
+    slow_rad_s: float
 
-    def words(self, gear_ratio: float) -> str:
+    def __str__(self) -> str:
         """For the user."""
-        slow = 2.0 * np.pi * ROW_Hz / (self.order * gear_ratio) / CLEAR
         return (
             f"the current of joint {self.joint} follows its motor {self.order:g} times a turn by {self.amplitude_A:.2g} A, at"
-            f" {self.rate_Hz:.0f} Hz. So does cogging, but the equations are looked at up to {ROW_Hz:.0f} Hz: record the joint"
-            f" slower than {slow:.2g} rad/s, every sample of the controller, and it can be named"
+            f" {self.rate_Hz:.0f} Hz. So does cogging, but the equations are looked at up to {self.band_Hz:.0f} Hz: record the"
+            f" joint slower than {self.slow_rad_s:.2g} rad/s, every sample of the controller, and it can be named"
         )
 
 
-def ripples(arm: Arm, recording: Recording) -> Iterator[Ripple]:
+def ripples(recording: Recording, gear_ratios: Sequence[float]) -> Iterator[Ripple]:
     """The largest of each joint, if it predicts recordings that it was not fitted to."""
     if not recording.has_current:
         return
-    for j in range(arm.joint_count):
-        if (found := _ripple(recording, j, arm.drive(j + 1).gear_ratio)) is not None:
+    for j, gear_ratio in enumerate(gear_ratios):
+        if (found := _ripple(recording, j, gear_ratio)) is not None:
             yield found
 
 
@@ -53,6 +54,7 @@ def _ripple(recording: Recording, j: int, gear_ratio: float) -> Ripple | None:
     """The order that explains most of what the half of the recording that it was not fitted to has above the band."""
     parts = [_above_the_band(recording, run, j) for run in recording.runs]
     angle, speed, current = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    band_Hz, fastest_Hz = recording.filters.row_Hz, FASTEST * recording.filters.rate_Hz
     step = max(1, len(angle) // SAMPLES_MOST)
     motor, rate_Hz = gear_ratio * angle[::step], np.abs(gear_ratio * speed[::step]) / (2.0 * np.pi)
     high = current[::step]
@@ -60,7 +62,7 @@ def _ripple(recording: Recording, j: int, gear_ratio: float) -> Ripple | None:
     best: Ripple | None = None
     whole = float(high[~is_fitted] @ high[~is_fitted])
     for order in ORDERS:
-        seen = (order * rate_Hz > CLEAR * ROW_Hz) & (order * rate_Hz < FASTEST * recording.filters.rate_Hz)
+        seen = (order * rate_Hz > CLEAR * band_Hz) & (order * rate_Hz < fastest_Hz)
         if min(np.sum(seen & is_fitted), np.sum(seen & ~is_fitted)) < SAMPLES_LEAST:
             continue
         waves = np.column_stack((np.sin(order * motor), np.cos(order * motor)))
@@ -70,13 +72,16 @@ def _ripple(recording: Recording, j: int, gear_ratio: float) -> Ripple | None:
         share = float(other @ other - left @ left) / whole if whole > 0.0 else 0.0
         if share > REMAINS and (best is None or share > best.share):
             middle = float(np.median(order * rate_Hz[seen]))
-            best = Ripple(j + 1, order, float(np.hypot(*size)), middle, share)
+            slow = 2.0 * np.pi * band_Hz / (CLEAR * order * gear_ratio)
+            best = Ripple(j + 1, order, float(np.hypot(*size)), middle, share, band_Hz, slow)
     return best
 
 
 def _above_the_band(recording: Recording, run: Motion, j: int) -> tuple[Array, Array, Array]:
     """Angle, speed and what the measured current has beyond the rows' band, of the samples that count."""
     filters = recording.filters
+    if len(run) <= 2 * filters.reach:  # shorter than the filter of a row
+        return (np.zeros(0),) * 3
     inner = slice(filters.reach, len(run) - filters.reach)
     raw = run.current_raw_A[:, j]
     high = raw[inner] - np.convolve(raw, filters.row, "valid")

@@ -50,7 +50,7 @@ def examine(
     recording = plausible(arm, prepare(arm, log))
     rows, known = _rows(Physics(arm, recording), recording, known_laws(arm))
     warnings = [*recording.warnings, *without_motion(rows.table)]
-    warnings += [one.words(arm.drive(one.joint).gear_ratio) for one in ripples(arm, recording)]
+    warnings += map(str, ripples(recording, rows.physics.gear_ratios))
     parts, scene = split(recording, rows.table), Scene(rows, known)
     fit = fitted(scene, known, parts, candidates, progress)
     progress("the gap on runs used for nothing else", 0.95)

@@ -19,17 +19,21 @@ from calib.gap.series.linear import Linear, marginalised
 from calib.gap.series.settling import settled
 from calib.gap.series.split import Picked, Split
 
-RIVALS_MOST = 3  # that are looked into
+RIVALS_MOST = 3  # that are looked into: each costs a linearisation
 
 
 def against_rivals(fit: Fit, split: Split, linearise: Callable[[OperatingPoint], Linear]) -> Fit:
     """The likeliest of a fit and its rivals' own; what leads by too little for a name is ambiguous with its rival."""
     scene = fit.around.scene
     near: list[tuple[EffectName, EffectName]] = []
-    for name, rival, members in list(rivals(fit))[:RIVALS_MOST]:
+    tried: set[frozenset[EffectName]] = set()
+    for _ in range(RIVALS_MOST):
+        open_ = (one for one in rivals(fit) if frozenset(one[:2]) not in tried)
+        if (found := next(open_, None)) is None:
+            break
+        name, rival, members = found
+        tried.add(frozenset((name, rival)))
         kept = scene.kept
-        if name not in fit.decision.names:
-            continue  # a rival before has taken its place
         around = settled(_with(fit, members), split)
         keys = frozenset(fit.linear.terms[number].key for number, _ in members.members)
         other = weighed(around, linearise(around), fit.noises, split, [keys])
@@ -43,7 +47,9 @@ def against_rivals(fit: Fit, split: Split, linearise: Callable[[OperatingPoint],
         else:
             fit = other
             near += [(rival, name)] if lead > -MARGIN else []
-    return replace(fit, decision=fit.decision.with_sets(near))
+    # of pairs whose name has made room for another rival nothing is left to say
+    still = [(name, rival) for name, rival in near if name in fit.decision.names]
+    return replace(fit, decision=fit.decision.with_sets(still))
 
 
 def rivals(fit: Fit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:

@@ -28,6 +28,7 @@ class Filters:
     state: tuple[Array, Array, Array]  # value, first and second derivative by time
     row: Array
     step: int
+    row_Hz: float  # the band of the rows
 
     @property
     def speed_gain(self) -> float:
@@ -73,6 +74,7 @@ def filters_for(rate_Hz: float) -> Filters:
         _with_derivatives(state_Hz, half, rate_Hz),
         row / row.sum(),
         max(1, round(rate_Hz / min(ROWS_PER_s, 2.5 * row_Hz))),
+        row_Hz,
     )
 
 
