@@ -90,6 +90,7 @@ class MockRobot:
         self._motors = MotorWires(self.plant, self.gripper, directions)
         self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
         self._can_out = {carried: CanOut() for carried in CanFormat}
+        self._classic_out = self._can_out[CanFormat.STANDARD]
         self.outgoing = {carried: out.outgoing for carried, out in self._can_out.items()}
         self.can_outgoing = self.outgoing[CanFormat.STANDARD]
         self.camera_outgoing: list[Picture] = []
@@ -316,7 +317,7 @@ class MockRobot:
                     mock.outgoing.clear()
 
     def _send_can(self, name: str, frames: list[Frame]) -> None:
-        self._can_out[CanFormat.STANDARD].send(self._lines[name], frames, self.now_s)
+        self._classic_out.send(self._lines[name], frames, self.now_s)
 
     def _gather_serial(self, board: int) -> None:
         outgoing = self.encoder_boards[board].outgoing
@@ -334,7 +335,7 @@ class MockRobot:
         outgoing.clear()
 
     def _look(self, now_s: float) -> None:
-        datagrams = self.camera.tick(now_s, self.plant.tip_pose)
+        datagrams = self.camera.tick(now_s, self.plant)
         line = self._lines["camera"]
         if line.faults:
             datagrams = [arrived for _, arrived in line.passed([(now_s, datagram) for datagram in datagrams])]

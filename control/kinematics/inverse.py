@@ -60,6 +60,7 @@ class InverseKinematics:
         self._shoulder_margin_m = shoulder_margin_m
         self._singular_margin_m = singular_margin_m
         self._planar = planar_inverse(self.kinematics)
+        self._followed_to: tuple[Sequence[float] | None, Branch] = (None, BRANCHES[0])
         if self._planar is not None:
             self._newton = Newton(self.kinematics)
 
@@ -154,7 +155,9 @@ class InverseKinematics:
         planar = self._planar
         if planar is None:
             return self._follow_numeric(point, q_previous)
-        branch = planar.branch(q_previous)
+        previous, branch = self._followed_to
+        if q_previous is not previous:  # the pose that was given last has been checked to be on its branch
+            branch = planar.branch(q_previous)
         q = self._followed(planar, point, q_previous, branch)
         if not travel_rad(q, q_previous) <= _LARGEST_FOLLOWED_RAD:  # NaN comes here, too
             self._range.check_pose(q_previous)
@@ -163,6 +166,7 @@ class InverseKinematics:
         self._check_margins(planar, point, q, branch)
         if not self._range.is_inside(q):
             self._range.check(q, f"to follow the path to {errors.spelled(point)}")
+        self._followed_to = q, branch
         return q
 
     def _followed(

@@ -78,7 +78,10 @@ class Guard:
 
     def fixed_objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
         """As `objection`, of what stands still: floor, table and base."""
-        clearance = self.clearance(wanted_rad)
+        corners = self._corners.at(*wanted_rad)
+        if self._workspace.is_far(corners, self._body, 0.0):
+            return ""
+        clearance = self._workspace.clearance(corners, self._body)
         return clearance.what if self._is_deeper(clearance, here_rad) else ""
 
     def jog_objection(self, wanted: SetPoint, here: SetPoint) -> str:

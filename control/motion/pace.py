@@ -56,10 +56,11 @@ class Paced:
         """Return the set-point `elapsed_s` after the last, moving towards the pace `wanted`. Raises what the motion raises."""
         before = self.pace
         time_s = self.time_s + before * elapsed_s
-        q, speed, acceleration = self.motion.at(time_s)
+        planned = self.motion.at(time_s)
         self.time_s = time_s
         if before == wanted == 1.0:
-            return SetPoint(q, speed, acceleration)
+            return planned
+        q, speed, acceleration = planned
         joints = [*zip(speed, acceleration, self._limits, strict=True)]
         for other, limits in self._beside:
             _, its_speed, its_acceleration = other.at(time_s)

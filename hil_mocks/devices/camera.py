@@ -6,12 +6,21 @@ import random
 import struct
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 Point = tuple[float, float, float]
 TipPose = tuple[Point, tuple[Point, Point, Point]]  # the tip, and the axes x, y, z of the last link
+
+
+class Filmed(Protocol):
+    """The arm before the camera, as it is now."""
+
+    def tip_m(self) -> Point: ...
+
+    def tip_pose(self) -> TipPose: ...
+
+
 Transport = Literal[
     "datagrams", "commands", "connection"
 ]  # sent to a port; UDP commands answered; a TCP server
@@ -47,12 +56,12 @@ class PictureMock(ABC):
         self._on_its_way: deque[tuple[float, bytes]] = deque()
         self.next_s = 0.0  # nothing to do before this time
 
-    def tick(self, now_s: float, tip: Callable[[], TipPose]) -> list[bytes]:
-        """What is sent now; `tip` is called only when an image is due."""
+    def tick(self, now_s: float, arm: Filmed) -> list[bytes]:
+        """What is sent now; `arm` is looked at only when an image is due."""
         due_s = self._pictures / self.setup.rate_Hz
         if now_s >= due_s - 1e-9:
             self._pictures = int((now_s + 1e-9) * self.setup.rate_Hz) + 1
-            self._on_its_way.append((now_s + self.setup.latency_s, self.picture(now_s * self._rate, tip())))
+            self._on_its_way.append((now_s + self.setup.latency_s, self.picture(now_s * self._rate, arm)))
         ready = []
         while self._on_its_way and self._on_its_way[0][0] <= now_s + 1e-9:
             ready.append(self._on_its_way.popleft()[1])
@@ -61,7 +70,7 @@ class PictureMock(ABC):
         return ready
 
     @abstractmethod
-    def picture(self, time_s: float, tip: TipPose) -> bytes:
+    def picture(self, time_s: float, arm: Filmed) -> bytes:
         """The packet of an image at a time of the camera's clock."""
 
     def answer(self, request: bytes) -> list[bytes]:
@@ -76,10 +85,10 @@ class CameraMock(PictureMock):
         super().__init__(setup)
         self._sequence = 0
 
-    def picture(self, time_s: float, tip: TipPose) -> bytes:
+    def picture(self, time_s: float, arm: Filmed) -> bytes:
         """One datagram."""
         source, noise_m = self.random, self.setup.noise_m
-        seen = [value + source.gauss(0.0, noise_m) for value in tip[0]]
+        seen = [value + source.gauss(0.0, noise_m) for value in arm.tip_m()]
         is_visible = source.random() >= self.setup.dropout
         if not is_visible:
             seen = [0.0, 0.0, 0.0]

@@ -9,19 +9,19 @@ _REPLY = struct.Struct("<BBBB4x")
 
 
 class DigitalPinsMock:
-    """Pins of one board. `outside` has the levels that the world puts on inputs."""
+    """Pins of one board. `outside` has the levels that the world puts on inputs; `is_enabled` is the drive's."""
 
     def __init__(self, count: int) -> None:
         self.count = count
         self.outside = 0
         self._directions = self._safe_levels = self._keep = 0
         self._driven = 0
-        self._is_enabled = False
+        self.is_enabled = False
 
     def reset(self) -> None:
         """Power-up: every pin is an input, and no level was ever set."""
         self._directions = self._safe_levels = self._keep = self._driven = 0
-        self._is_enabled = False
+        self.is_enabled = False
 
     def configure(self, directions: int, safe_levels: int, keep: int) -> None:
         """The parameters have changed."""
@@ -30,17 +30,17 @@ class DigitalPinsMock:
 
     def follow(self, is_enabled: bool) -> None:
         """The drive is in OPERATION ENABLED, or not."""
-        if self._is_enabled and not is_enabled:
+        if self.is_enabled and not is_enabled:
             self._go_safe()
-        self._is_enabled = is_enabled
+        self.is_enabled = is_enabled
 
     def command(self, payload: bytes) -> bytes:
         """Answer a DIGITAL_COMMAND."""
         sequence, mask, levels = _COMMAND.unpack(payload)
-        if self._is_enabled:
+        if self.is_enabled:
             mask &= self._directions
             self._driven = self._driven & ~mask | levels & mask
-        return _REPLY.pack(sequence, self.levels, self.outputs, not self._is_enabled)
+        return _REPLY.pack(sequence, self.levels, self.outputs, not self.is_enabled)
 
     @property
     def outputs(self) -> int:

@@ -79,13 +79,13 @@ class MotorBoardMock(MotorBoardHardware):
         self._now_s = now_s
         if can_id == 0:
             self._fault(EMERGENCY_STOP)
-            self.pins.follow(False)
+            self._lead_pins()
             return []
         if len(payload) != 8:
             return []
         if can_id == COMMAND + self.setup.node:
             reply = self._command(payload, now_s)
-            self.pins.follow(self.state is State.ENABLED)
+            self._lead_pins()
             return [(REPLY + self.setup.node, reply)]
         if can_id == REQUEST + self.setup.node:
             return [(ANSWER + self.setup.node, self._parameter(payload))]
@@ -113,9 +113,13 @@ class MotorBoardMock(MotorBoardHardware):
             self._fault(causes)
         if (self._mode == 3 and self.state is _ENABLED) or self._holds:
             self._control(step_s)
-        if self.setup.digital_pins:
-            self.pins.follow(self.state is State.ENABLED)
+        self._lead_pins()
         return []
+
+    def _lead_pins(self) -> None:
+        is_enabled = self.state is _ENABLED
+        if is_enabled is not self.pins.is_enabled:
+            self.pins.follow(is_enabled)
 
     def _watch_current(self, now_s: float) -> None:
         if -self._trip_A <= self._current_A <= self._trip_A:
@@ -186,8 +190,7 @@ class MotorBoardMock(MotorBoardHardware):
             self._feedforward_mV, self._holds = 0, True
 
     def _end_stop(self) -> None:
-        if self._stop is not None:
-            self._stop, self._holds, self._integral_mV = None, False, 0.0
+        self._stop, self._holds, self._integral_mV = None, False, 0.0
 
     def _measure_speed(self, step_s: float) -> None:
         """Filtered speed [counts/s], whatever the state is."""
@@ -223,7 +226,8 @@ class MotorBoardMock(MotorBoardHardware):
                 self._begin_stop(now_s)
             self._mode = mode
         elif self.state is _ENABLED:
-            self._end_stop()
+            if self._stop is not None:
+                self._end_stop()
             if mode != self._mode:
                 self._integral_mV = 0.0
             self._mode, self._setpoint, self._feedforward_mV = mode, setpoint, feedforward_mV

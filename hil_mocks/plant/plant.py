@@ -255,9 +255,10 @@ class Plant:
         MuJoCo's Euler steps are a leapfrog of currents, half a step later speeds, and another half step later angles.
         Angles one step back are those of the time at which bridges are switched and currents read, to second order.
         """
-        speed = self._data.qvel
-        self._q: list[float] = (self._data.qpos - self.timestep_s * speed).tolist()
-        self._v: list[float] = speed.tolist()
+        step_s, speeds = self.timestep_s, self._data.qvel.tolist()
+        # As plain floats: arrays of six numbers are slower.
+        self._q: list[float] = [q - step_s * v for q, v in zip(self._data.qpos.tolist(), speeds, strict=True)]
+        self._v: list[float] = speeds
         if not math.isfinite(sum(self._v)):
             raise MockError(
                 f"plant: the physics became unstable at {self.time_s:.4f} s; take a smaller timestep_s."

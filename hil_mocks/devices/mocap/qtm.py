@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
 
-from hil_mocks.devices.camera import TipPose
+from hil_mocks.devices.camera import Filmed
 from hil_mocks.devices.mocap.scene import MocapMock, Sight
 
 _ERROR, _COMMAND, _XML, _DATA = 0, 1, 2, 3
@@ -21,9 +20,9 @@ class QtmMock(MocapMock):
     transport = "connection"
     _is_streaming = False
 
-    def tick(self, now_s: float, tip: Callable[[], TipPose]) -> list[bytes]:
+    def tick(self, now_s: float, arm: Filmed) -> list[bytes]:
         """Data packets, once the client has asked for them."""
-        packets = super().tick(now_s, tip)
+        packets = super().tick(now_s, arm)
         return packets if self._is_streaming else []
 
     def answer(self, request: bytes) -> list[bytes]:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_mocks.devices.camera import CameraSetup, PictureMock, Point, TipPose
+from hil_mocks.devices.camera import CameraSetup, Filmed, PictureMock, Point, TipPose
 
 Array = NDArray[np.float64]
 BASE_m, BASE_turn_rad = (-0.12, 0.08, 0.05), (0.3, -0.2, 0.9)  # of the body on the base, in the base frame
@@ -71,10 +71,10 @@ class MocapMock(PictureMock):
         """All bodies, in the order in which they are sent."""
         return [self.scene.body, *(name for name, _, _ in self._still)]
 
-    def picture(self, time_s: float, tip: TipPose) -> bytes:
+    def picture(self, time_s: float, arm: Filmed) -> bytes:
         """A packet of the vendor's format."""
         self._number += 1
-        return self.packet(self._number, time_s, self._sights(tip))
+        return self.packet(self._number, time_s, self._sights(arm.tip_pose()))
 
     @abstractmethod
     def packet(self, number: int, time_s: float, sights: list[Sight]) -> bytes:

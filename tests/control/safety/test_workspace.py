@@ -193,16 +193,48 @@ def test_the_board_covers_its_outermost_cavity_and_a_margin_and_tilts_as_its_tab
 
 def test_an_arm_is_far_from_all_where_no_way_of_that_length_leads_to_floor_or_base() -> None:
     workspace, body = replace(BARE, base_radius_m=0.06), Body((0.02, 0.0))
-    corners = [(0.3, 0.0, 0.9), (0.5, 0.0, 0.53)]
+    corners = [(-0.3, 0.0, 0.9), (0.5, 0.0, 0.53)]  # over the base
     assert workspace.is_far(corners, body, 0.04)  # 0.53 - 0.02 - 0.04 > 0.4 + 0.06
     assert not workspace.is_far(corners, body, 0.0501)
-    assert not workspace.is_far([(0.5, 0.0, 0.48), (0.3, 0.0, 0.9)], body, 0.0)  # 0.46: at the base's reach
+    assert not workspace.is_far([(0.5, 0.0, 0.48), (-0.3, 0.0, 0.9)], body, 0.0)  # 0.46: at the base's reach
     exact = replace(BARE, base_top_m=0.5, base_radius_m=0.25)
-    assert not exact.is_far([(0.5, 0.0, 0.75), (0.3, 0.0, 0.9)], Body((0.0, 0.0)), 0.0)
-    assert exact.is_far([(0.5, 0.0, 0.7501), (0.3, 0.0, 0.9)], Body((0.0, 0.0)), 0.0)
+    assert not exact.is_far([(0.5, 0.0, 0.75), (-0.3, 0.0, 0.9)], Body((0.0, 0.0)), 0.0)
+    assert exact.is_far([(0.5, 0.0, 0.7501), (-0.3, 0.0, 0.9)], Body((0.0, 0.0)), 0.0)
     low = [(0.3, 0.0, 0.9), (0.5, 0.0, 0.01)]
     assert BARE.is_far(low, Body((0.0, 0.0)), 0.02)  # exactly to the tolerance below the floor
     assert not BARE.is_far(low, Body((0.0, 0.0)), 0.0201)
+
+
+def test_an_arm_is_far_from_the_base_beyond_a_plane_before_it() -> None:
+    workspace, body = replace(BARE, base_radius_m=0.06), Body((0.0, 0.02, 0.01), first_free=1)
+    corners = [(0.0, 0.0, 0.4), (0.0, 0.2, 0.3), (0.0, 0.6, 0.3)]  # the first hangs on the base
+    assert workspace.is_far(corners, body, 0.11)
+    assert not workspace.is_far(corners, body, 0.1201)
+    assert not workspace.is_far([corners[0], (0.0, -0.2, 0.3), (0.0, 0.6, 0.3)], body, 0.0)  # across the axis
+    assert workspace.is_far([corners[0], corners[1]], body, 0.11)  # no line that is free of the base
+    assert not workspace.is_far([corners[0], (0.0, 0.08, 0.3), (0.0, 0.6, 0.3)], body, 0.0)  # touches
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_arm_without_a_position_is_not_far(bad: float, axis: int) -> None:
+    corner = [0.6, 0.0, 0.9]
+    corner[axis] = bad
+    assert not BARE.is_far([(0.3, 0.0, 0.9), corner], Body((0.0, 0.0)), 0.0)
+
+
+def test_what_is_far_is_clear_however_it_moves_by_that_way() -> None:
+    chance = np.random.default_rng(7)
+    workspace = replace(BARE, board=replace(LEVEL, roll_slope=0.3, pitch_slope=-0.2), base_radius_m=0.1)
+    body = Body((0.0, 0.05, 0.02, 0.04), first_free=1)
+    far = 0
+    for corners in chance.uniform((-0.6, -0.6, -0.1), (0.7, 0.6, 0.7), (2000, 4, 3)):
+        if workspace.is_far(corners.tolist(), body, 0.05):
+            far += 1
+            way = chance.normal(size=(4, 3))
+            moved = corners + 0.05 * way / np.linalg.norm(way, axis=1, keepdims=True)
+            assert workspace.clearance(moved.tolist(), body).distance_m > 0.0
+    assert far > 50
 
 
 def test_a_link_that_points_at_the_base_is_as_far_from_it_as_its_end_is() -> None:

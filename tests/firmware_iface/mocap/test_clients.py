@@ -13,6 +13,7 @@ from hil_mocks.devices.camera import CameraSetup
 from hil_mocks.devices.mocap.natnet import FIRST_ID, MEAN_ERROR_m, NatNetMock
 from hil_mocks.devices.mocap.qtm import QtmMock, RESIDUAL_mm
 from hil_mocks.devices.mocap.scene import MocapMock, SceneSetup, TARGET_turn_rad, rotation_of
+from tests.firmware_iface.mocap.standing import Standing
 
 PLACE, TIP_m = (1.4, -0.9, 0.2), (0.5, 0.1, 0.3)
 TURN = rotation_of((0.1, -0.2, 2.0))
@@ -23,7 +24,7 @@ SEEN_TURN = TURN.T @ np.array(AXES).T @ rotation_of(TARGET_turn_rad)
 
 
 def packet_of(mock: MocapMock) -> bytes:
-    (packet,) = mock.tick(1.5, lambda: (TIP_m, AXES))
+    (packet,) = mock.tick(1.5, Standing(TIP_m, AXES))
     return packet
 
 

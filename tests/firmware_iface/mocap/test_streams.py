@@ -20,8 +20,9 @@ from hil_mocks.devices.camera import CameraSetup
 from hil_mocks.devices.mocap.natnet import NatNetMock
 from hil_mocks.devices.mocap.qtm import QtmMock
 from hil_mocks.devices.mocap.scene import MocapMock, SceneSetup
+from tests.firmware_iface.mocap.standing import Standing
 
-TIP = ((0.5, 0.1, 0.3), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+ARM = Standing((0.5, 0.1, 0.3), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 SETUP = CameraSetup(noise_m=0.0)
 SCENE = SceneSetup("tool", "base", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 NAMES = {11: "tool"}
@@ -142,7 +143,7 @@ class Served:
             self.requests.append(request)
             for answer in self.mock.answer(request):
                 self.wire.send(self.change(answer))
-        for packet in self.mock.tick(t, lambda: TIP):
+        for packet in self.mock.tick(t, ARM):
             self.wire.send(packet)
 
 
