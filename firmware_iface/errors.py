@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 T = TypeVar("T")
+MOST_PROBLEMS = 8  # one is raised a cycle: more would be raised long after their cause
 
 
 class ArmwrightError(Exception):
@@ -53,6 +54,20 @@ class ProtocolViolation(LinkError):
     def __init__(self, message: str, received: bytes = b"") -> None:
         super().__init__(f"{message} (received: {received.hex(' ')})" if received else message)
         self.received = received
+
+
+class AnotherHost(ProtocolViolation):
+    """Another program commands a board of ours."""
+
+
+class Problems(list[LinkError]):
+    """What boards have done wrong and nobody was told yet. One that babbles says nothing new, and fills no memory."""
+
+    def append(self, problem: LinkError) -> None:
+        """Note a problem. Beyond the most, only restarts: they take the zero away."""
+        is_needed = len(self) < MOST_PROBLEMS or isinstance(problem, BoardReset)
+        if is_needed and all(str(known) != str(problem) for known in self):
+            super().append(problem)
 
 
 class MisuseError(LinkError):

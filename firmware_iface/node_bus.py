@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from typing import Generic, Protocol, TypeVar
 
 from firmware_iface.clock import Clock
-from firmware_iface.errors import LinkError
+from firmware_iface.errors import Problems
 from firmware_iface.link import FrameLink
 
 _STEP_s = 0.0005
@@ -32,7 +32,7 @@ class NodeBus(ABC, Generic[N]):
         self.nodes: dict[int, N] = {}
         self.sent_at_s = clock.now_s()
         """When the last command was sent."""
-        self.problems: list[LinkError] = []
+        self.problems = Problems()
 
     @abstractmethod
     def _take(self, can_id: int, payload: bytes, now_s: float) -> None:

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import ClassVar, Protocol
 
-from firmware_iface.errors import BoardReset, LinkError, MisuseError, RequestRefused
+from firmware_iface.errors import BoardReset, LinkError, MisuseError, Problems, RequestRefused
 from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion, Status
 
 
@@ -47,7 +47,7 @@ class SmartServo(ABC):
         self.hardware_error = 0
         self.is_watchdog_expired = False
         self.resets = 0
-        self.problems: list[LinkError] = []
+        self.problems: list[LinkError] = Problems()
         self._line = line
         self._force = ForceLimit(line, self._force_written)
         self._torque = {

@@ -25,7 +25,7 @@ from control.model.arm import Arm, CanBus, EncoderBoardPort
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
-from firmware_iface.errors import ConnectionFailed, LinkError, WrongIdentity
+from firmware_iface.errors import ConnectionFailed, LinkError, Problems, WrongIdentity
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.digital_pins import DigitalPins
 from firmware_iface.serial_link import open_serial
@@ -100,7 +100,7 @@ def connect(
     encoders = [
         board for port in arm.encoder_boards if (board := _encoder(port, arm, clock, opened)) is not None
     ]
-    problems: list[LinkError] | None = None if shared_bus is None else []
+    problems = None if shared_bus is None else Problems()
     motors = _motors(arm, clock, opened, shared_bus, problems)
     open_boards(arm, clock, period_s, opened)
     end = _end_boards(arm, motors, period_s, opened)
@@ -271,7 +271,7 @@ def _end_boards(
         return EndBoards(gripper)
     bus, boards, failures = motors[0][0], {board.node: board for _, board in motors}, opened.failures
     if arm.gripper is not None and not arm.gripper.board:
-        problems: list[LinkError] = []
+        problems = Problems()
         board = MotorBoard(bus, arm.gripper.motor_node, "gripper", problems)
         with collect(failures):
             identity = board.identify(arm.gripper.motor_serial_number)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from firmware_iface.canopen import wire
 from firmware_iface.clock import Clock
-from firmware_iface.errors import LinkError, MisuseError
+from firmware_iface.errors import MisuseError, Problems
 from firmware_iface.link import FrameLink
 
 FrameHandler = Callable[[bytes, float], None]
@@ -20,7 +20,7 @@ class CanOpenBus:
         self.link = link
         self.clock = clock
         self.name = link.name
-        self.problems: list[LinkError] = []
+        self.problems = Problems()
         self.synced_at_s = clock.now_s()
         self._handlers: dict[int, FrameHandler] = {}
         self._heartbeat_every_s = heartbeat_every_s

@@ -11,8 +11,8 @@ from firmware_iface.encoder.wire import ChannelFlag, IndexAction
 from firmware_iface.errors import (
     BoardReset,
     BoardSilent,
-    LinkError,
     MisuseError,
+    Problems,
     ProtocolViolation,
     RequestRefused,
     WrongIdentity,
@@ -59,7 +59,7 @@ class EncoderBoard:
         self._has_sent = False
         self._answer: wire.Ack | wire.Identity | None = None
         self._indices = IndexLatches(self._send_arm_index)
-        self._problems: list[LinkError] = []
+        self._problems = Problems()
 
     @property
     def where(self) -> str:

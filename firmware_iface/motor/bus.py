@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from firmware_iface.clock import Clock
-from firmware_iface.errors import LinkError, LinkLost, MisuseError, ProtocolViolation
+from firmware_iface.errors import AnotherHost, LinkLost, MisuseError, Problems, ProtocolViolation
 from firmware_iface.link import FrameLink
 from firmware_iface.motor import wire
 
@@ -25,7 +25,7 @@ class MotorBus:
         self.strangers = 0
         """Frames from unknown nodes."""
         self.foreign_emergency_stops = 0
-        self.problems: list[LinkError] = []
+        self.problems = Problems()
         self._handlers: dict[int, FrameHandler] = {}
 
     def add_node(self, node: int, take_reply: FrameHandler, take_answer: FrameHandler) -> None:
@@ -80,8 +80,9 @@ class MotorBus:
         if can_id == wire.EMERGENCY_STOP_ID:
             self.foreign_emergency_stops += 1
         elif node in self.nodes and can_id - node in _OF_HOSTS:
+            violation = AnotherHost if can_id - node == wire.COMMAND_ID else ProtocolViolation
             self.problems.append(
-                ProtocolViolation(
+                violation(
                     f"CAN bus {self.name}: another program commands node {node} (id {can_id:#05x}); "
                     "stop the other program",
                     payload,

@@ -4,7 +4,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from firmware_iface.errors import BoardReset, LinkError, MisuseError, WrongIdentity
+from firmware_iface.errors import BoardReset, LinkError, MisuseError, Problems, WrongIdentity
 from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.line import VERSION_BYTES, PacketLine, Question
 from firmware_iface.roboclaw.wire import Command, Status
@@ -47,7 +47,7 @@ class RoboClaw:
         self.status: Status | None = None
         self.identity: RoboClawIdentity | None = None
         self.resets = 0
-        self.problems: list[LinkError] = []
+        self.problems: list[LinkError] = Problems()
         self._line = line
         self._timeout: int | None = None  # as set, in 0.1 s
         self.counts_question = Question(address, Command.READ_ENCODERS, 8, self._take_counts)

@@ -3,7 +3,16 @@
 import pytest
 
 from firmware_iface.clock import MonotonicClock
-from firmware_iface.errors import BoardSilent, ConnectionFailed, PortMissing, ProtocolViolation, connect_all
+from firmware_iface.errors import (
+    MOST_PROBLEMS,
+    BoardReset,
+    BoardSilent,
+    ConnectionFailed,
+    PortMissing,
+    Problems,
+    ProtocolViolation,
+    connect_all,
+)
 
 
 def fail(problem: Exception) -> str:
@@ -35,6 +44,17 @@ def test_a_violation_carries_the_bytes() -> None:
     violation = ProtocolViolation("board x: odd", b"\x01\xff")
     assert str(violation) == "board x: odd (received: 01 ff)"
     assert violation.received == b"\x01\xff"
+
+
+def test_a_board_that_babbles_fills_no_memory_and_hides_no_restart() -> None:
+    problems = Problems()
+    for k in range(1000):
+        problems.append(ProtocolViolation("board x: odd", bytes([k % 256])))
+        problems.append(BoardSilent("board y: silent"))
+    problems.append(BoardReset("board z: restarted"))
+    assert len(problems) == MOST_PROBLEMS + 1
+    assert [str(known) for known in problems].count("board y: silent") == 1
+    assert isinstance(problems[-1], BoardReset)
 
 
 def test_the_clock_waits_until_an_absolute_time_and_not_for_one_that_has_passed(
