@@ -29,18 +29,26 @@ class Measurement:
 
     `shifted_rad` is the change of angle in the last update that came from shifted counters, not from motion; `leap_rad`, one
     that no motor can make in the time between the reports (0: none), if `fastest_rad_s` gives the joints' greatest speeds.
+    `has_lost_turns`: the last report came so late that the counter may have wrapped unseen.
     """
 
     def __init__(
-        self, maps: Sequence[CountMap], counter_bits: Sequence[int], fastest_rad_s: Sequence[float] = ()
+        self,
+        maps: Sequence[CountMap],
+        counter_bits: Sequence[int],
+        fastest_rad_s: Sequence[float] = (),
+        unseen_s: Sequence[float] = (),
     ) -> None:
+        """`unseen_s`: for how long each counter cannot have wrapped unseen; none: for ever."""
         n = len(maps)
         self.q_rad = [0.0] * n
         self.speed_rad_s = [0.0] * n
         self.direction = [0] * n
         self.shifted_rad = [0.0] * n
         self.leap_rad = [0.0] * n
+        self.has_lost_turns = [False] * n
         self._fastest_rad_s = tuple(fastest_rad_s) or (math.inf,) * n
+        self._unseen_s = tuple(unseen_s) or (math.inf,) * n
         self._maps = maps
         self._counter_bits = tuple(counter_bits)
         self._unwrappers: list[Unwrapper] = []
@@ -65,6 +73,7 @@ class Measurement:
             if elapsed_s == 0.0:
                 continue
             self._last_s[joint] = counted_at_s[joint]
+            self.has_lost_turns[joint] = self._unseen_s[joint] < elapsed_s < math.inf  # inf: the first report
             q = self._maps[joint].radians(self._unwrappers[joint].update(count))
             if 0.0 < elapsed_s < LONGEST_GAP_S:
                 speed = (q - self.q_rad[joint]) / elapsed_s

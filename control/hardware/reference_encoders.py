@@ -97,8 +97,11 @@ class ReferenceEncoders:
         self.fresh_count(joint)
 
     def restore(self) -> None:
-        """Start the stream again after a reset. WrongIdentity if another board has taken the place of this one."""
-        if self._board.latest is None:
+        """Start the stream again where none comes: after a reset, also one that nobody saw.
+
+        WrongIdentity if another board has taken the place of this one, BoardSilent, BoardReset.
+        """
+        if self._clock.now_s() - self._board.latest_at_s > REPORT_WAIT_S:
             self._board.identify(serial_number=self._serial_number)
             start_stream(self._board, self._period_s)
             self.fresh_count(self.joints[0])

@@ -30,7 +30,7 @@ from control.motion.pace import Limited
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Event, Mode
-from firmware_iface.errors import BoardReset, LinkError
+from firmware_iface.errors import AnotherHost, BoardReset, LinkError
 
 # Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
 PAYLOAD_RATE_kg_s = 1.0
@@ -92,9 +92,12 @@ class Runtime(ArmState):
         return not (self.is_quitting and shutdown.has_left(self))
 
     def _read(self) -> None:
-        feedback = self.parts.hardware.read()
-        if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.counted_at_s):
-            set_points.follow_shift(self)
+        feedback = self.parts.hardware.feedback
+        try:
+            self.parts.hardware.read()
+        finally:  # one board that fails does not hide where the others' joints are
+            if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.counted_at_s):
+                set_points.follow_shift(self)
         camera = self.parts.camera
         seen = None if camera is None else camera.newest()
         is_in_base = camera is not None and not camera.has_own_frame
@@ -107,13 +110,19 @@ class Runtime(ArmState):
     def _watch(self, missed_in_row: int) -> None:
         for fault in self.drives.follow(self.now_s, self.parts.hardware.feedback):
             self.fail(fault)
+        measured, watch = self.parts.measurement, self.parts.checks.watch
+        # In every mode, and first: they are the cause of whatever else such a count looks like.
+        if wrong := watch.miscounts(measured.leap_rad, measured.has_lost_turns, self.monitor.is_homed):
+            for fault in wrong:
+                self.fail(fault)
+            return
         if self.monitor.mode is Mode.OFF:
             return
-        measured, aim, paused_s = self.parts.measurement, self.aim, self.elapsed_s - self.parts.period_s
+        aim, paused_s = self.aim, self.elapsed_s - self.parts.period_s
         q_set_rad: Sequence[float] = aim.q_rad
         if paused_s > 0.0:  # the boards have moved on with their last command
             q_set_rad = [q + paused_s * v for q, v in zip(aim.q_rad, aim.speed_rad_s, strict=True)]
-        found = self.parts.checks.watch.look(
+        found = watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
             q_set_rad, aim.speed_rad_s, missed_in_row,
             # The arm is where its boards' stop brought it: following is expected from the next cycle on.
@@ -125,22 +134,25 @@ class Runtime(ArmState):
     def _contradictions(self) -> list[Fault]:
         """What the boards' values say against each other, while they are fresh and the drives are on."""
         parts, feedback, checks = self.parts, self.parts.hardware.feedback, self.parts.checks
-        if not self.drives.is_ready or self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
+        if not self.drives.is_ready:
             checks.motors.forget()
             checks.motor_counts.forget()
             return []
+        faults = checks.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
+        if self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
+            checks.motors.forget()
+            return [] if self.monitor.is_zero_doubted else faults  # the counts are all that is left to doubt
         if self.has_missed:
             checks.motors.forget_speeds()
         model_A = parts.servo.model_A
-        faults = checks.motors.look(
+        faults += checks.motors.look(
             self.now_s, self.elapsed_s, feedback, parts.measurement.speed_rad_s, model_A
         )
-        faults += checks.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
         is_homed = self.monitor.is_homed
         parts.hardware.watch_indices(is_homed)
         passed = parts.hardware.passed_indices()
         if is_homed:
-            faults += checks.watch.leaps(parts.measurement.leap_rad) + checks.indices.look(passed)
+            faults += checks.indices.look(passed)
             faults += checks.switches.look(self.elapsed_s, parts.measurement.q_rad, feedback.channel_flags)
         return faults
 
@@ -241,15 +253,19 @@ class Runtime(ArmState):
 
     def _break_down(self, error: Exception) -> None:
         """The cycle raised: fault, and the boards hold; where a link is gone, they do so by themselves."""
+        is_first = self.monitor.mode is not Mode.FAULT
         if not (self.is_quitting and self.monitor.mode is Mode.OFF):
             self.fail(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
             self.monitor.forget_home()  # `home` uses the zeros of boards that still have them
+            self.parts.checks.motor_counts.forget()
         shutdown.follow(self)
         servo = self.parts.servo
         servo.silence()
         with contextlib.suppress(LinkError):
             self._write_all(self._mode_without_control(), servo.output)
+        if isinstance(error, AnotherHost) and self.drives.is_ready and not is_first:
+            self.parts.hardware.emergency_stop()  # else its commands and ours take turns at the motor
 
     def ended_wait(self, now_s: float) -> bool:
         """Whether the loop has waited for boards since its last cycle; what was not read meanwhile has not aged."""
@@ -278,7 +294,11 @@ class Runtime(ArmState):
         are_drives_faulted = any(self.parts.hardware.feedback.drive_faults)
         if are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault):
             self.has_waited = True
-            self.parts.hardware.reset_drive_faults()
+            try:
+                self.parts.hardware.reset_drive_faults()
+            except BoardReset:  # nobody saw it restart: it was silent
+                self.monitor.forget_home()
+                raise
             if self.monitor.mode is Mode.FAULT:
                 self.drives.expect(self.now_s)
             else:

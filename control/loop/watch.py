@@ -135,8 +135,14 @@ class Watch:
                 faults.append(self._late(missed_in_row))
         return faults
 
-    def leaps(self, leap_rad: Sequence[float]) -> list[Fault]:
-        """A fault for each joint whose count changed faster than its motor can turn."""
+    def miscounts(
+        self, leap_rad: Sequence[float], has_lost_turns: Sequence[bool], is_homed: bool
+    ) -> list[Fault]:
+        """A fault for each joint whose count changed faster than its motor can turn, or may have wrapped unseen."""
+        faults = self._leaps(leap_rad) if any(leap_rad) else []
+        return faults + self._lost_turns(has_lost_turns) if is_homed and True in has_lost_turns else faults
+
+    def _leaps(self, leap_rad: Sequence[float]) -> list[Fault]:
         return [
             Fault(
                 "encoder_leap",
@@ -147,6 +153,19 @@ class Watch:
             )
             for joint, leap in enumerate(leap_rad)
             if leap
+        ]
+
+    def _lost_turns(self, has_lost: Sequence[bool]) -> list[Fault]:
+        return [
+            Fault(
+                "zero_lost",
+                self._names[joint],
+                "no report came for so long that its counter may have wrapped unseen",
+                "check the encoder board's cable and supply, then home again",
+                Reaction.HOLD,
+            )
+            for joint, lost in enumerate(has_lost)
+            if lost
         ]
 
     def _are_boards_well(self, now_s: float, feedback: Feedback, expected: Expectation) -> bool:

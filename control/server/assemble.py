@@ -201,7 +201,19 @@ def _measurement(arm: Arm) -> Measurement:
         for drive, constant in zip(arm.drives, torque_constants_Nm_A(arm), strict=True)
     ]
     maps = [JointMap(drive) for drive in arm.drives]
-    return Measurement(maps, [drive.encoder_bits for drive in arm.drives], fastest_rad_s)
+    bits = [drive.encoder_bits for drive in arm.drives]
+    return Measurement(maps, bits, fastest_rad_s, [_unseen_s(drive) for drive in arm.drives])
+
+
+def _unseen_s(drive: Drive) -> float:
+    """For how long a joint cannot turn by half of its counter: what it makes unseen is ambiguous beyond.
+
+    A counter that covers the joint's range says the angle by itself; a wrong turn would lie outside of the range.
+    """
+    if _does_counter_span(drive):
+        return math.inf
+    half_rad = (1 << (drive.encoder_bits - 1)) * abs(JointMap(drive).radians_per_count)
+    return half_rad / (OVERSPEED * drive.joint_speed_limit_rad_s)
 
 
 def _indices(arm: Arm, measurement: Measurement, names: Sequence[str]) -> IndexWatch:

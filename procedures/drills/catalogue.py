@@ -96,6 +96,8 @@ def _buses() -> Iterator[Promise]:
     yield from _each("bit-rate", says, do.wrong_bit_rate, "link drive_silent")
     says = "another board with the id of motor board 2"
     yield from _each("same-id", says, do.second_board(1), "link drive_left", most=BRAKES)
+    says = "another program commands 6 V to motor board 2"
+    yield from _each("another-host", says, do.another_host(2, 6.0), "link", most=BRAKES, during=(REST, MOVE))
 
 
 def _boards() -> Iterator[Promise]:
@@ -164,6 +166,9 @@ def _encoders() -> Iterator[Promise]:
     yield from _each("backwards", "joint 1 counts backwards", inject, lying, most=BRAKES, during=moving)
     yield Drill("wrap-motion", "the counter of joint 1 wraps in its travel (16 bits)", MOVE, GOES_ON,
                 most_mm=3.0, arm=_narrow)  # fmt: skip
+    inject = fault("silent", "encoder")
+    yield Drill("unseen-motion", "encoder board with 16-bit counters unplugged for 2 s", MOVE, frozenset({"encoder_stale"}),
+                most_mm=HOLDS.move_mm, inject=inject, arm=_narrow)  # fmt: skip
 
 
 def _narrow(arm: Arm) -> Arm:

@@ -1,6 +1,7 @@
 """What can be done to an arm on the stage: the mock's faults, a man in the middle on its wires, a host that is away."""
 
 import random
+import struct
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -14,6 +15,7 @@ from control.kinematics.kinematics import Kinematics
 from control.motion.plan import plan_path
 from control.server.messages import asked
 from firmware_iface.link import FrameLink
+from firmware_iface.motor.wire import COMMAND_ID, Mode
 from hil_mocks.assembly import build_motor_board
 from hil_mocks.wiring import wiring_of
 from procedures.drills.stage import PERIOD_S, Stage
@@ -21,6 +23,7 @@ from procedures.drills.stage import PERIOD_S, Stage
 Inject = Callable[[Stage], None]
 MOTORS = ("motor1", "motor2", "motor3")
 HOST_MOST_ID = 0x27F  # COMMAND 0x100, PARAMETER_REQUEST 0x200, emergency stop 0: docs/motor_board.md
+ENABLE_OPERATION = 0x0F
 PASSIVE_AFTER_S = 0.01  # of errors: a controller leaves the bus soon
 SEED = 1
 GUEST = 1  # another connection than the drill's own
@@ -165,6 +168,17 @@ def second_board(joint: int) -> Inject:
                         guest.send(reply_id, reply)
 
         played.each_cycle.append(answer)
+
+    return inject
+
+
+def another_host(node: int, volts: float) -> Inject:
+    """Another program commands a board, cycle after cycle."""
+    command = struct.pack("<BBih", ENABLE_OPERATION, Mode.VOLTAGE, round(volts * 1e3), 0)
+
+    def inject(played: Stage) -> None:
+        guest = _guest(played)
+        played.each_cycle.append(lambda: guest.send(COMMAND_ID + node, command))
 
     return inject
 

@@ -49,6 +49,15 @@ def test_a_16_bit_counter_may_wrap_many_times_inside_the_travel() -> None:
     assert abs(measured.speed_rad_s[0]) < 400 * SCALE_rad / PERIOD_S
 
 
+def test_a_gap_in_which_a_counter_may_have_wrapped_is_told_once_and_the_first_report_is_none() -> None:
+    measured = Measurement([Map()], [16], unseen_s=[0.3])
+    told = []
+    for at_s in (5.0, 5.3, 5.601, 5.603):
+        measured.update([int(1000 * at_s)], [0], [at_s])
+        told.append(measured.has_lost_turns[0])
+    assert told == [False, False, True, False]
+
+
 def test_a_constant_speed_is_measured_after_a_few_filter_times() -> None:
     measured = measurement()
     feed(measured, [7 * k for k in range(60)])

@@ -161,9 +161,13 @@ def test_messages_say_how_long_a_board_has_been_silent_and_how_far_a_joint_is_of
 
 def test_a_leap_is_a_fault_of_the_joint_that_made_it() -> None:
     watch = Watch(limits_of_watch(), NAMES)
-    assert said(watch.leaps([0.0, 0.0])) == []
-    assert said(watch.leaps([0.0, -0.2])) == [("encoder_leap", "joint 2")]
-    assert said(watch.leaps([0.1, 0.2])) == [("encoder_leap", name) for name in NAMES]
+    assert said(watch.miscounts([0.0, 0.0], [False, False], True)) == []
+    assert said(watch.miscounts([0.0, -0.2], [False, False], False)) == [("encoder_leap", "joint 2")]
+    assert said(watch.miscounts([0.1, 0.2], [False, False], True)) == [
+        ("encoder_leap", name) for name in NAMES
+    ]
+    assert said(watch.miscounts([0.0, 0.0], [False, True], True)) == [("zero_lost", "joint 2")]
+    assert said(watch.miscounts([0.0, 0.0], [False, True], False)) == []
 
 
 @pytest.mark.parametrize("bit", DRIVE_FAULTS)
@@ -181,7 +185,7 @@ def test_reactions_have_an_order_of_severity() -> None:
 def test_faults_that_are_not_the_zeros_leave_it() -> None:
     assert {
         "zero_lost", "encoder_signal", "encoder_miscount", "encoder_leap", "encoder_contradicted", "encoders_differ",
-        "index_off", "switch_off",
+        "index_off", "switch_off", "overspeed",
     } == LOSES_ZERO  # fmt: skip
     assert set(REACTIONS) >= LOSES_ZERO
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from dataclasses import replace
 
 import pytest
 
 from control.loop import standstill as stillness
 from control.model.arm import Limits
-from control.safety.table import Mode
+from control.safety.table import Event, Mode
 from control.server.client import ArmFaulted, RequestRefused
 from firmware_iface.errors import LinkLost
 from tests.cell import FRICTION, RIGHT, STRETCHED, Cell, holding_cell, open_cell, scenario
@@ -90,6 +92,63 @@ def test_a_watchdog_that_expires_is_a_fault_of_its_drive() -> None:
             "joint 3",
         }
         assert any("watchdog" in fault.message for fault in cell.runtime.monitor.faults)
+
+
+def test_a_narrow_counter_that_was_not_seen_for_long_takes_the_zero_away() -> None:
+    """Half of 17 bits are 1.7 rad and more here: at 3 rad/s a joint may be as far away after 0.56 s."""
+    narrow = replace(RIGHT, drives=tuple(replace(drive, encoder_bits=17) for drive in RIGHT.drives))
+    with open_cell(arm=narrow) as cell:
+        cell.client.enable()
+        cell.runtime.on(Event.HOMED)
+        for silent_s, found in ((0.5, set()), (0.8, {"joint 1", "joint 2"})):
+            cell.inject("silent", "encoder")
+            cell.run(silent_s)
+            cell.rig.clear_faults()
+            cell.run(0.02)
+            assert {where for code, where in cell.faults if code == "zero_lost"} == found
+            assert cell.runtime.monitor.is_homed is not bool(found)
+            cell.client.acknowledge()
+
+
+def test_another_program_that_goes_on_commanding_is_stopped_by_all_boards(cell: Cell) -> None:
+    """What it commands and what the loop commands would take turns at the motor."""
+    forward = b"\x0f\x29" + (6000).to_bytes(4, "little") + bytes(2)
+    begun_rad = cell.rig.joint_rad()
+    with contextlib.closing(cell.rig.wires.guest()) as guest:
+        cell.watchers.append(lambda: guest.send(0x102, forward))
+        cell.run(0.3)
+        cell.watchers.clear()
+    assert cell.rig.joint_rad() == pytest.approx(begun_rad, abs=0.03)
+    assert [code for code, _ in cell.faults] == ["link"]
+    cell.run(0.1)
+    cell.client.acknowledge()
+    assert cell.runtime.monitor.is_homed
+
+
+def test_a_board_that_restarts_while_it_is_unplugged_is_found_out_by_the_acknowledgement(cell: Cell) -> None:
+    cell.inject("silent", "encoder")
+    cell.until_fault(0.1)
+    cell.inject("board_reset", "encoder")
+    cell.run(0.6)  # its start-up message, too
+    cell.rig.clear_faults()
+    cell.run(0.2)
+    assert "restarted by itself" in cell.refusal(do="acknowledge")
+    cell.client.acknowledge()
+    cell.client.hold()
+    assert not cell.runtime.monitor.is_homed
+
+
+@pytest.mark.parametrize(("counts", "code"), [(3000.0, "encoder_leap"), (400.0, "encoders_differ")])
+def test_a_zero_that_is_lost_while_the_boards_hold_the_arm_is_found(
+    cell: Cell, counts: float, code: str
+) -> None:
+    cell.run(0.2)  # each motor board is asked for its own count in turn
+    cell.inject("silent", "motor2")
+    cell.until_fault(0.1)
+    cell.inject("jumping_encoder", "encoder", channel=0, value=counts)
+    cell.run(0.2)
+    assert cell.faults == [("drive_silent", "joint 2"), (code, "joint 1")]
+    assert not cell.runtime.monitor.is_homed
 
 
 def test_a_motor_board_that_hears_nothing_is_named_and_its_own_watchdog_brakes_its_joint(

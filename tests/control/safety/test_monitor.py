@@ -341,7 +341,7 @@ def test_a_count_that_went_wrong_takes_the_zero_until_homing_has_found_it(code):
     assert (monitor.is_homed, monitor.is_zero_doubted) == (True, False)
 
 
-@pytest.mark.parametrize("code", ["following_error", "overspeed", "drive_silent", "supply"])
+@pytest.mark.parametrize("code", ["following_error", "drive_silent", "supply"])
 def test_other_faults_leave_the_zero(code):
     monitor = _monitor(Mode.HOLDING)
     monitor.fault(Fault(code, "joint 1", "it is off", "mend it", Reaction.BRAKE))
