@@ -2,7 +2,7 @@
 
 import math
 import struct
-from typing import Final
+from typing import Final, NamedTuple
 
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, ProtocolViolation
@@ -15,7 +15,18 @@ ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
 STATUS_WAIT_s = 0.5  # a VESC that sends its status more slowly cannot be used
 SWITCH_V: Final = 1.65  # half of the 3.3 V to which the analog input is pulled
+UNSEEN_s: Final = 0.1  # longer, and an arm that sinks on shorted windings passes half a turn
+UNSEEN_turns: Final = 0.45  # between two angles; beyond half a turn the nearest one is another turn's
+SPEED_GAIN: Final = 0.3  # messages arrive a cycle earlier or later than they are sent
 NEEDED: Final = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
+
+
+class Batch(NamedTuple):
+    """Angles that were read together: the count before them, the time since the ones before [s], how many."""
+
+    count_before: int
+    lasted_s: float
+    messages: int
 
 
 class VescBus(NodeBus["Vesc"]):
@@ -50,6 +61,8 @@ class Vesc:
         self.wanted: Frame = wire.current(number, 0.0)
         """The command of the next cycle."""
         self.count = 0
+        self.is_counted = True
+        """Whether anybody uses its count: without, turns that it loses matter to nobody."""
         self.current_A = 0.0
         self.supply_V = math.nan
         self.temperature_degC = 0.0
@@ -61,6 +74,8 @@ class Vesc:
         self._at_s = dict.fromkeys(NEEDED, -math.inf)
         self._last_raw: int | None = None
         self._step = 0  # of the count, between the last two status messages
+        self._batch = Batch(0, math.inf, 0)
+        self._speed_count_s = 0.0
         self._counters: dict[int, tuple[int, int]] = {}
         self._is_here = False
         self._bus = bus
@@ -152,6 +167,8 @@ class Vesc:
             case Packet.STATUS_4:
                 fets_degC, motor_degC, _, raw = wire.status_4(payload)
                 self.temperature_degC = max(fets_degC, motor_degC)
+                if now_s != self.counted_at_s:
+                    self._begin_batch(now_s)
                 self._follow(raw)
                 self.counted_at_s = now_s
             case Packet.STATUS_5:
@@ -175,8 +192,20 @@ class Vesc:
             return math.copysign(1.0, duty) * current_A
         return -math.copysign(abs(current_A), self._step)
 
+    def _begin_batch(self, now_s: float) -> None:
+        """Angles that are read together were sent one after the other. Too few of them for the time: turns may be missing."""
+        last, self._batch = self._batch, Batch(self.count, now_s - self.counted_at_s, 0)
+        if self.is_counted and last.messages and math.isfinite(last.lasted_s):
+            between_s = last.lasted_s / last.messages
+            turned = self._speed_count_s * between_s
+            if between_s > UNSEEN_s or turned > UNSEEN_turns * COUNTS_PER_TURN:
+                self._lose_turns(between_s)
+            speed_count_s = abs(self.count - last.count_before) / last.lasted_s
+            self._speed_count_s += SPEED_GAIN * (speed_count_s - self._speed_count_s)
+
     def _follow(self, raw: int) -> None:
         """Count turns: the angle is within one."""
+        self._batch = self._batch._replace(messages=self._batch.messages + 1)
         if self._last_raw is not None:
             half = COUNTS_PER_TURN // 2
             self._step = (raw - self._last_raw + half) % COUNTS_PER_TURN - half
@@ -192,8 +221,22 @@ class Vesc:
         if any(new < old for new, old in zip(now, before, strict=True)):
             self._restarted()
 
-    def _restarted(self) -> None:
+    def _lose_turns(self, unseen_s: float) -> None:
+        self._forget()
+        self._bus.problems.append(
+            BoardReset(
+                f"{self.where}: its angle was not seen for {unseen_s * 1e3:.0f} ms, in which its encoder may have passed half a"
+                " turn: its count is lost: check the bus's load and its cable, then home again"
+            )
+        )
+
+    def _forget(self) -> None:
+        """Its count means nothing any more."""
         self.resets += 1
+        self._batch, self._speed_count_s = Batch(0, math.inf, 0), 0.0
+
+    def _restarted(self) -> None:
+        self._forget()
         self._last_raw = None
         self._counters.clear()
         self._bus.problems.append(

@@ -114,6 +114,7 @@ def _open_vesc(bus: VescBus, described: Board, joint: int, drive: Drive, opened:
         _require_one_turn(board, drive)
     board.identify()
     encoder = own_encoder(board, joint, drive, opened)
+    board.is_counted = encoder is not None
     opened.drives.append(VescDrive(board, encoder, joint, drive, bus))
     opened.identities.append((board.where, f"fault code {board.fault}, supply {board.supply_V:.1f} V"))
 

@@ -114,6 +114,32 @@ def test_turns_are_counted_across_the_end_of_the_angle() -> None:
     assert cell.board.count == pytest.approx(-3.9 * TURN, abs=1)
 
 
+@pytest.mark.parametrize(
+    ("turns_s", "unseen_s", "is_lost"), [(30.0, 0.011, False), (30.0, 0.016, True), (0.0, 0.2, True)]
+)
+def test_turns_that_may_have_passed_unseen_cost_the_count(
+    turns_s: float, unseen_s: float, is_lost: bool
+) -> None:
+    cell = Cell()
+    cell.board.identify()
+
+    def run(duration_s: float) -> None:
+        for _ in range(round(duration_s * 1e3)):
+            cell.turns += 1e-3 * turns_s
+            cell.run(1e-3)
+
+    run(0.2)
+    cell.is_cut = True
+    run(unseen_s)
+    cell.is_cut = False
+    if is_lost:
+        with pytest.raises(BoardReset, match=r"half a turn: its count is lost.*home again"):
+            run(0.02)
+    else:
+        run(0.02)
+    assert cell.board.resets == is_lost
+
+
 def test_the_current_has_the_sign_of_the_duty() -> None:
     cell = Cell()
     for share, sign in ((0.5, 1.0), (-0.5, -1.0)):
