@@ -69,6 +69,7 @@ class Cia402Drive:
         self.errors: list[int] = []
         """Codes of emergency messages since the last acknowledged fault; 0x0000 is "no error" and not kept."""
         self.resets = 0
+        self._heartbeat_ms = 0  # between its heartbeats, once it is set up
         self.identity: DriveIdentity | None = None
         self.rated_torque_Nm = math.nan
         self._bus = bus
@@ -166,6 +167,9 @@ class Cia402Drive:
             self._bus.update()
             if self.at_s >= asked_s:
                 return
+        if self._heartbeat_ms and self.read(HEARTBEAT_PRODUCER) != self._heartbeat_ms:
+            self._restarted()  # unseen: what was written to it is gone
+            self._bus.update()
         raise BoardSilent(f"{self.where}: no position within {FRESH_WAIT_s} s of a SYNC")
 
     def set_up(self, period_s: float, watchdog_s: float) -> None:
@@ -184,6 +188,7 @@ class Cia402Drive:
         self.write(ABORT_CONNECTION, QUICK_STOP_WITHOUT_HOST)
         self.write(HEARTBEAT_CONSUMER, HOST_NODE << 16 | round(watchdog_s * 1e3))
         self.write(HEARTBEAT_PRODUCER, round(watchdog_s * 1e3))
+        self._heartbeat_ms = round(watchdog_s * 1e3)
         self._bus.heartbeat()
         self._bus.nmt(NmtCommand.START, self.node)
         self.state = self._max_torque = self._asked_max = None
@@ -279,12 +284,14 @@ class Cia402Drive:
 
     def _take_heartbeat(self, payload: bytes, now_s: float) -> None:
         if payload[:1] == bytes((wire.BOOT_UP,)) and self._is_known:
-            self.resets += 1
-            self.state, self.at_s = None, -math.inf
-            self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
-            self._bus.problems.append(
-                BoardReset(
-                    f"{self.where}: restarted by itself; its position and configuration are lost: check its supply, then home"
-                    " again"
-                )
+            self._restarted()
+
+    def _restarted(self) -> None:
+        self.resets += 1
+        self.state, self.at_s = None, -math.inf
+        self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
+        self._bus.problems.append(
+            BoardReset(
+                f"{self.where}: restarted by itself; its position and configuration are lost: check its supply, then home again"
             )
+        )

@@ -160,6 +160,15 @@ def test_a_boot_up_message_of_a_running_drive_is_a_restart(cell: Cell) -> None:
     assert cell.drive.state is None
 
 
+def test_a_restart_that_nobody_saw_is_found_by_what_the_drive_has_forgotten(cell: Cell) -> None:
+    cell.drive.await_count()
+    cell.mock.power_up(cell.wired.now_s())
+    cell.mock.outgoing.clear()  # its boot-up message, too
+    with pytest.raises(BoardReset, match="restarted by itself"):
+        cell.drive.await_count()
+    assert cell.drive.resets == 1
+
+
 def test_a_drive_that_hears_no_heartbeat_stops_by_itself(cell: Cell) -> None:
     for _ in range(6):
         cell.cycle(State.OPERATION_ENABLED)
