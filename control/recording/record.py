@@ -9,6 +9,7 @@ disk, and when the loop dies the writer still drains the pipe. It continues in a
 """
 
 import json
+import math
 import os
 import socket
 import struct
@@ -74,6 +75,13 @@ class Layout:
             joint_count, tuple(n for n, _ in fields), struct.Struct("<" + "".join(c for _, c in fields))
         )
 
+    def fitting(self, values: Sequence[float]) -> list[float]:
+        """The values as a row can hold them: what fits no column becomes NaN, or 0 where the column is of whole numbers."""
+        return [
+            value if _fits(code, value) else (math.nan if code in "fd" else 0)
+            for code, value in zip(self.codes, values, strict=True)
+        ]
+
     def header(self, about: dict[str, Any]) -> bytes:
         """The header, as it precedes the rows."""
         return header_bytes(self.about(**about))
@@ -96,6 +104,14 @@ class Layout:
             "modes": [mode.name for mode in Mode],
             **more,
         }
+
+
+def _fits(code: str, value: float) -> bool:
+    try:
+        struct.pack("<" + code, value)
+    except (struct.error, OverflowError, ValueError):
+        return False
+    return True
 
 
 def header_bytes(header: Mapping[str, Any]) -> bytes:
@@ -215,7 +231,10 @@ class Recorder:
 
     def write(self, values: Sequence[float]) -> None:
         """Record one cycle; `values` in the order of `layout.names`."""
-        row = self._pack(*values)
+        try:
+            row = self._pack(*values)
+        except (struct.error, OverflowError, ValueError):  # a board said what fits no column
+            row = self._pack(*self.layout.fitting(values))
         self._kept[self._next] = row
         self._next = (self._next + 1) % len(self._kept)
         if not self._sink.write(row):

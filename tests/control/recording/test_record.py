@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import re
 import resource
@@ -19,7 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from control.recording.reading import RecordError, Recording
-from control.recording.record import MAGIC, FileSink, Layout, PipeSink, Recorder
+from control.recording.record import MAGIC, FileSink, Layout, NoSink, PipeSink, Recorder
 from control.recording.recorder_state import RecorderState
 from control.recording.rotation import begin
 
@@ -131,6 +132,19 @@ def test_the_last_rows_are_kept_in_order(tmp_path: Path) -> None:
         row(number) for number in range(3, 8)
     ]
     recorder.close()
+
+
+def test_a_value_that_fits_no_column_ends_neither_the_row_nor_the_loop() -> None:
+    recorder = Recorder(LAYOUT, NoSink())
+    values = [1.0] * len(LAYOUT.names)
+    q, count = LAYOUT.names.index("q1_rad"), LAYOUT.names.index("count1")
+    narrow = LAYOUT.codes.index("f")
+    values[count], values[narrow] = 2**40, 1e300
+    recorder.write(values)
+    (row,) = recorder.last_rows()
+    kept = LAYOUT.packing.unpack(row)
+    assert (kept[q], kept[count]) == (1.0, 0)
+    assert math.isnan(kept[narrow])
 
 
 def test_a_full_pipe_loses_whole_rows_says_so_and_never_waits() -> None:
