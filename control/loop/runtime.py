@@ -277,7 +277,7 @@ class Runtime(ArmState):
 
     def note_wait(self, now_s: float) -> None:
         """The loop has waited for boards since its last cycle, of this arm or of another one."""
-        self.parts.checks.watch.note_pause(now_s, now_s - self.now_s)
+        self.parts.checks.watch.note_wait(now_s, now_s - self.now_s)
 
     # ---- requests
 
@@ -317,6 +317,13 @@ class Runtime(ArmState):
         """Start the shutdown: stop, hold, brake, off. The cycle continues it."""
         shutdown.begin(self, quits)
 
+    def require_staying(self) -> None:
+        """ArmError if the arm is being switched off: nothing begins then."""
+        if self.is_shutting_down:
+            raise ArmError(
+                "the arm is being switched off, so nothing begins: wait until it is off, then enable it"
+            )
+
     def state_payload(self, mass_kg: float) -> None:
         """State the mass in the gripper. ArmError if it is more than the arm may carry."""
         most_kg = self.parts.payload_limit_kg
@@ -349,16 +356,19 @@ class Runtime(ArmState):
 
     def start_homing(self) -> None:
         """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
+        self.require_staying()
         self.require_recording()
         homing.start(self)
 
     def start(self, motion: Motion, as_encoders: bool = False, beside: Sequence[Limited] = ()) -> None:
         """Start a checked motion that begins, at rest, at the arm's position `seen`; `beside`: others that keep its pace."""
+        self.require_staying()
         self.require_recording()
         motion_modes.start(self, motion, as_encoders, beside)
 
     def jog(self, request: JogRequest) -> None:
         """Start, change or renew a jog; ArmError says why it is refused, and then nothing changes."""
+        self.require_staying()
         motion_modes.jog(self, request)
 
     def renew_jog(self) -> None:

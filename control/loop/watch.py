@@ -5,6 +5,7 @@ motor boards have not, they stop and hold by themselves; if it cannot be trusted
 Order matters only for the operator: the first finding is usually the cause.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -78,6 +79,7 @@ class Watch:
         self._limits = limits
         self._names = joint_names
         self._pauses: deque[tuple[float, float]] = deque()  # (when the host was back, how long it was away)
+        self._waited: tuple[float, float] = (-math.inf, 0.0)  # the same of the loop's last wait for a board
 
     def note_pause(self, now_s: float, away_s: float) -> None:
         """Note that the host itself was away until now: the silence of the boards meanwhile is not theirs."""
@@ -85,9 +87,14 @@ class Watch:
         while self._pauses[0][0] < now_s - self._limits.silent_s:
             self._pauses.popleft()
 
+    def note_wait(self, now_s: float, waited_s: float) -> None:
+        """Note that the loop has asked nobody but one board until now, however long that took."""
+        self._waited = (now_s, waited_s)
+
     def age_s(self, now_s: float, at_s: float) -> float:
         """Age of a value, without the pauses of the host since it came."""
-        age_s = now_s - at_s
+        back_s, waited_s = self._waited
+        age_s = now_s - at_s - (waited_s if back_s > at_s else 0.0)
         if age_s > self._limits.silent_s or not self._pauses:
             return age_s
         return age_s - sum(away_s for back_s, away_s in self._pauses if back_s > at_s)

@@ -49,6 +49,21 @@ def test_off_while_a_stretched_arm_moves_stops_holds_brakes_and_lets_it_sink(
         assert stopped * 0.002 < 0.4
 
 
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"do": "move_joints", "q_rad": [0.5, -0.4, 0.4]},
+        {"do": "jog", "joint_speed_rad_s": [0.1, 0.0, 0.0]},
+        {"do": "home", "again": True},
+    ],
+)
+def test_nothing_begins_while_the_arm_is_being_switched_off(cell: Cell, request_: dict[str, object]) -> None:
+    cell.client.ask("off")
+    assert cell.mode is Mode.HOLDING
+    assert "is being switched off" in cell.refusal(**request_)
+    assert cell.mode is Mode.HOLDING
+
+
 def test_off_with_friction_is_quick_because_the_arm_stays() -> None:
     with holding_cell(scenario(UPRIGHT, effect=FRICTION)) as cell:
         before = cell.rig.joint_rad()

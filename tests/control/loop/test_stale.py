@@ -49,6 +49,8 @@ def test_acknowledge_fails_and_names_the_cause_while_it_lasts(cell: Cell, board:
     cell.run(1.0)
     with pytest.raises((ArmFaulted, RequestRefused), match=r'encoder board "enc0"|joint 1'):
         cell.client.acknowledge()
+    cell.run(0.1)  # the loop has waited for this board, and has heard no other one meanwhile
+    assert len([where for code, where in cell.faults if code in ("drive_silent", "encoder_stale")]) == 1
     cell.rig.clear_faults()
     cell.run(0.2)
     cell.client.acknowledge()
