@@ -122,11 +122,12 @@ class Runtime(ArmState):
         q_set_rad: Sequence[float] = aim.q_rad
         if paused_s > 0.0:  # the boards have moved on with their last command
             q_set_rad = [q + paused_s * v for q, v in zip(aim.q_rad, aim.speed_rad_s, strict=True)]
+        is_controlled = self.is_controlled()
         found = watch.look(
             self.now_s, self.parts.hardware.feedback, measured.q_rad, measured.speed_rad_s,
-            q_set_rad, aim.speed_rad_s, missed_in_row,
+            q_set_rad, aim.speed_rad_s, missed_in_row if is_controlled else 0,
             # The arm is where its boards' stop brought it: following is expected from the next cycle on.
-            Expectation(self.drives.is_ready, self.monitor.is_homed, self.is_controlled() and self.bridge is None),
+            Expectation(self.drives.is_ready, self.monitor.is_homed, is_controlled and self.bridge is None),
         )  # fmt: skip
         for fault in (*found, *self._contradictions()):
             self.fail(fault)

@@ -115,7 +115,7 @@ class Watch:
         missed_in_row: int,
         expected: Expectation,
     ) -> list[Fault]:
-        """Return all faults of this cycle, the most likely cause first."""
+        """Return all faults of this cycle, the most likely cause first. `missed_in_row`: 0 where nothing is controlled."""
         is_in_order = (
             self._are_boards_well(now_s, feedback, expected)
             and missed_in_row <= self._limits.missed_in_row
@@ -127,7 +127,9 @@ class Watch:
         if is_in_order:
             return []
         faults = self._boards(now_s, feedback, expected)
-        if expected.is_servoing and not faults:
+        if faults:
+            return faults
+        if expected.is_servoing:
             for joint, limit in enumerate(self._limits.joints):
                 faults += self._motion(
                     joint,
@@ -138,8 +140,8 @@ class Watch:
                     speed_set_rad_s[joint],
                     expected,
                 )
-            if missed_in_row > self._limits.missed_in_row:
-                faults.append(self._late(missed_in_row))
+        if missed_in_row > self._limits.missed_in_row:
+            faults.append(self._late(missed_in_row))
         return faults
 
     def miscounts(
