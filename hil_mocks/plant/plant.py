@@ -199,8 +199,10 @@ class Plant:
         self._data.qfrc_applied[self._at.link_hinge[j]] = torque_Nm - self._offset_Nm(self._at.link_hinge[j])
 
     def block(self, j: int, is_blocked: bool, by: str = "jam") -> None:
-        """Jam the gear of joint j, or free it again."""
+        """Jam the gear of joint j, or free it again. What moved has stopped at once: no damping could take that up in a step."""
         holders = self._blocked_by.setdefault(j, set())
+        if is_blocked:
+            self._data.qvel[[self._at.motor_hinge[j], self._at.link_hinge[j]]] = 0.0
         (holders.add if is_blocked else holders.discard)(by)
         self._damp(j)
 
