@@ -1,11 +1,11 @@
-"""`armwright drill`: one named fault on a mock arm, or all of them, and what the arm did."""
+"""`armwright drill`: one named fault on a mock arm, one in all its situations, or all of them, and what the arm did."""
 
 import argparse
 import sys
 
 from control.errors import ArmError
 from hil_mocks.firmware.choice import choose
-from procedures.drills.catalogue import drill_named, drills
+from procedures.drills.catalogue import drills, drills_named
 from procedures.drills.table import header, in_words, listing, row, verdict
 
 
@@ -17,13 +17,14 @@ def run(given: argparse.Namespace) -> int:
     if not given.mock:
         raise ArmError("drills break things on purpose and run on a mock arm only: add --mock")
     choose(given.firmware)
-    if given.name is not None:
-        outcome = drill_named(given.name).run()
+    chosen = list(drills().values()) if given.name is None else drills_named(given.name)
+    if len(chosen) == 1:
+        outcome = chosen[0].run()
         sys.stdout.write(in_words(outcome) + "\n")
         return 1 if outcome.broken else 0
     outcomes = []
     sys.stdout.write(header() + "\n")
-    for drill in drills().values():
+    for drill in chosen:
         outcomes.append(drill.run())
         sys.stdout.write(row(outcomes[-1]) + "\n")
         sys.stdout.flush()

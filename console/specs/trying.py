@@ -66,7 +66,7 @@ TRYING = (
                 "name",
                 nargs="?",
                 metavar="NAME",
-                help="one drill of docs/drills.md (default: all, as a table)",
+                help="a drill of docs/drills.md, or how several begin (default: all, as a table)",
             ),
             option("--mock", action="store_true", help="required: drills run on a mock arm only"),
             option("--list", action="store_true", help="the names of all drills, and what each does"),

@@ -95,6 +95,31 @@ def stop_at(delay_s: float) -> Inject:
     return inject
 
 
+def brake(played: Stage) -> None:
+    """Somebody has the arm braked."""
+    played.client.ask("brake")
+
+
+def payload(mass_kg: float) -> Inject:
+    """A mass at the tip that the runtime is not told of."""
+
+    def inject(played: Stage) -> None:
+        played.rig.set_payload(mass_kg)
+        played.undo.callback(played.rig.set_payload, 0.0)
+
+    return inject
+
+
+def let_go(mass_kg: float) -> Inject:
+    """The drives carry the arm for a hand that guides it, but not this mass at its tip."""
+
+    def inject(played: Stage) -> None:
+        payload(mass_kg)(played)
+        played.client.guide(weightless=True)
+
+    return inject
+
+
 def serial_gone(played: Stage) -> None:
     """The serial port vanishes."""
     played.rig.wires.serial[0].vanish()
