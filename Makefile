@@ -57,9 +57,6 @@ solver-study: install  ## is the optimum of an identification a real one? 200 fr
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration.solver_study
 
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS = "encoder" "cobs" "motor" "slcan" "camera" "vicon" "natnet" "qtm" "capture.csv" "capture.c3d" "socket" "recording frames" "arm.toml" "points.csv" "log.csv" "markers.csv" "path.csv" \
-  "boards.json" "session.json" "run.armlog" "programme.json" "places.toml" "scenario.toml" "tolerances.toml" \
-  "cell.toml" "contacts.csv" "camera.json" "tags.csv" "arm.urdf" "arm.xml"
 
 .venv-fuzz/installed: tests/fuzz/requirements.lock
 	$(PYTHON) -m venv .venv-fuzz
@@ -68,8 +65,9 @@ FUZZ_TARGETS = "encoder" "cobs" "motor" "slcan" "camera" "vicon" "natnet" "qtm" 
 
 fuzz: install .venv-fuzz/installed  ## coverage-guided fuzzing of every decoder and file reader, a minute each, and two million frames; FUZZ_SECONDS=600
 	$(BIN)/python -m tests.fuzz.frames
-	for target in $(FUZZ_TARGETS); do echo "$$target"; PYTHONPATH=.:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') \
-	  .venv-fuzz/bin/python -m tests.fuzz.coverage_guided "$$target" $(FUZZ_SECONDS) || exit 1; done
+	$(BIN)/python -c 'from tests.fuzz.targets import TARGETS; print(*TARGETS, sep="\n")' | while read -r target; do echo "$$target"; \
+	  PYTHONPATH=.:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') \
+	  .venv-fuzz/bin/python -m tests.fuzz.coverage_guided "$$target" $(FUZZ_SECONDS) </dev/null || exit 1; done
 
 firmware:  ## the reference boards' firmware for a Nucleo-F446RE, with its sizes, and what a call costs here (docs/firmware.md)
 	@command -v arm-none-eabi-gcc >/dev/null || { echo "no compiler for Cortex-M: apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi"; exit 2; }

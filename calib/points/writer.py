@@ -175,10 +175,10 @@ class PointsWriter:
 
     def _read(self) -> dict[Key, str]:
         """The lines of the records in the file, by key. PointsFileError for an invalid one."""
-        lines = self._path.read_text(encoding="utf-8").split("\n")[1:-1]
+        lines = self._path.read_text(encoding="utf-8", errors="replace").split("\n")[1:-1]
         if not lines:
             return {}
-        points, _ = read_points(self._path, self._joint_count)
+        points, _ = read_points(self._path, self._joint_count)  # which refuses what is not UTF-8
         keys = list(zip(points.setup, points.point, points.repeat, strict=True))
         if len(keys) != len(lines) or len(set(keys)) < len(keys):
             raise SessionError(f"{self._path}: a point appears twice, or a line is empty: undo manual edits")

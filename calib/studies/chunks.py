@@ -6,9 +6,11 @@ import hashlib
 import io
 import json
 import shutil
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -50,9 +52,23 @@ class ChunkStore:
         write_whole(self._file(number), content.getvalue())
 
     def read(self, number: int) -> Results:
-        """The results of a finished task."""
-        with np.load(self._file(number), allow_pickle=False) as content:
-            return {name: content[name] for name in content.files}
+        """The results of a finished task. CalibrationError if its file is damaged."""
+        try:
+            with self._file(number).open("rb") as file, np.load(file, allow_pickle=False) as content:
+                return {name: content[name] for name in content.files}
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            EOFError,
+            NotImplementedError,
+            MemoryError,
+            BadZipFile,
+            zlib.error,
+        ) as error:
+            raise CalibrationError(
+                f"{self._file(number)}: damaged ({type(error).__name__}): remove it, and start the study again"
+            ) from None
 
     def remove(self) -> None:
         """Delete the folder, once the study's own result is written."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,10 @@ PICTURE_MOST_bytes = 64 << 20
 
 def opencv() -> Any:
     """The module cv2. VisionError with the remedy where it is not installed."""
+    os.environ.setdefault(
+        "OPENCV_IO_MAX_IMAGE_PIXELS", str(PICTURE_MOST_px)
+    )  # before a header that lies takes the memory
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # a damaged picture is said in one sentence
     try:
         module = importlib.import_module("cv2")
     except ImportError as error:

@@ -12,6 +12,8 @@ from typing import TextIO
 from console.lines.grammar import Grammar, Line, LineError
 from control.server.client import ArmClient
 
+NAMED_MOST = 5  # invalid lines of a script
+
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -29,7 +31,7 @@ class Outcome:
 
 
 def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Line]]:
-    """All lines with their numbers, from 1. LineError names every invalid line, before anything is done."""
+    """All lines with their numbers, from 1. LineError names the invalid ones, before anything is done."""
     parsed: list[tuple[int, Line]] = []
     wrong: list[str] = []
     for number, text in enumerate(lines, 1):
@@ -41,7 +43,8 @@ def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Line]
         if line is not None:
             parsed.append((number, line))
     if wrong:
-        raise LineError("\n  ".join(wrong))
+        more = [f"and {len(wrong) - NAMED_MOST} more"] if len(wrong) > NAMED_MOST else []
+        raise LineError("\n  ".join(wrong[:NAMED_MOST] + more))
     return parsed
 
 

@@ -57,7 +57,7 @@ def _damage_errors() -> tuple[type[Exception], ...]:
     from mcap.exceptions import McapError
     from zstandard import ZstdError
 
-    return (McapError, ZstdError, struct.error, ValueError, EOFError)
+    return (McapError, ZstdError, struct.error, ValueError, TypeError, OverflowError, MemoryError, EOFError)
 
 
 class _Table:
@@ -69,6 +69,8 @@ class _Table:
         self._columns: dict[str, array[float]] = {}
 
     def add(self, time_ns: int, message: dict[str, Any]) -> None:
+        if time_ns >> 63:
+            raise ValueError("a time beyond the year 2262")
         if not self.times_ns or time_ns != self.times_ns[-1]:
             self.times_ns.append(time_ns)
         row = len(self.times_ns) - 1

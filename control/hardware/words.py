@@ -24,3 +24,8 @@ WATCHDOG: Final = 1 << 4
 OWN_ENCODER: Final = 1 << 5
 BAD_COMMAND: Final = 1 << 6
 EMERGENCY_STOP: Final = 1 << 7
+
+
+def as_counter(count: int) -> int:
+    """A count as a counter of 32 bits says it: boards that say turns, and zeros that are kept here, know no such end."""
+    return (count + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000

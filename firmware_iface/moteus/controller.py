@@ -15,6 +15,7 @@ ATTEMPTS = 3
 SETTLE_s = 0.02  # in which a fault whose cause persists comes back
 LATER_s, LATER_REPLIES = 0.05, 3  # a start that moves by so much, in so many replies, is another one
 _HALF: Final = 1 << 31  # of the counter's range
+_IDENTITY: Final = {Register.HOME_STATE, Register.FIRMWARE, *(Register.SERIAL + k for k in range(3))}
 _NOT_RUNNING: Final = (Mode.STOPPED, Mode.FAULT, Mode.TIMEOUT)
 
 
@@ -83,7 +84,7 @@ class Moteus:
         `must_be_referenced`: its position must be that of the output since power-up.
         """
         self._identity = {}
-        self._asks(wire.ask(self.number, wire.IDENTITY_QUERY), lambda: bool(self._identity))
+        self._asks(wire.ask(self.number, wire.IDENTITY_QUERY), lambda: self._identity.keys() >= _IDENTITY)
         state = self._identity[Register.HOME_STATE]
         if must_be_referenced and state != wire.REFERENCED_TO_OUTPUT:
             raise MisuseError(
@@ -137,7 +138,7 @@ class Moteus:
                 self._identity = found
                 return
             problem = self._measured(found, now_s)
-        except (ValueError, KeyError, struct.error) as error:
+        except (ValueError, OverflowError, KeyError, struct.error) as error:
             problem = ProtocolViolation(
                 f"{self.where}: a reply of {len(payload)} bytes cannot be read ({error}): check its firmware"
             )

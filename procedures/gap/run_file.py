@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calib.gap.log import Run
+from calib.gap.log import LogFileError, Run
 from calib.points.writer import replace_file
 from control.model.arm import Arm
 from procedures.gap.timing import Aligned, Raw, aligned, clocks_of
@@ -51,7 +51,16 @@ class RunFile:
 
     @staticmethod
     def read(path: Path, joint_count: int) -> Raw:
-        """Read a run."""
+        """Read a run. LogFileError if it is not one that `write` has written."""
+        try:
+            return RunFile._read(path, joint_count)
+        except (OSError, ValueError, KeyError, IndexError, StopIteration, csv.Error) as error:
+            raise LogFileError(
+                f"{path}: not a run of `armwright gap record` ({error or 'empty'}): remove it, and record it again"
+            ) from None
+
+    @staticmethod
+    def _read(path: Path, joint_count: int) -> Raw:
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.reader(file)
             header = next(reader)

@@ -11,26 +11,8 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from calib.arm_import import read_arm
-from calib.boards.boards import read_boards
-from calib.boards.markers import read_markers
-from calib.capture.c3d import read_c3d
-from calib.capture.vicon_csv import read_vicon_csv
-from calib.closed_chain.contacts import read_contacts
-from calib.gap.log import read_log
-from calib.iso9283.recorded import read_rectangle
-from calib.points.reading import read_points
-from calib.session.folder import SessionFolder
-from calib.tolerances.file import parse_tolerances, tolerances_text
-from calib.vision.camera_file import read_camera
-from calib.vision.targets import read_tags
-from console.places import read_places
-from control.model.cell import load_cell
-from control.model.description import load_arm
-from control.motion.waypoints import read_waypoints
 from control.recording.fixed_point import stored_columns
 from control.recording.frame_decoder import FrameDecoder
-from control.recording.reading import Recording
 from control.recording.record import Layout
 from control.server import messages
 from firmware_iface import camera
@@ -44,7 +26,8 @@ from firmware_iface.motor import wire as motor_wire
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
 from firmware_iface.slcan import SlcanLink
-from hil_mocks.scenario import load_scenario
+from tests.fuzz.bought import BOUGHT
+from tests.fuzz.readers import FILES, LINES
 
 SENTENCE_MOST = 4000  # characters
 Target = Callable[[bytes], None]
@@ -183,40 +166,12 @@ def recording_frames(content: bytes) -> None:
     assert used <= len(content)
 
 
-def _recording(path: Path) -> object:
-    opened = Recording.open(path)
-    return opened.row_count, sum(1 for _ in opened.rows())
-
-
-def _session(path: Path) -> object:
-    path.rename(path.parent / "session.json")
-    return SessionFolder(path.parent)
-
-
-def _tolerances(path: Path) -> object:
-    return parse_tolerances(tolerances_text(str(path)), str(path), load_arm("right"))
-
-
-def _contacts(path: Path) -> object:
-    return read_contacts(path, (load_arm("left"), load_arm("right")))
-
-
-READERS: dict[str, Callable[[Path], object]] = {
-    "arm.toml": load_arm, "points.csv": read_points, "log.csv": read_log, "markers.csv": read_markers,
-    "path.csv": read_waypoints, "boards.json": read_boards, "session.json": _session, "run.armlog": _recording,
-    "programme.json": read_rectangle, "places.toml": read_places, "scenario.toml": load_scenario,
-    "tolerances.toml": _tolerances, "capture.csv": read_vicon_csv, "capture.c3d": read_c3d,
-    "cell.toml": load_cell, "contacts.csv": _contacts, "camera.json": read_camera, "tags.csv": read_tags,
-    "arm.urdf": lambda path: read_arm(path, "urdf"), "arm.xml": lambda path: read_arm(path, "mjcf"),
-}  # fmt: skip
-
-
 def _of_file(name: str) -> Target:
     def read(content: bytes) -> None:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / name
             path.write_bytes(content)
-            READERS[name](path)
+            FILES[name](path)
 
     return read
 
@@ -224,9 +179,9 @@ def _of_file(name: str) -> Target:
 DECODERS: dict[str, Target] = {
     "encoder": encoder_stream, "cobs": cobs_block, "motor": motor_frames, "slcan": slcan_line, "camera": camera_datagram,
     "vicon": vicon_datagram, "natnet": natnet_packet, "qtm": qtm_stream,
-    "socket": socket_line, "recording frames": recording_frames,
+    "socket": socket_line, "recording frames": recording_frames, **BOUGHT, **LINES,
 }  # fmt: skip
-TARGETS: dict[str, Target] = {**DECODERS, **{name: _of_file(name) for name in READERS}}
+TARGETS: dict[str, Target] = {**DECODERS, **{name: _of_file(name) for name in FILES}}
 
 
 def is_survived(name: str, content: bytes) -> bool:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import random
 import re
+import struct
 import zlib
 
 import pytest
@@ -11,6 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_iface.encoder import cobs, wire
+from firmware_iface.odrive.wire import Command
+from tests.fuzz.bought import CANOPEN_IDS, MOTEUS_IDS, ODRIVE_IDS, packed
+from tests.fuzz.bought_seeds import MOTEUS_VALUES, answers
 from tests.fuzz.frames import mutated, wrong_accepts
 from tests.fuzz.seeds import seeds_of
 from tests.fuzz.targets import DECODERS, TARGETS, is_survived
@@ -23,6 +28,30 @@ def test_mutants_of_good_input_are_taken_or_refused_in_a_sentence(name: str) -> 
         is_survived(name, seed)
         for _ in range(60 if name in DECODERS else 25):
             is_survived(name, mutated(seed, chance))
+
+
+def odrive_frames(turns: float) -> bytes:
+    return packed(
+        ODRIVE_IDS, [(ODRIVE_IDS[list(Command).index(Command.ENCODER)], struct.pack("<ff", turns, 0.0))]
+    )
+
+
+# What fuzzing has found: a count or a float that no recording holds, half an identity, damaged files, endless lists of errors.
+FOUND: tuple[tuple[str, bytes], ...] = (
+    ("odrive", odrive_frames(3e38)), ("odrive", odrive_frames(-1e6)),
+    ("cia402", packed(CANOPEN_IDS, [(CANOPEN_IDS[0], struct.pack("<Hih", 0x27, 2**31 - 1, 0))])),
+    ("dynamixel", answers(*[b"\0" + bytes(6) + b"\xff\xff\xff\x7f" + bytes(11)] * 60)),
+    ("moteus", packed(MOTEUS_IDS, [(MOTEUS_IDS[0], b"\x2b\xa0\x02" + bytes(12))])),
+    *(("moteus", packed(MOTEUS_IDS, [(MOTEUS_IDS[0], MOTEUS_VALUES.replace(struct.pack("<f", 1.5), other))]))
+      for other in (struct.pack("<f", math.inf), struct.pack("<f", 3e38))),
+    ("recorded.csv", seeds_of("recorded.csv")[0] + b"\xf5,1\n"), ("script", b"wrong\n" * 90),
+    ("chunk.npz", b"PK"), ("chunk.npz", b""), ("run.csv", b""), ("run.csv", b"t_s\nx\n"), ("run.csv", b"t_s\n1\n"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "content"), FOUND, ids=[name for name, _ in FOUND])
+def test_what_was_found_once_is_taken_or_refused_in_a_sentence(name: str, content: bytes) -> None:
+    is_survived(name, content)
 
 
 @pytest.mark.parametrize("name", ["arm.toml", "cell.toml", "places.toml", "camera.json", "run.armlog"])

@@ -9,7 +9,14 @@ from control.errors import MissingModel
 from control.hardware.interface import Feedback
 from control.hardware.opened import Opened, collect
 from control.hardware.roles import AskedEncoders
-from control.hardware.words import FAULT, HOME_SWITCH, OPERATION_ENABLED, SWITCH_ON_DISABLED, ZERO_SET
+from control.hardware.words import (
+    FAULT,
+    HOME_SWITCH,
+    OPERATION_ENABLED,
+    SWITCH_ON_DISABLED,
+    ZERO_SET,
+    as_counter,
+)
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
@@ -84,7 +91,7 @@ class NodeEncoder(AskedEncoders):
         board, joint = self._board, self._joint
         if self._resets != board.resets:
             self._resets, self._is_zero_set, self._latched = board.resets, self._is_absolute, None
-        feedback.count[joint] = board.count + self.offset
+        feedback.count[joint] = as_counter(board.count + self.offset)
         feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
         flags = ZERO_SET if self._is_zero_set else 0
         feedback.channel_flags[joint] = flags | (HOME_SWITCH if board.is_switch_on else 0)

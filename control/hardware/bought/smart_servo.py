@@ -19,6 +19,7 @@ from control.hardware.words import (
     SWITCH_ON_DISABLED,
     WATCHDOG,
     ZERO_SET,
+    as_counter,
 )
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
@@ -50,7 +51,7 @@ class ServoEncoder(AskedEncoders):
     def take(self, feedback: Feedback) -> None:
         """Write the newest position; its zero is always known."""
         servo, joint = self._servo, self._joint
-        feedback.count[joint] = servo.position + self.offset
+        feedback.count[joint] = as_counter(servo.position + self.offset)
         feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = servo.at_s
         feedback.channel_flags[joint] = ZERO_SET
 

@@ -37,7 +37,6 @@ USUAL = "rest, motion, session"
         "wrap-motion",
         "pause-190-motion",
         "jammed-motion",
-        "guided-payload-rest",
         "power-session",
         "power-arm",
         "cut-recording",
