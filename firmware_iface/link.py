@@ -1,6 +1,6 @@
 """What a serial or a CAN link does, whatever opens it: it carries bytes or frames, and does not interpret them.
 
-Reading never blocks.
+Reading never blocks; `ByteLink.wait` does, within its limit.
 """
 
 from enum import Enum
@@ -30,6 +30,10 @@ class ByteLink(Protocol):
 
     def read(self) -> bytes:
         """Return all bytes received, b"" if none; never blocks. Raises LinkLost."""
+        ...
+
+    def wait(self, limit_s: float) -> bool:
+        """Whether there is something to `read`; waits for it, `limit_s` at most, where the link can. Never raises."""
         ...
 
     def write(self, data: bytes) -> None:

@@ -32,6 +32,10 @@ class MemoryByteLink:
             raise self._lost()
         return b""
 
+    def wait(self, limit_s: float) -> bool:
+        """Whether there is something to read now."""
+        return bool(self._incoming)
+
     def write(self, data: bytes) -> None:
         """Send all of `data`."""
         if not self._is_open or self._peer is None or not self._peer._is_open:

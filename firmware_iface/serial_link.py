@@ -108,6 +108,29 @@ class _PosixByteLink:
         self._empty_reads = 0
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
+        self._arrivals: select.epoll | None = None
+
+    def wait(self, limit_s: float) -> bool:
+        # Asking a tty whether it is readable may wait for the kernel's worker, as reading it does (see `read`), for longer than
+        # the limit. So only its wake-ups are waited for, by edges, and the number of bytes tells whether there are any.
+        try:
+            if self._arrivals is None:
+                self._arrivals = select.epoll()
+                self._arrivals.register(self._fd, select.EPOLLIN | select.EPOLLET)
+            if (
+                not (waiting := self._waiting_bytes())
+                and limit_s > 0.0
+                and select.select([self._arrivals], [], [], limit_s)[0]
+            ):
+                waiting = self._waiting_bytes()
+            if waiting:
+                self._arrivals.poll(0)  # this edge is done
+            return waiting > 0
+        except (OSError, ValueError):  # unplugged, or closed: reading says so
+            return True
+
+    def _waiting_bytes(self) -> int:
+        return int(_INT.unpack(fcntl.ioctl(self._fd, termios.FIONREAD, _NO_BYTES))[0])
 
     def read(self) -> bytes:
         # Query the number of bytes first, because reading an empty tty may wait: the kernel then flushes pending
@@ -115,7 +138,7 @@ class _PosixByteLink:
         # late by tens of milliseconds, with the board's bytes in its hands: a line that has been empty for some reads is
         # therefore read all the same, so that no board is called silent while its bytes are here.
         try:
-            (waiting,) = _INT.unpack(fcntl.ioctl(self._fd, termios.FIONREAD, _NO_BYTES))
+            waiting = self._waiting_bytes()
             self._empty_reads = 0 if waiting else self._empty_reads + 1
             if self._empty_reads % (self._patience + 1) == self._patience:
                 waiting = _READ_BYTES
@@ -141,6 +164,8 @@ class _PosixByteLink:
 
     def close(self) -> None:
         self._fd = -1  # the descriptor may be reused
+        if self._arrivals is not None:
+            self._arrivals.close()
         self._port.close()
 
 
@@ -173,6 +198,12 @@ class _PyserialByteLink:
             return bytes(self._port.read(_READ_BYTES))
         except (OSError, TypeError) as problem:  # TypeError: closed during the call
             raise self._lost(problem) from None
+
+    def wait(self, limit_s: float) -> bool:
+        try:
+            return bool(self._port.in_waiting)  # type: ignore[attr-defined]  # every port of pyserial has it
+        except (OSError, TypeError):  # reading says why
+            return True
 
     def write(self, data: bytes) -> None:
         try:

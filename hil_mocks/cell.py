@@ -130,6 +130,11 @@ class MockCell:
         robot, line = self._line_of[board]
         return robot.serial_outgoing(line, ahead_s)
 
+    @property
+    def serial_next_s(self) -> float:
+        """When the next bytes of any serial line arrive at the host; infinity if none are under way."""
+        return min(robot.serial_next_s for robot in self._all)
+
     def _gather(self) -> None:
         for camera, robot in enumerate(self._all):
             for carried, sent in robot.outgoing.items():

@@ -229,6 +229,11 @@ class MockRobot:
             self._serial[board] = [sent for sent in queue if sent[0] > moment_s]
         return b"".join(there)
 
+    @property
+    def serial_next_s(self) -> float:
+        """When the next bytes of any serial line arrive at the host; infinity if none are under way."""
+        return min((when_s for queue in self._serial for when_s, _ in queue), default=math.inf)
+
     def inject(self, fault: FaultTable) -> None:
         """Inject a fault; its times are those of the simulation. Raises ScenarioError."""
         check_fault(fault, self.board_names, "inject")

@@ -57,6 +57,10 @@ class Pacer:
         self._done += behind
         return behind
 
+    def ahead_s(self, now_s: float) -> float:
+        """How long ago the last tick that was run was due."""
+        return now_s - self._zero_s - self._done * self._tick_s
+
 
 class Server:
     """The mock arms of a cell (one, or several), their wires and their socket."""
@@ -104,14 +108,21 @@ class Server:
 
     def run(self) -> None:
         """Follow the clock until told to end."""
-        look_s = self._mock.tick_s / _LOOKS_PER_TICK
         self._pacer = Pacer(self._mock.tick_s, time.monotonic())
-        next_s = time.monotonic()
         while not self._is_ending:
             self._follow(self._pacer.due(time.monotonic()), time.time())
             self._look_at_sockets()
-            next_s = max(next_s + look_s, time.monotonic())
-            time.sleep(max(0.0, next_s - time.monotonic()))
+            time.sleep(self._idle_s(self._pacer.ahead_s(time.monotonic())))
+
+    def _idle_s(self, ahead_s: float) -> float:
+        """How long nothing is to be done, `ahead_s` after the last tick: until the next one, a look in between, or bytes.
+
+        So a report arrives when its last bit has left the board, as a real one does, and not at one of the looks.
+        """
+        mock = self._mock
+        look_s = mock.tick_s / _LOOKS_PER_TICK
+        next_look_s = min((int(ahead_s / look_s) + 1) * look_s, mock.tick_s)
+        return max(0.0, min(next_look_s, mock.serial_next_s - mock.now_s) - ahead_s)
 
     def _follow(self, ticks: int, now_s: float) -> None:
         """Run ticks up to now (seconds since 1970), with the host's frames between them as they came.
@@ -128,7 +139,7 @@ class Server:
         if ticks > _LATE_TICKS:
             for frames in mock.outgoing.values():
                 frames[:] = newest_of_each(frames)
-        wires.to_host(mock)
+        wires.to_host(mock, self._pacer.ahead_s(time.monotonic()))
 
     def close(self) -> None:
         """Remove everything that was created."""

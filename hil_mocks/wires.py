@@ -232,9 +232,9 @@ class Wires:
         for wire in self.serial:
             wire.settle()
 
-    def to_host(self, robot: OnWires) -> None:
-        """Send the host what the robot has sent by now; a pty may delay it slightly."""
-        self.serial_to_host(robot)
+    def to_host(self, robot: OnWires, ahead_s: float = 0.0) -> None:
+        """Send the host what the robot has sent by now, bytes by `ahead_s` later; a pty may delay it slightly."""
+        self.serial_to_host(robot, ahead_s)
         for carried, bus in self._buses.items():
             if sent := robot.outgoing[carried]:
                 _put_on(bus, sent)

@@ -71,7 +71,6 @@ class BoardHardware:
             for drive in self._drives:
                 drive.take(feedback)
             feedback.encoder_at_s = min(feedback.reported_at_s)
-            feedback.reports, feedback.lost = self._encoders[0].frames()
         return feedback
 
     def _update(self) -> None:
@@ -98,10 +97,9 @@ class BoardHardware:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
         return any(drive.is_any_enabled() for drive in self._drives)
 
-    @property
-    def reports_a_cycle(self) -> int:
-        """How many reports the first encoder board sends in a cycle; 0 if none."""
-        return self._encoders[0].reports_a_cycle
+    def await_counts(self, made_s: float, until_s: float) -> float:
+        """Wait for counts of the first encoder board."""
+        return self._encoders[0].await_counts(made_s, until_s)
 
     # ---- outside of the cycle: these wait for answers
 

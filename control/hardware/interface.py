@@ -37,8 +37,6 @@ class Feedback:
     )  # when `count` was latched, on its board's own clock
     # when the joint's counts were made; a repeated report or one that was under way for long is as old as its counts
     reported_at_s: list[float] = field(default_factory=list)
-    reports: int = 0  # of the first encoder board so far
-    lost: int = 0  # of its frames so far
     reply_at_s: list[float] = field(default_factory=list)
     count: list[int] = field(default_factory=list)
     shift_count: list[int] = field(
@@ -112,9 +110,11 @@ class Hardware(Protocol):
         """Command every joint in V, A or rad, as its entry of `modes` says; in POSITION mode the board adds `feedforward_V`."""
         ...
 
-    @property
-    def reports_a_cycle(self) -> int:
-        """How many reports the first encoder board sends in a cycle; 0 if none."""
+    def await_counts(self, made_s: float, until_s: float) -> float:
+        """When the first encoder board's newest counts were made, by its own clock [s]; NaN from boards without a stream.
+
+        Waits, until then at most, for counts that were made at `made_s` or later. Never raises: `read` does.
+        """
         ...
 
     def enable(self) -> None:

@@ -37,15 +37,9 @@ class ReferenceEncoders:
         self._period_s = period_s
         self._serial_number = None if board.identity is None else board.identity.serial_number
 
-    @property
-    def reports_a_cycle(self) -> int:
-        """How many reports the board sends in a cycle; 0 if none."""
-        stream_s = self._board.stream_period_s
-        return round(self._period_s / stream_s) if stream_s > 0.0 else 0
-
-    def frames(self) -> tuple[int, int]:
-        """How many reports have come so far, and how many frames were lost."""
-        return self._board.reports, self._board.lost
+    def await_counts(self, made_s: float, until_s: float) -> float:
+        """When the newest counts were made, by the board's clock, once that is `made_s` or later; waits until then at most."""
+        return self._board.await_report(made_s, until_s)
 
     def update(self) -> None:
         """Drain the line."""

@@ -5,6 +5,7 @@ joints into the arm's `Feedback` and reads those of the arm's outputs. Counts ke
 carry the joint's sign, which each driver makes of its wiring.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -34,12 +35,11 @@ class PolledLine(Protocol):
 class AskedEncoders:
     """What encoders have in common that send no stream of reports and read no index: nothing to follow, count or watch."""
 
-    reports_a_cycle = 0
     is_asked = True
 
-    def frames(self) -> tuple[int, int]:
+    def await_counts(self, made_s: float, until_s: float) -> float:
         """No stream of reports."""
-        return 0, 0
+        return math.nan
 
     def watch_indices(self, is_wanted: bool) -> None:
         """No index is watched."""
@@ -64,18 +64,16 @@ class Encoders(Protocol):
         """Write count, its time, when it was reported, and the channel flags of each joint."""
         ...
 
-    @property
-    def reports_a_cycle(self) -> int:
-        """How many reports the board sends in a cycle; 0 if none."""
+    def await_counts(self, made_s: float, until_s: float) -> float:
+        """When the newest counts were made, by the board's clock [s], once that is `made_s` or later; waits until then at most.
+
+        NaN without counts, and from boards that send no stream of them. Never raises: `Line.update` does.
+        """
         ...
 
     @property
     def is_asked(self) -> bool:
         """Whether a count is made when it is asked for; else at the board's own rate."""
-        ...
-
-    def frames(self) -> tuple[int, int]:
-        """How many reports have come so far, and how many frames were lost."""
         ...
 
     def fresh_count(self, joint: int) -> int:

@@ -1,46 +1,52 @@
-"""The loop's phase follows the reports of the first encoder board, so that a cycle begins just after counts have come.
+"""The loop's phase follows the reports of the first encoder board, and a cycle begins when its counts have come.
 
-A board sends by its own clock, some 100 ppm off the host's, so without this the age of the counts grows and falls as a saw-
-tooth of one report period. Nobody tells when bytes arrive; what can be seen is that a cycle began too early: one report less
-was there, and none was lost. (A gap in the board's sequence shows in the next cycle; a cycle that began late has one too many
-first.) So the cycles creep earlier until one is too early, and step back. Each step makes the creeping slower by FALL; after
-it the creeping gets faster, the more so the longer nothing was met, by GAIN (t + t^3 / 3) after t seconds. Both balance at a
-step in 1.5 s, whatever the drift of the clocks and the jitter of the line.
+A board sends by its own clock, some 100 ppm off the host's, and what it sends is under way for a time that nobody tells and that
+is not the same twice: the line, the adapter, the kernel. So a deadline lies where some of the reports have come and most have
+not, and a cycle waits for the report that is meant for it, as long as BOUND. The report begins the cycle; where in their spread
+the deadline lies hardly matters. It creeps there: earlier after a cycle that found its report, later after one that did not.
+Balanced, LATER / (EARLIER + LATER) of them find it, a quantile that neither a long tail nor a lost report can drag along.
+
+Which report is meant is told by the board's time stamps, one period after the other, so that lost, doubled and late ones do
+not confuse. A board that has sent none for SILENT periods is not waited for.
 """
 
-STEP_s = 6e-5  # back, after a cycle that began too early
-GAIN_1_s = 2e-5  # rise of the speed of creeping [s/s] per second, just after a step
-FALL = 4e-5  # of the speed, at each step
-MOST = 5e-4  # of the speed: 1 us a cycle at 500 Hz; crystals differ by less than 3e-4
+import math
+from collections.abc import Callable
+
+from firmware_iface.clock import Clock
+
+BOUND = 0.1  # of a period: 0.2 ms at 500 Hz, what a cycle waits for its report at most
+EARLIER = 6e-4  # of a period, the creeping a cycle; both are more than clocks differ by, 3e-4
+LATER = 4e-4
+SILENT = 2.5  # periods
+SAME = 0.25  # of a period, between the time stamps of reports that count as the same: boards send two in a period, or one
+
+AwaitCounts = Callable[[float, float], float]
 
 
 class PhaseFollower:
-    """For `expected` reports a cycle of `period_s` (0: there is nothing to follow)."""
+    """`await_counts` of `control.hardware.interface.Hardware`, for cycles of `period_s`."""
 
-    def __init__(self, expected: int, period_s: float) -> None:
-        self._expected, self._period_s = expected, period_s
-        self._speed = 0.0  # of creeping earlier [s/s]; negative: later
-        self._since_s = 0.0  # the last step
-        self._reports = self._lost = 0  # so far
-        self._before = self._last = expected  # reports in the last cycle but one, and in the last
+    def __init__(self, await_counts: AwaitCounts, clock: Clock, period_s: float) -> None:
+        self._await_counts, self._clock, self._period_s = await_counts, clock, period_s
+        self._made_s = -math.inf  # of the report that was meant for the last cycle, by the board's clock
+        self._newest_s = math.nan  # of the newest that came
 
-    def trim_s(self, reports: int, lost: int, has_missed: bool) -> float:
-        """How much longer [s] the next period is to be, after a cycle; frames of the board that came and were lost so far."""
-        missing = lost - self._lost
-        came = reports - self._reports + missing
-        self._reports, self._lost = reports, lost
-        expected, was_early = self._expected, self._last < self._expected >= self._before and missing == 0
-        self._before, self._last = self._last, came
-        if expected == 0:
+    def wait(self, deadline_s: float, skipped: int) -> float:
+        """Wait for the counts of the cycle that was due at `deadline_s`, after `skipped` others.
+
+        Returns how much longer [s] the next period is to be.
+        """
+        period_s, until_s = self._period_s, deadline_s + BOUND * self._period_s
+        is_in_time = self._clock.now_s() < until_s
+        meant_s = self._made_s + (1 + skipped) * period_s
+        enough_s = meant_s - SAME * period_s
+        newest_s = self._await_counts(enough_s, -math.inf)
+        was_there, is_silent = newest_s >= enough_s, not newest_s >= meant_s - SILENT * period_s
+        if not was_there and not is_silent:
+            newest_s = self._await_counts(enough_s, until_s)
+        is_new, self._newest_s = newest_s != self._newest_s, newest_s
+        self._made_s = newest_s if newest_s >= enough_s or (is_silent and is_new) else meant_s
+        if is_silent or not is_in_time:
             return 0.0
-        if has_missed:
-            self._before = self._last = expected
-        elif was_early:
-            self._speed, self._since_s = max(self._speed - FALL, -MOST), 0.0
-            self._last = expected
-            return STEP_s
-        elif came == expected:
-            self._since_s += self._period_s
-            gain = GAIN_1_s * (1.0 + self._since_s * self._since_s)
-            self._speed = min(self._speed + gain * self._period_s, MOST)
-        return -self._speed * self._period_s
+        return (-EARLIER if was_there else LATER) * period_s

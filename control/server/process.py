@@ -143,14 +143,15 @@ def run(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: runtime.go_off(quits=True))
     beat = PeriodicTimer(AttendedClock(clock, runtime), period_s)
-    follower = PhaseFollower(runtime.hardware.reports_a_cycle, period_s)
+    follower = PhaseFollower(runtime.hardware.await_counts, clock, period_s)
     is_running = True
     failure: Exception | None = None
     while is_running:
         late_s = beat.wait()
-        is_running = runtime.cycle(clock.now_s(), late_s, beat.skipped, beat.missed_in_row)
-        feedback = runtime.hardware.feedback
-        beat.trim_s = follower.trim_s(feedback.reports, feedback.lost, beat.skipped > 0)
+        deadline_s = clock.now_s() - late_s
+        beat.trim_s = follower.wait(deadline_s, beat.skipped)
+        now_s = clock.now_s()
+        is_running = runtime.cycle(now_s, now_s - deadline_s, beat.skipped, beat.missed_in_row)
         try:
             server.poll()
         except Exception as error:  # bring the arm to rest first, then report the error

@@ -11,6 +11,7 @@ from firmware_iface.encoder.wire import ChannelFlag, IndexAction
 from firmware_iface.errors import (
     BoardReset,
     BoardSilent,
+    LinkLost,
     MisuseError,
     Problems,
     ProtocolViolation,
@@ -86,6 +87,25 @@ class EncoderBoard:
 
         The rest of what was received is processed even if this raises.
         """
+        self._look()
+        if self._problems:
+            raise self._problems.pop(0)
+
+    def await_report(self, made_s: float, until_s: float) -> float:
+        """The board time of the latest report [s], once it was made at `made_s` or later; waits for that until then at most.
+
+        NaN without a report. What goes wrong meanwhile is raised by the next `update`.
+        """
+        while not (self.latest is not None and self.board_time_s >= made_s):
+            if self._problems or not self._link.wait(until_s - self._clock.now_s()):
+                break
+            try:
+                self._look()
+            except LinkLost:  # it stays lost
+                break
+        return self.board_time_s if self.latest is not None else math.nan
+
+    def _look(self) -> None:
         received = self._link.read()
         if received:
             now_s = self._clock.now_s()
@@ -95,8 +115,6 @@ class EncoderBoard:
                 else:
                     self._take_other(frame)
             self._indices.attend(now_s, self.latest)
-        if self._problems:
-            raise self._problems.pop(0)
 
     def require_fresh(self, now_s: float, limit_s: float) -> None:
         """Raises BoardSilent if the latest report came more than `limit_s` ago."""

@@ -93,10 +93,9 @@ class Probe:
         """As the hardware."""
         self._hardware.watch_indices(is_wanted)
 
-    @property
-    def reports_a_cycle(self) -> int:
+    def await_counts(self, made_s: float, until_s: float) -> float:
         """As the hardware."""
-        return self._hardware.reports_a_cycle
+        return self._hardware.await_counts(made_s, until_s)
 
     def passed_indices(self) -> list[tuple[int, int]]:
         """As the hardware."""

@@ -234,6 +234,15 @@ class TestByteLink:
         with pytest.raises(LinkLost, match="serial port"):
             near.write(b"x")
 
+    def test_waiting_tells_whether_there_is_something_to_read(self, ends: tuple[ByteLink, FarEnd]) -> None:
+        near, far = ends
+        for _ in range(2):  # what has been read wakes nobody up again
+            assert not near.wait(1e-4)
+            far.write(b"ab")
+            assert any(near.wait(1e-3) for _ in range(100_000))
+            assert near.wait(-1.0), "it is still there"
+            assert read(near, 2) == b"ab"
+
     @pytest.mark.parametrize("ends", ["memory", "pty", "socket"], indirect=True)
     def test_a_peer_that_is_gone_is_noticed_by_reading_alone(self, ends: tuple[ByteLink, FarEnd]) -> None:
         near, far = ends

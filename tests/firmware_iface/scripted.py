@@ -47,6 +47,9 @@ class ScriptedBytes:
         received, self.incoming = self.incoming, b""
         return received
 
+    def wait(self, limit_s: float) -> bool:
+        return self.is_lost or bool(self.incoming)
+
     def write(self, data: bytes) -> None:
         assert self.script, f"nothing more to be sent, got {data.hex(' ')}"
         assert data == self.script.pop(0)[1]

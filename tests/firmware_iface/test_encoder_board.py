@@ -1,5 +1,7 @@
 """The encoder board's driver in scripted dialogues: every answer, and every way of getting none."""
 
+import math
+
 import pytest
 
 from firmware_iface.encoder import wire
@@ -401,6 +403,48 @@ def test_hearing_our_own_requests_says_that_the_line_is_bridged() -> None:
 def test_a_lost_link_comes_through() -> None:
     board, link, _ = make([])
     link.is_lost = True
+    with pytest.raises(LinkLost):
+        board.update()
+
+
+# ---- a report that is waited for
+
+
+class Trickle(ScriptedBytes):
+    """A line on which pieces come one after the other, a tenth of a millisecond apart."""
+
+    def __init__(self, clock: FakeClock, pieces: list[bytes]) -> None:
+        super().__init__([])
+        self.clock, self.pieces = clock, pieces
+
+    def wait(self, limit_s: float) -> bool:
+        if not self.incoming and limit_s > 0.0:
+            self.clock.time_s += min(limit_s, 1e-4)
+            if limit_s >= 1e-4 and self.pieces:
+                self.incoming += self.pieces.pop(0)
+        return super().wait(limit_s)
+
+
+def test_a_report_is_awaited_until_it_is_whole_and_no_longer_than_asked() -> None:
+    clock, coded = FakeClock(), send(report(0, time_us=7000))
+    board = EncoderBoard(Trickle(clock, [coded[:8], coded[8:16], coded[16:]]), clock)
+    assert math.isnan(board.await_report(0.007, 100.00025)), "two pieces"
+    assert clock.time_s == pytest.approx(100.00025)
+    assert board.await_report(0.007, 100.001) == pytest.approx(0.007)
+    assert clock.time_s == pytest.approx(100.00035)
+    assert board.await_report(0.008, 100.001) == pytest.approx(0.007), "older than wanted"
+
+
+def test_what_goes_wrong_while_a_report_is_awaited_is_raised_by_the_next_update() -> None:
+    clock = FakeClock()
+    line = Trickle(clock, [send(wire.Poll(1)), send(report(0, time_us=7000))])
+    board = EncoderBoard(line, clock)
+    board.await_report(0.007, 100.001)
+    assert clock.time_s == pytest.approx(100.0001), "it is told without delay"
+    with pytest.raises(ProtocolViolation, match="bridge between TX and RX"):
+        board.update()
+    line.is_lost = True
+    board.await_report(1.0, 100.001)
     with pytest.raises(LinkLost):
         board.update()
 
