@@ -218,7 +218,9 @@ class Watch:
         """Return the faults of boards and encoders."""
         faults: list[Fault] = []
         if self.is_stale(now_s, feedback.encoder_at_s):
-            faults.append(_silent_encoder(now_s - feedback.encoder_at_s, self._limits.stale_s))
+            late = [self.is_stale(now_s, at_s) for at_s in feedback.reported_at_s]
+            joints = ", ".join(name for name, is_late in zip(self._names, late, strict=True) if is_late)
+            faults.append(_silent_encoder(joints, now_s - feedback.encoder_at_s, self._limits.stale_s))
         for joint in range(feedback.joint_count):
             faults += self._drive(joint, now_s, feedback, expected)
             faults += self._channel(joint, feedback, expected)
@@ -338,11 +340,11 @@ class Watch:
         )
 
 
-def _silent_encoder(age_s: float, limit_s: float) -> Fault:
+def _silent_encoder(joints: str, age_s: float, limit_s: float) -> Fault:
     return Fault(
         "encoder_stale",
         "encoder board",
-        f"no report for {age_s:.3f} s (limit {limit_s:.3f} s)",
+        f"no new counts of {joints} {f'for {age_s:.3f} s' if age_s < math.inf else 'yet'} (limit {limit_s:.3f} s)",
         "check its cable and supply",
         Reaction.HOLD,
     )

@@ -46,6 +46,7 @@ class Cycle:
 
     now_s: float = NOW_S
     encoder_at_s: float = NOW_S
+    reported_at_s: list[float] = field(default_factory=lambda: [NOW_S, NOW_S])
     reply_at_s: list[float] = field(default_factory=lambda: [NOW_S, NOW_S])
     channel_flags: list[int] = field(default_factory=lambda: [ZERO_SET, ZERO_SET])
     statusword: list[int] = field(default_factory=lambda: [0x37, 0x37])
@@ -59,7 +60,14 @@ class Cycle:
 
     def faults(self, watch: Watch | None = None) -> list[Fault]:
         feedback = Feedback(2)
-        for name in ("encoder_at_s", "reply_at_s", "channel_flags", "statusword", "drive_faults"):
+        for name in (
+            "encoder_at_s",
+            "reported_at_s",
+            "reply_at_s",
+            "channel_flags",
+            "statusword",
+            "drive_faults",
+        ):
             setattr(feedback, name, getattr(self, name))
         return (watch or Watch(LIMITS, ("joint 1", "joint 2"))).look(
             self.now_s, feedback, self.q_rad, self.speed_rad_s, self.q_set_rad, self.speed_set_rad_s,
@@ -192,6 +200,23 @@ def test_the_pauses_of_the_host_do_not_make_a_board_silent_but_its_own_silence_c
     assert silent.codes(watch) == []
     silent.encoder_at_s -= TINY
     assert silent.codes(watch) == [("encoder_stale", "encoder board")]
+
+
+@pytest.mark.parametrize(("at_s", "for_how_long"), [(NOW_S - 0.0625, "for 0.062 s"), (-math.inf, "yet")])
+def test_counts_that_are_missing_are_named_by_their_joint(at_s: float, for_how_long: str) -> None:
+    (fault,) = changed(encoder_at_s=at_s, reported_at_s=[NOW_S, at_s]).faults()
+    assert fault.message == f"no new counts of joint 2 {for_how_long} (limit 0.031 s)"
+
+
+def test_a_loop_that_asked_one_board_for_long_has_not_heard_the_others() -> None:
+    watch = Watch(LIMITS, ("joint 1", "joint 2"))
+    waited_s = 0.5  # longer than a board may be silent
+    watch.note_wait(NOW_S, waited_s)
+    assert changed(reply_at_s=[NOW_S - waited_s] * 2).codes(watch) == []
+    lately = changed(
+        now_s=NOW_S + 0.125, encoder_at_s=NOW_S + 0.125, reply_at_s=[NOW_S - waited_s, NOW_S + 0.125]
+    )
+    assert lately.codes(watch) == [("drive_silent", "joint 1")]
 
 
 def test_a_pause_before_the_last_report_excuses_nothing() -> None:
