@@ -150,8 +150,13 @@ def write_new(path: Path, content: str | bytes) -> None:
 def append_whole(fd: int, path: Path, content: bytes) -> None:
     """Append to the open file `path` (readable, of lines) and sync; NotWritten if not all of it fits: nothing is appended.
 
-    A file that does not end with a line end, because an earlier piece could not be taken back, is not appended to.
+    A file that does not end with a line end, because an earlier piece could not be taken back, is not appended to; nor one that
+    is not at `path` any more, where nobody would find it again.
     """
+    if not _is_at(fd, path):
+        raise NotWritten(
+            errno.ENOENT, "it was removed or replaced while it was in use: put it back", str(path)
+        )
     begun = os.lseek(fd, 0, os.SEEK_END)
     if begun and os.pread(fd, 1, begun - 1) != b"\n":
         raise NotWritten(errno.EIO, "its last line is incomplete; close and open it again", str(path))
@@ -197,6 +202,13 @@ def _beside(path: Path) -> Path:
 def _write_all(fd: int, content: bytes) -> None:
     while content:
         content = content[os.write(fd, content) :]
+
+
+def _is_at(fd: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(fd), path.stat())
+    except OSError:
+        return False
 
 
 def _synchronise(path: Path) -> None:

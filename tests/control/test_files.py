@@ -83,6 +83,19 @@ def test_a_record_that_does_not_fit_is_not_there_in_part(tmp_path: Path) -> None
     assert path.read_bytes() == b"first\nthird\n"
 
 
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_a_record_is_not_written_where_nobody_would_find_it(tmp_path: Path, is_replaced: bool) -> None:
+    path = tmp_path / "points.csv"
+    with path.open("a+b", buffering=0) as file:
+        append_whole(file.fileno(), path, b"first\n")
+        path.rename(tmp_path / "aside")
+        if is_replaced:
+            path.write_bytes(b"another\n")
+        with pytest.raises(NotWritten, match=r"points\.csv: not written: it was removed or replaced"):
+            append_whole(file.fileno(), path, b"second\n")
+    assert (tmp_path / "aside").read_bytes() == b"first\n"
+
+
 def test_an_arm_that_finds_no_room_is_no_half_arm(tmp_path: Path) -> None:
     with files_up_to(100), pytest.raises(NotWritten, match=r"arm\.toml"):
         save_arm(load_arm("right"), tmp_path / "arm.toml")
