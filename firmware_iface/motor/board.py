@@ -1,5 +1,6 @@
 """One DC-motor board on a CAN bus, seen from the host. docs/motor_board.md defines the protocol."""
 
+import contextlib
 import math
 import struct
 from dataclasses import dataclass
@@ -62,6 +63,7 @@ class MotorBoard:
         self._sequence = 0
         self._commands_sent = 0
         self._answered = 0  # of them: the number of the one that the latest reply answers
+        self._last = (0, 0)  # mode and set-point of the last COMMAND
         self._sent_at_s = -math.inf
         self._command_id = wire.COMMAND_ID + node
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
@@ -69,6 +71,7 @@ class MotorBoard:
         self._order = ReplyOrder()
         self._parameters = ParameterChannel(bus, node, lambda: self.where)
         bus.add_node(node, self._take_reply, self._take_answer)
+        bus.keepers.append(self._keep)
 
     @property
     def where(self) -> str:
@@ -104,8 +107,6 @@ class MotorBoard:
             age = f"for {now_s - self.reply_at_s:.3f} s" if self.reply else "yet"
             raise BoardSilent(f"{self.where}: no reply {age} (limit {limit_s:.3f} s)")
 
-    # Set-points for the cycle: one frame each.
-
     def command(self, mode: int, setpoint_raw: int = 0, feedforward_mV: int = 0) -> None:
         """Send one COMMAND with the controlword of the current target state. Raises MisuseError, LinkLost."""
         sequence = (self._sequence + 1) & wire.SEQUENCE_MASK
@@ -119,7 +120,7 @@ class MotorBoard:
                 f"feed-forward {feedforward_mV} mV: {problem}"
             ) from None
         self._bus.link.send(self._command_id, payload)
-        self._sequence = sequence
+        self._sequence, self._last = sequence, (mode, setpoint_raw)
         self._commands_sent += 1
 
     def command_off(self) -> None:
@@ -142,6 +143,12 @@ class MotorBoard:
         """Command the board to come to rest and hold, by its own encoder."""
         self.command(4)
 
+    def _keep(self) -> None:
+        """While the loop waits for another board: brake or turn freely as before, else hold."""
+        if self._last_state is State.OPERATION_ENABLED:
+            with contextlib.suppress(LinkError):
+                self.command(self._last[0] if self._last in ((0, 0), (1, 0)) else 4)
+
     def ask_count(self) -> None:
         """Ask for the count of the board's own encoder without waiting; see `count_taken`."""
         self._parameters.begin_read(Parameter.POSITION_COUNT)
@@ -155,8 +162,6 @@ class MotorBoard:
             return round(quantity * 1e3)
         except (ValueError, OverflowError):
             raise MisuseError(f"{self.where}: a set-point must be finite, got {quantity}") from None
-
-    # States
 
     def go_to(self, state: State, timeout_s: float = 0.5) -> None:
         """Change to `state`; OPERATION ENABLED is entered at 0 V, so the motor brakes.
@@ -243,12 +248,10 @@ class MotorBoard:
                 self._send_walking(controlword)
 
     def _wait_step(self, deadline_s: float, what: str) -> None:
-        clock = self._bus.clock
-        now_s = clock.now_s()
+        now_s = self._bus.clock.now_s()
         if now_s >= deadline_s:
             raise BoardSilent(f"{self.where}: {what}; check its supply, wiring and node id")
-        clock.wait_until_s(now_s + _STEP_s)
-        self._bus.update()
+        self._bus.wait(now_s + _STEP_s)
 
     def _state_name(self) -> str:
         return self._last_state.value if self._last_state else "an unknown state"
@@ -256,8 +259,6 @@ class MotorBoard:
     def _fault_names(self) -> str:
         faults = self.reply.fault_flags if self.reply else wire.Fault(0)
         return ", ".join(str(fault.name).replace("_", " ").lower() for fault in faults) or "no bit set"
-
-    # Parameters
 
     def identify(self, serial_number: int | None = None) -> MotorIdentity:
         """Request the identity. Raises WrongIdentity for another protocol version or (if given) serial number,

@@ -1,5 +1,6 @@
 """The CAN bus of the motor boards: drained once a cycle; frames are dispatched to the boards by id."""
 
+import math
 from collections.abc import Callable
 
 from firmware_iface.clock import Clock
@@ -11,6 +12,7 @@ FrameHandler = Callable[[bytes, float], None]
 """Takes a payload and the time it was read [s]. Appends to `MotorBus.problems`, never raises."""
 
 _OF_HOSTS = (wire.COMMAND_ID, wire.PARAMETER_REQUEST_ID, wire.DIGITAL_COMMAND_ID)
+_KEEP_EVERY_s = 0.05  # a quarter of the usual watchdog
 _EMERGENCY_REPEATS = 3  # docs/motor_board.md: sent three times, so that one lost frame does not matter
 
 
@@ -26,6 +28,9 @@ class MotorBus:
         """Frames from unknown nodes."""
         self.foreign_emergency_stops = 0
         self.problems = Problems()
+        self.keepers: list[Callable[[], None]] = []
+        """What a conversation with one board calls for each board now and then."""
+        self._waited_until_s = self._kept_at_s = -math.inf
         self._handlers: dict[int, FrameHandler] = {}
 
     def add_node(self, node: int, take_reply: FrameHandler, take_answer: FrameHandler) -> None:
@@ -58,6 +63,22 @@ class MotorBus:
                     self._take_other(can_id, payload)
         if self.problems:
             raise self.problems.pop(0)
+
+    def wait(self, until_s: float) -> None:
+        """Let time pass in a conversation with one board, and process what arrives.
+
+        The others hear nothing from the loop meanwhile: they are kept from their watchdogs.
+        """
+        now_s = self.clock.now_s()
+        if now_s - self._waited_until_s > _KEEP_EVERY_s:
+            self._kept_at_s = now_s  # a conversation begins
+        elif now_s - self._kept_at_s >= _KEEP_EVERY_s:
+            self._kept_at_s = now_s
+            for keep in self.keepers:
+                keep()
+        self.clock.wait_until_s(until_s)
+        self._waited_until_s = until_s
+        self.update()
 
     def emergency_stop(self, reason: int = 0) -> None:
         """Make every board brake and go to FAULT immediately; may be repeated.

@@ -60,8 +60,7 @@ class ParameterChannel:
     def require_single_board(self, index: int) -> None:
         """Raises ProtocolViolation if the last request for `index` is answered a second time."""
         self._answer = None
-        self._bus.clock.wait_until_s(self._bus.clock.now_s() + _SECOND_REPLY_WAIT_s)
-        self._bus.update()
+        self._bus.wait(self._bus.clock.now_s() + _SECOND_REPLY_WAIT_s)
         if (second := self._answer_of(index)) is not None:
             raise ProtocolViolation(
                 f"{self._where()}: two boards answer, the second with serial number "
@@ -92,8 +91,7 @@ class ParameterChannel:
             self._bus.link.send(self._request_id, payload)
             deadline_s = clock.now_s() + ANSWER_TIMEOUT_s
             while (now_s := clock.now_s()) < deadline_s:
-                clock.wait_until_s(now_s + _STEP_s)
-                self._bus.update()
+                self._bus.wait(now_s + _STEP_s)
                 if (answer := self._answer_of(index)) is not None:
                     return answer
         raise BoardSilent(

@@ -113,6 +113,18 @@ def test_a_board_that_restarts_is_a_fault_of_its_own_arm_alone() -> None:
         assert (pair.mode("left"), pair.runtime("left").monitor.is_homed) == (Mode.HOLDING, True)
 
 
+def test_a_conversation_with_a_dead_board_trips_no_watchdog_of_the_other_arm() -> None:
+    with holding_pair() as pair:
+        pair.inject("right", "silent", "motor5")
+        pair.until(lambda: pair.mode("right") is Mode.FAULT, 0.1)
+        held_rad = pair.robot("left").joint_rad()
+        assert "does not reply" in pair.refusal("right", do="acknowledge")  # after 0.25 s
+        pair.run(0.1)
+        assert (pair.mode("left"), pair.faults("left")) == (Mode.HOLDING, [])
+        assert pair.robot("left").joint_rad() == pytest.approx(held_rad, abs=1e-3)
+        assert ("drive_fault", "joint 3") not in pair.faults("right")
+
+
 def test_what_waits_for_boards_waits_until_the_other_arm_is_at_rest() -> None:
     with holding_pair() as pair:  # the right arm was enabled while the left one held
         assert pair.faults("left") == []
