@@ -61,7 +61,7 @@ class ArmBody:
         pairs = [
             (i, j)
             for i in range(1, len(rest))
-            for j in range(i + 1, len(rest))
+            for j in range(i + 2, len(rest))
             if self.joints[j] - self.joints[i] >= 2
         ]
         return tuple(pair for pair in pairs if not least_gap(rest, rest, (pair,), 0.0).gap_m < 0.0)
