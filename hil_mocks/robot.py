@@ -89,7 +89,7 @@ class MockRobot:
             directions.append(arm.gripper.motor_direction)
         self._motors = MotorWires(self.plant, self.gripper, directions)
         self._serial: list[Frames] = [[] for _ in (*self.encoder_boards, *self.bought.lines)]
-        self._can_out = {carried: CanOut() for carried in CanFormat}
+        self._can_out = {carried: CanOut() for carried in (CanFormat.STANDARD, *self.can_formats)}
         self._classic_out = self._can_out[CanFormat.STANDARD]
         self.outgoing = {carried: out.outgoing for carried, out in self._can_out.items()}
         self.can_outgoing = self.outgoing[CanFormat.STANDARD]

@@ -15,7 +15,8 @@ import termios
 import tty
 from collections import deque
 from collections.abc import Collection, Iterator, Sequence
-from typing import NamedTuple, Protocol, cast
+from operator import itemgetter
+from typing import Protocol, cast
 from unittest.mock import patch
 
 import can
@@ -51,12 +52,9 @@ class OnWires(Protocol):
     def serial_outgoing(self, board: int, ahead_s: float = 0.0) -> bytes: ...
 
 
-class Arrived(NamedTuple):
-    """A frame of the host, and when the kernel had it (seconds since 1970; 0 where nobody says)."""
-
-    at_s: float
-    carried: CanFormat
-    frame: Frame
+Arrived = tuple[float, CanFormat, Frame]
+"""When the kernel had a frame of the host [seconds since 1970; 0 where nobody says], its format, and itself. Not named: each
+cycle makes three."""
 
 
 def newest_of_each(frames: Sequence[Frame]) -> list[Frame]:
@@ -209,14 +207,14 @@ class Wires:
         found: list[Arrived] = []
         with contextlib.suppress(LinkLost):  # a bus that is off for the host
             for carried, bus in self._buses.items():
-                found += [Arrived(at_s, carried, frame) for at_s, frame in bus.receive_timed()]
+                found += [(at_s, carried, frame) for at_s, frame in bus.receive_timed()]
         if len(self._buses) > 1:
-            found.sort(key=lambda arrived: arrived.at_s)
+            found.sort(key=itemgetter(0))
         self._arrived += found
 
     def pass_frames(self, robot: OnWires, until_s: float = math.inf) -> None:
         """Pass collected frames that had come by then (seconds since 1970) to the robot."""
-        while self._arrived and self._arrived[0].at_s <= until_s:
+        while self._arrived and self._arrived[0][0] <= until_s:
             _, carried, (can_id, payload) = self._arrived.popleft()
             robot.from_host_can(can_id, payload, carried)
 

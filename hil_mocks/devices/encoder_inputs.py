@@ -131,19 +131,18 @@ class EncoderBoardHardware(ABC):
 
     def _latched(self, part: float = 1.0) -> Latched:
         """What the inputs have at `part` of the time from the last tick to this one."""
-        raws: Sequence[int] = self._raw
-        if part < 1.0:
-            raws = [
-                before + round((raw - before) * part) for before, raw in zip(self._before, raws, strict=True)
-            ]
-        inputs = zip(raws, self._index_raw, self._spacing, self._is_home, strict=True)
-        flags = [
-            (0 if (raw - index_raw) % spacing else INDEX_LEVEL) | (HOME if is_home else 0)
-            for raw, index_raw, spacing, is_home in inputs
-        ]
-        for at in self.lost:
-            flags[at] |= SIGNAL_LOST
-        return Latched([raw + shift for raw, shift in zip(raws, self._shift, strict=True)], flags)
+        counters, flags = [], []
+        for at, raw in enumerate(self._raw):
+            if part < 1.0:
+                raw = self._before[at] + round((raw - self._before[at]) * part)
+            level = INDEX_LEVEL if (raw - self._index_raw[at]) % self._spacing[at] == 0 else 0
+            if self._is_home[at]:
+                level |= HOME
+            if at in self.lost:
+                level |= SIGNAL_LOST
+            counters.append(raw + self._shift[at])
+            flags.append(level)
+        return Latched(counters, flags)
 
     def _board_us(self, now_s: float) -> int:
         return int((now_s - self._started_s) * self._rate * 1e6 + 1e-3)

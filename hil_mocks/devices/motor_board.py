@@ -109,7 +109,7 @@ class MotorBoardMock(MotorBoardHardware):
                 self._expire()
             elif self._stop is None and self._mode in (1, 2):
                 self._begin_stop(now_s)
-        if causes := self._causes() & ~self.faults:
+        if self._may_have_cause() and (causes := self._causes() & ~self.faults):
             self._fault(causes)
         if (self._mode == 3 and self.state is _ENABLED) or self._holds:
             self._control(step_s)
@@ -126,6 +126,15 @@ class MotorBoardMock(MotorBoardHardware):
             self._over_current_since_s = None
         elif self._over_current_since_s is None:
             self._over_current_since_s = now_s
+
+    def _may_have_cause(self) -> bool:
+        """Whether `_causes` must look; each period asks."""
+        return (
+            self._over_current_since_s is not None
+            or self.forced_faults != 0
+            or not LOWEST_SUPPLY_V <= self._supply_V <= HIGHEST_SUPPLY_V
+            or self._above_ambient_K > self.setup.rated_degC - self.setup.ambient_degC
+        )
 
     def _causes(self) -> int:
         """Faults with a present cause; an over-current must last."""

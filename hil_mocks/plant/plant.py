@@ -136,11 +136,13 @@ class Plant:
 
     def joint_rad(self) -> tuple[float, ...]:
         """True joint angles."""
-        return tuple(self._q[k] for k in self._at.link_hinge)
+        q = self._q
+        return tuple([q[k] for k in self._at.link_hinge])
 
     def joint_speed_rad_s(self) -> tuple[float, ...]:
         """True joint speeds."""
-        return tuple(self._v[k] for k in self._at.link_hinge)
+        v = self._v
+        return tuple([v[k] for k in self._at.link_hinge])
 
     def current_A(self, j: int) -> float:
         """Current of motor j now."""
