@@ -104,7 +104,8 @@ class BoardHardware:
     # ---- outside of the cycle: these wait for answers
 
     def enable(self) -> None:
-        """Upload the boards' parameters and let `write` bring them to OPERATION ENABLED."""
+        """Let boards that restarted report again, upload the parameters, and let `write` bring them to OPERATION ENABLED."""
+        self._restore()
         self._configure()
         self.end.enable()
         self._wants_enabled = True
@@ -119,8 +120,7 @@ class BoardHardware:
 
         Raises BoardFaulted, and WrongIdentity where another board has taken the place of one.
         """
-        for encoder in self._encoders:
-            encoder.restore()
+        self._restore()
         for drive in self._drives:
             drive.acknowledge_faults()
         self._configure()
@@ -167,6 +167,10 @@ class BoardHardware:
 
     def _fresh_count(self, joint: int) -> int:
         return self._encoder_of[joint].fresh_count(joint)
+
+    def _restore(self) -> None:
+        for encoder in self._encoders:
+            encoder.restore()
 
     def _configure(self) -> None:
         for drive in self._drives:

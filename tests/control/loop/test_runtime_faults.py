@@ -138,6 +138,16 @@ def test_a_board_that_restarts_while_it_is_unplugged_is_found_out_by_the_acknowl
     assert not cell.runtime.monitor.is_homed
 
 
+def test_a_board_that_restarted_before_the_arm_was_off_reports_again_when_it_is_enabled() -> None:
+    with holding_cell(scenario(effect=FRICTION)) as cell:
+        cell.inject("board_reset", "encoder")
+        cell.until_fault(0.1)
+        cell.client.off()
+        cell.client.ask("acknowledge")  # in OFF it only clears the list
+        cell.client.enable()
+        assert (cell.mode, cell.runtime.monitor.is_homed) == (Mode.HOLDING, False)
+
+
 @pytest.mark.parametrize(("counts", "code"), [(3000.0, "encoder_leap"), (400.0, "encoders_differ")])
 def test_a_zero_that_is_lost_while_the_boards_hold_the_arm_is_found(
     cell: Cell, counts: float, code: str
