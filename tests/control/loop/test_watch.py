@@ -225,6 +225,18 @@ def test_a_pause_before_the_last_report_excuses_nothing() -> None:
     assert changed(encoder_at_s=NOW_S - 0.0625).codes(watch) == [("encoder_stale", "encoder board")]
 
 
+def test_a_wait_for_one_board_is_not_the_silence_of_the_others() -> None:
+    watch = Watch(LIMITS, ("joint 1", "joint 2"))
+    watch.note_wait(NOW_S, 8.0)
+    asleep = changed(encoder_at_s=NOW_S - 8.0 - 0.03125, reply_at_s=[NOW_S - 8.0 - 0.03125] * 2)
+    assert asleep.codes(watch) == []
+    asleep.encoder_at_s -= TINY
+    assert asleep.codes(watch) == [("encoder_stale", "encoder board")]
+    watch.note_wait(NOW_S - 0.0625, 8.0)
+    for at_s in (NOW_S - 0.0625, NOW_S - 0.0625 + TINY):  # it came when that was over
+        assert changed(encoder_at_s=at_s).codes(watch) == [("encoder_stale", "encoder board")]
+
+
 def test_a_host_that_misses_every_second_deadline_finds_a_silent_board_in_twice_the_time() -> None:
     watch = Watch(LIMITS, ("joint 1", "joint 2"))
     found_s = math.inf
