@@ -1,7 +1,7 @@
-"""The loop in its own process against the wall clock, over the mock boards in theirs: missed cycles and lateness.
+"""The loop in its own process against the wall clock, over the mock boards in theirs: missed cycles, lateness, age of counts.
 
 `armwright serve --rate` over a pty and CAN frames in UDP multicast, holding for 20 s and then around the circle for as long.
-Lateness is taken from the recording: the delay of each cycle's start after its deadline.
+Both are taken from the recording: the delay of each cycle's start after its deadline, its wait for the report included.
 """
 
 import subprocess
@@ -32,6 +32,7 @@ HOLDING_S = 20.0
 TURNS = 5  # of 3.8 s
 START_LIMIT_S = 20.0
 SCENARIO = 'name = "bench"\n[start]\nhomed = true\n'  # noise, but no friction; zeros known
+AGE_ASKED_us = 300.0  # at 500 Hz
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 
 
@@ -84,25 +85,34 @@ def _rows_at(rate_Hz: int) -> list[BenchRow]:
 def _rows_of(
     name: str, period_s: float, cycles: NDArray[np.float64], span: tuple[float, float], remark: str
 ) -> list[BenchRow]:
-    time_s, missed, late_s = cycles
+    time_s, missed, late_s, age_s = cycles
     chosen = (time_s >= span[0]) & (time_s <= span[1])
     lost = float(missed[chosen][-1] - missed[chosen][0])
     due = int(chosen.sum() + lost)
     period_us = 1e6 * period_s
-    late_us = {what: 1e6 * float(np.percentile(late_s[chosen], part)) for what, part in PERCENTILES.items()}
+    late_us, age_us = (
+        {what: 1e6 * float(np.nanpercentile(values[chosen], part)) for what, part in PERCENTILES.items()}
+        for values in (late_s, age_s)
+    )
     return [
         BenchRow(f"{name}: missed cycles", lost, "cycles", f"of those due, {remark}", due, lost / due),
         *(
             BenchRow(f"{name}: lateness {what}", value, "us", "the period", period_us, value / period_us)
             for what, value in late_us.items()
         ),
+        *(
+            BenchRow(
+                f"{name}: age of counts {what}", value, "us", "asked", AGE_ASKED_us, value / AGE_ASKED_us
+            )
+            for what, value in age_us.items()
+        ),
     ]
 
 
 def cycles_of(recording: Path) -> NDArray[np.float64]:
-    """Time, missed cycles so far and lateness of every recorded cycle (3, cycles)."""
+    """Time, missed cycles so far, lateness and age of counts of every recorded cycle (4, cycles)."""
     opened = Recording.open(recording)
-    wanted = [opened.layout.names.index(name) for name in ("t_s", "missed", "late_s")]
+    wanted = [opened.layout.names.index(name) for name in ("t_s", "missed", "late_s", "age_s")]
     return np.array([[row[i] for i in wanted] for row in opened.rows()]).T
 
 
