@@ -7,6 +7,7 @@ fails stops all.
 
     RELEASE  the switch is active: move back until it is not, and a little further
     SEEK     move forward until the switch becomes active; forward is from `switch_rad` to `index_rad`
+    CHECK    as RELEASE, then SEEK again: a glitch, or a wire that came off, is no cam, and would cost whole motor turns
     INDEX    continue more slowly until the index latches
     SETTLE   slow down; at rest, shift the counter
     SHIFTED  the next cycle reads counts from the new zero
@@ -36,6 +37,7 @@ class Phase(Enum):
 
     RELEASE = "release"
     SEEK = "seek"
+    CHECK = "check"
     INDEX = "index"
     SETTLE = "settle"
     SHIFTED = "shifted"
@@ -45,6 +47,7 @@ class Phase(Enum):
 STEPS = {
     Phase.RELEASE: "backing off its home switch",
     Phase.SEEK: "seeking its home switch",
+    Phase.CHECK: "backing off its home switch once more",
     Phase.INDEX: "seeking its index pulse",
     Phase.SETTLE: "coming to rest at its zero",
     Phase.SHIFTED: "zero set",
@@ -98,7 +101,9 @@ class JointHoming:
         self._home = home
         self._joint = joint
         self._counter = counter
-        self._travelled_rad = 0.0
+        self._travelled_rad = 0.0  # in this phase
+        self._place_rad = 0.0  # since the start
+        self._edge_rad: float | None = None  # where the switch became active first
         self._since_active_rad = home.backoff_rad
         self._forth = 1.0 if home.index_rad >= home.switch_rad else -1.0
         self._quiet_s = 0.0
@@ -107,7 +112,7 @@ class JointHoming:
     def step(self, feedback: Feedback, elapsed_s: float) -> float:
         """Advance by one cycle and return the step of the set-point in rad. HomingFailed if switch or index is not found."""
         is_active = bool(feedback.channel_flags[self._joint] & HOME_SWITCH)
-        if self.phase is Phase.RELEASE:
+        if self.phase in (Phase.RELEASE, Phase.CHECK):
             return self._release(is_active, elapsed_s)
         if self.phase is Phase.SEEK:
             return self._seek(is_active, elapsed_s)
@@ -122,7 +127,8 @@ class JointHoming:
         """Go on after a pause of the host in which the boards slowed the joint down; return its way meanwhile in rad."""
         step = self.speed_set_rad_s * bridge.motion_s
         self._travelled_rad += step
-        self._since_active_rad += abs(step) if self.phase is Phase.RELEASE else 0.0
+        self._place_rad += step
+        self._since_active_rad += abs(step) if self.phase in (Phase.RELEASE, Phase.CHECK) else 0.0
         self.speed_set_rad_s *= bridge.speed_share
         self.acceleration_set_rad_s2 = 0.0
         return step
@@ -132,22 +138,39 @@ class JointHoming:
         self._since_active_rad = 0.0 if is_active else self._since_active_rad + abs(step)
         if not is_active and self._since_active_rad >= self._home.backoff_rad:
             self._enter(Phase.SEEK)
-        self._check(
-            self._home.travel_rad, "its home switch stays active", "check for a stuck or inverted switch"
-        )
+        self._check(self._way_rad(), "its home switch stays active", "check for a stuck or inverted switch")
         return step
 
     def _seek(self, is_active: bool, elapsed_s: float) -> float:
         step = self._go(self._forth * self._home.speed_rad_s, elapsed_s)
-        if is_active:
+        self._check(
+            self._way_rad(), "its home switch never became active", "check the switch, its cam and its wire"
+        )
+        if is_active and self._edge_rad is None:
+            self._edge_rad = self._place_rad
+            self._since_active_rad = 0.0
+            self._enter(Phase.CHECK)
+        elif is_active:
+            self._check_edge()
             self._counter.arm_index(self._joint)
             self._enter(Phase.INDEX)
-        self._check(
-            self._home.travel_rad,
-            "its home switch never became active",
-            "check the switch, its cam and its wire",
-        )
         return step
+
+    def _way_rad(self) -> float:
+        """The longest way to release or find the switch: once it was found, it is near."""
+        home = self._home
+        return home.travel_rad if self._edge_rad is None else home.backoff_rad + 2.0 * home.turn_rad
+
+    def _check_edge(self) -> None:
+        """Check that the switch became active in the same motor turn twice."""
+        assert self._edge_rad is not None
+        off_rad, most_rad = abs(self._place_rad - self._edge_rad), TURN_TOLERANCE * self._home.turn_rad
+        if off_rad > most_rad:
+            raise HomingFailed(
+                self._home.name,
+                f"its home switch became active at two places, {off_rad:.4f} rad apart (tolerance {most_rad:.4f} rad)",
+                "it bounces, or its wire is loose or picks up noise: check switch, plug and shield, then home again",
+            )
 
     def _find_index(self, elapsed_s: float) -> float:
         step = self._go(self._forth * self._home.speed_rad_s * INDEX_SPEED_FRACTION, elapsed_s)
@@ -202,6 +225,7 @@ class JointHoming:
         self.acceleration_set_rad_s2 = (speed - self.speed_set_rad_s) / elapsed_s
         self.speed_set_rad_s = speed
         self._travelled_rad += step
+        self._place_rad += step
         return step
 
 

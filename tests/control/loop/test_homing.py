@@ -45,6 +45,8 @@ class Joint:
     switch_at_rad: float = HOME.switch_rad
     sign: float = 1.0  # of the side on which the switch is active
     stuck: bool | None = None
+    active_in: range = range(0)  # cycles in which its switch says active, wherever the joint is
+    cycle: int = 0
     has_index: bool = True
     is_armed: bool = False
     latched: int | None = None
@@ -54,7 +56,9 @@ class Joint:
         return round((self.q_rad - self.zero_rad) * COUNTS_PER_RAD) + sum(self.shifts)
 
     def is_active(self) -> bool:
-        return self.sign * (self.q_rad - self.switch_at_rad) > 0.0 if self.stuck is None else self.stuck
+        if self.stuck is not None:
+            return self.stuck
+        return self.cycle in self.active_in or self.sign * (self.q_rad - self.switch_at_rad) > 0.0
 
     def go(self, step_rad: float) -> None:
         before, self.q_rad = self.q_rad, self.q_rad + step_rad
@@ -83,6 +87,7 @@ def home(joint: Joint, how: JointHome = HOME, limit_s: float = 60.0) -> list[Pha
     sequence, feedback = HomingSequence([(0, how)], joint), Feedback(1)
     set_point, phases = at_rest((joint.q_rad,)), [Phase.RELEASE]
     for cycle in range(int(limit_s / PERIOD_S)):
+        joint.cycle = cycle
         feedback.count[0] = joint.count() + cycle % 2  # a held joint hunts by a count
         feedback.channel_flags[0] = HOME_SWITCH if joint.is_active() else 0
         following = sequence.step(set_point, feedback, PERIOD_S)
@@ -105,6 +110,21 @@ def is_homed(joint: Joint) -> bool:
     return abs(joint.count() / COUNTS_PER_RAD - joint.q_rad) <= 1.5 / COUNTS_PER_RAD
 
 
+@pytest.mark.parametrize("cycles", [1, 3, 100_000], ids=["glitch", "bounce", "wire off"])
+def test_a_switch_that_lies_from_any_moment_on_gives_no_wrong_zero(cycles: int) -> None:
+    failed = []
+    for start in range(0, 1500, 23):
+        joint = Joint(-0.25, active_in=range(start, start + cycles))
+        try:
+            home(joint)
+        except HomingFailed as failure:
+            failed.append(failure.message)
+        else:
+            assert is_homed(joint), start
+    assert any("at two places" in message for message in failed)
+    assert any("stays active" in message for message in failed) is (cycles > 1000)
+
+
 @pytest.mark.parametrize("start_rad", [-1.5, -0.3, 0.1999, 0.2001, 0.22, 0.5, 1.9])
 @pytest.mark.parametrize("zero_rad", [0.0, 3.7, -11.1])
 def test_wherever_the_joint_stands_and_the_counter_starts_its_zero_is_found(
@@ -113,6 +133,8 @@ def test_wherever_the_joint_stands_and_the_counter_starts_its_zero_is_found(
     joint = Joint(start_rad, zero_rad)
     phases = home(joint)
     assert [p for p in phases if p is not Phase.RELEASE] == [
+        Phase.SEEK,
+        Phase.CHECK,
         Phase.SEEK,
         Phase.INDEX,
         Phase.SETTLE,
