@@ -181,6 +181,7 @@ class Requests:
 
     def _enable(self, request: Any, client: int) -> Message:
         if self._runtime.monitor.mode in CONTROLLED_MODES:
+            self._runtime.require_staying()
             return {"was_enabled": True}
         self._runtime.want_hold()
         return {"was_enabled": False}
