@@ -146,12 +146,14 @@ class JointHoming:
         self._check(
             self._way_rad(), "its home switch never became active", "check the switch, its cam and its wire"
         )
-        if is_active and self._edge_rad is None:
+        if not is_active:
+            return step
+        if self._edge_rad is None:
             self._edge_rad = self._place_rad
             self._since_active_rad = 0.0
             self._enter(Phase.CHECK)
-        elif is_active:
-            self._check_edge()
+        else:
+            self._check_edge(abs(self._place_rad - self._edge_rad))
             self._counter.arm_index(self._joint)
             self._enter(Phase.INDEX)
         return step
@@ -161,10 +163,9 @@ class JointHoming:
         home = self._home
         return home.travel_rad if self._edge_rad is None else home.backoff_rad + 2.0 * home.turn_rad
 
-    def _check_edge(self) -> None:
-        """Check that the switch became active in the same motor turn twice."""
-        assert self._edge_rad is not None
-        off_rad, most_rad = abs(self._place_rad - self._edge_rad), TURN_TOLERANCE * self._home.turn_rad
+    def _check_edge(self, off_rad: float) -> None:
+        """Check that the switch became active in the same motor turn twice, at most so far apart."""
+        most_rad = TURN_TOLERANCE * self._home.turn_rad
         if off_rad > most_rad:
             raise HomingFailed(
                 self._home.name,
