@@ -41,7 +41,19 @@ test: install  ## everything that must hold, in under five minutes on two cores
 
 # Bytecode is kept whatever the environment says: a test's child process would compile everything anew.
 suite: install  ## the tests alone
-	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist worksteal $(SELECT)
+
+.venv/witnesses: tests/witnesses.lock .venv/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r tests/witnesses.lock
+	@touch $@
+
+CORTEX_M := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm
+
+# Nothing may be left out for want of a tool: what `make test` skips without it is installed first.
+test-all: install .venv/witnesses  ## make test, and what runs at night: every kind and drill, beside other people's clients
+	@{ command -v arm-none-eabi-gcc && command -v qemu-system-arm; } >/dev/null || apt-get install -y -qq $(CORTEX_M) \
+	  || { echo "the builds for Cortex-M need, as root: apt-get install $(CORTEX_M)"; exit 2; }
+	@$(MAKE) --no-print-directory -j2 lint suite SELECT="-m ''"
 
 format: install  ## let ruff write the format
 	$(BIN)/ruff check --fix .
@@ -111,6 +123,7 @@ rough-score: install  ## the same for poses of parts whose laws are only roughly
 
 lock: install  ## pin again what pyproject.toml names (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --extra dev -o requirements.lock pyproject.toml
+	uv pip compile --universal --generate-hashes --no-emit-index-url --no-header --group witnesses -c requirements.lock -o tests/witnesses.lock
 
 clean:  ## remove what make made
 	rm -rf .venv .venv-peers .venv-fuzz out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
