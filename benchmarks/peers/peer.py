@@ -40,7 +40,7 @@ def _environment(lock_name: str) -> tuple[Path, str]:
     pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     for command in (
         [sys.executable, "-m", "venv", str(environment)],
-        [*pip, "--require-hashes", "-r", str(lock)],
+        [*pip, "--no-deps", "--require-hashes", "-r", str(lock)],
     ):
         if reason := _failure(command):
             print(f"peers of {lock.name} are not installed, their columns stay empty: {reason}", flush=True)
