@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, Protocol
+from typing import ClassVar, Final, Protocol
 
 from firmware_iface.errors import BoardReset, LinkError, MisuseError, Problems, RequestRefused
 from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion, Status
@@ -20,6 +20,9 @@ class ServoWire(Protocol):
     def write(self, servo: int, address: int, data: bytes) -> bytes: ...
     def status_in(self, received: bytes) -> Status | None: ...
     def refusal(self, error: int) -> str | None: ...
+
+
+EVERYWHERE: Final = range(-(1 << 31), 1 << 31)
 
 
 class SmartServo(ABC):
@@ -47,6 +50,9 @@ class SmartServo(ABC):
         self.hardware_error = 0
         self.is_watchdog_expired = False
         self.resets = 0
+        self.known = self.reached = (
+            EVERYWHERE  # counts: of the turn it knows at power-up; that its goals keep to
+        )
         self.problems: list[LinkError] = Problems()
         self._line = line
         self._force = ForceLimit(line, self._force_written)
@@ -67,7 +73,7 @@ class SmartServo(ABC):
 
     @abstractmethod
     def identify(self) -> str:
-        """Ask model and mode, and return them in words. Raises BoardSilent, WrongIdentity."""
+        """Ask model, mode and what is stored of its position, and return them in words. Raises BoardSilent, WrongIdentity."""
 
     @abstractmethod
     def set_up(self, watchdog_s: float) -> None:

@@ -36,7 +36,7 @@ def _dynamixel(
 
 
 def _sts(number: int, volts_per_rad_s: float, read_turns: Callable[[], float], grips: bool) -> FeetechMock:
-    return FeetechMock(StsSetup(number, volts_per_rad_s), read_turns)
+    return FeetechMock(StsSetup(number, volts_per_rad_s, turns_on=grips), read_turns)
 
 
 class ServoKind(NamedTuple):

@@ -3,6 +3,7 @@
 Writes `homing` and, when the pose becomes known, the set-point.
 """
 
+from control.errors import ArmError
 from control.hardware.words import ZERO_SET
 from control.loop import set_points
 from control.loop.arm_state import ArmState
@@ -13,13 +14,28 @@ from control.safety.fault import Fault, Reaction
 from control.safety.table import Event
 
 
+def doubt(state: ArmState) -> str:
+    """Why the pose that absolute encoders tell cannot be the arm's; empty if it can."""
+    q_rad, flags = state.parts.measurement.q_rad, state.parts.hardware.feedback.channel_flags
+    for turn in state.parts.unique_turns:
+        if flags[turn.joint] & ZERO_SET and (why := turn.objection(q_rad[turn.joint])):
+            return why
+    return ""
+
+
+def require_plausible(state: ArmState) -> None:
+    """ArmError if absolute encoders tell of a pose that cannot be the arm's: nothing may be moved by it."""
+    if why := doubt(state):
+        raise ArmError(why)
+
+
 def take_known_zeros(state: ArmState) -> bool:
     """Use the boards' zeros if all of them were set since power-up and none is doubted; return whether they were.
 
     A counter that can wrap within its joint's travel may have wrapped unobserved, so it is never used.
     """
     flags = state.parts.hardware.feedback.channel_flags
-    is_doubted = state.monitor.is_zero_doubted
+    is_doubted = state.monitor.is_zero_doubted or doubt(state)
     if is_doubted or not (state.parts.do_counters_span and all(flag & ZERO_SET for flag in flags)):
         return False
     _become_homed(state)
@@ -38,6 +54,7 @@ def _become_homed(state: ArmState) -> None:
 
 def start(state: ArmState) -> None:
     """Home every joint, one after the other. ArmError if arm.toml does not describe how."""
+    require_plausible(state)
     sequence = state.parts.homing()
     state.on(Event.HOME)
     state.set_point = at_rest(state.aim.q_rad)

@@ -23,7 +23,7 @@ from control.model.arm import Tool
 from control.motion.guard import Guard
 from control.motion.setpoint import Motion, SetPoint
 from control.recording.record import Recorder
-from control.safety.limits import SetPointLimits
+from control.safety.limits import SetPointLimits, UniqueTurn
 from control.servo.gravity_compensation import GravityCompensation
 from control.servo.servo import Servo
 
@@ -81,6 +81,7 @@ class Parts:
     aim_limits: tuple[SetPointLimits, ...] = ()  # of the encoders' set-points, for such an arm
     gripper: GripperControl | None = None
     outputs: Outputs | None = None
+    unique_turns: tuple[UniqueTurn, ...] = ()  # of joints whose encoders are absolute
     joint_side: JointSide | None = None  # of an arm whose encoders do not say where its joints are
 
     def with_tool(self, name: str) -> "Parts":

@@ -4,7 +4,7 @@ Writes `is_shutting_down`, `is_quitting` and `is_hold_pending`.
 """
 
 from control.loop.arm_state import ArmState
-from control.loop.homing import take_known_zeros
+from control.loop.homing import require_plausible, take_known_zeros
 from control.loop.motion_modes import stop
 from control.loop.readiness import ENABLE_LIMIT_S, is_any_enabled
 from control.safety.table import Event, Mode
@@ -43,6 +43,7 @@ def want_hold(state: ArmState) -> None:
     """Get to HOLDING from OFF, BRAKED or GUIDING, through the modes in between."""
     if state.monitor.mode is Mode.OFF:
         state.monitor.require_no_faults("ENABLE")
+        require_plausible(state)
         state.has_waited = True
         state.parts.hardware.enable()
         state.drives.expect(state.now_s)

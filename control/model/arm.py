@@ -136,6 +136,11 @@ class Board:
         bool,
         "its encoder knows the joint's angle at power-up, which its kind does not ensure: see the kind's page",
     ] = False
+    absolute_turns: Annotated[
+        Positive | None,
+        "turns of `encoder_counts_per_rev` after which an absolute encoder says the same again",
+        "one turn of the joint",
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,10 +282,18 @@ class Arm:
         return (*self.drives, own)
 
     def has_absolute_encoder(self, drive: Drive) -> bool:
-        """Return whether a drive's encoder knows the joint's angle at power-up."""
+        """Return whether a drive's encoder knows the joint's angle at power-up, within `unique_rad`."""
         board = self.board(drive)
         is_absolute = self.kind_of(drive).is_absolute or (board is not None and board.absolute)
         return drive.encoder_board < 0 and is_absolute
+
+    def unique_rad(self, drive: Drive) -> float:
+        """Return the joint's angle after which an absolute encoder says the same again at power-up; infinite for others."""
+        if not self.has_absolute_encoder(drive):
+            return math.inf
+        board = self.board(drive)
+        turns = 1.0 if self.kind_of(drive).is_absolute else board.absolute_turns if board else None
+        return 2.0 * math.pi * (drive.gear_ratio if turns is None else turns) / drive.gear_ratio
 
     @property
     def can_home(self) -> bool:

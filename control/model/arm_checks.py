@@ -1,5 +1,6 @@
 """Consistency checks between the values of an arm.toml; each error names the key."""
 
+import math
 from collections.abc import Hashable, Iterable, Sequence
 
 from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, Home, Table
@@ -134,6 +135,9 @@ def _check_boards(arm: Arm) -> None:
         if board.absolute and not (kind.may_be_absolute or kind.is_absolute):
             kinds = ", ".join(name for name, one in KINDS.items() if one.may_be_absolute)
             raise Rejected(("board", i, "absolute"), f"true only for {kinds}", f"true for a {board.kind}")
+        if board.absolute_turns is not None and not board.absolute:
+            expected = "absolute = true beside it: it says over how many turns the encoder is"
+            raise Rejected(("board", i, "absolute_turns"), expected, f"{board.absolute_turns:g} alone")
     _check_lines(boards)
     drives = [(i, drive) for i, drive in enumerate(arm.drives) if drive.board]
     for i, drive in drives:
@@ -200,16 +204,46 @@ def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> N
     if drive.encoder_board < 0 and kind.counts_per_turn not in (0, drive.encoder_counts_per_rev):
         expected = f"{kind.counts_per_turn}: what the board sends a turn of its encoder, whatever the encoder"
         raise Rejected((*path, "encoder_counts_per_rev"), expected, str(drive.encoder_counts_per_rev))
-    if drive.encoder_board >= 0 and kind.line == "can" and _closes_own_loop(drive, kind):
+    if drive.encoder_board >= 0 and _closes_own_loop(drive, kind):
         expected = "none: such a drive closes its own loop, on its own encoder"
         raise Rejected((*path, "encoder_board"), expected, str(drive.encoder_board))
     if drive.home is not None and not kind.has_switch and drive.encoder_board < 0:
         expected = "none: its board reads no home switch"
         remedy = "set `absolute` of its [[board]], or let an encoder board count"
         raise Rejected((*path, "home"), expected, "[drive.home]", remedy)
+    _check_unique_turn(arm, drive, kind, path)
     if drive.encoder_board < 0 and not kind.has_encoder:
         expected = "an encoder board, because the drive's board has no encoder of its own"
         raise Rejected((*path, "encoder_board"), expected, "nothing")
+
+
+def _check_unique_turn(arm: Arm, drive: Drive, kind: BoardKind, path: tuple[str | int, ...]) -> None:
+    """An absolute encoder says the same again after a turn: the joint's range must lie within one."""
+    turn_rad = arm.unique_rad(drive)
+    if turn_rad == math.inf:
+        return
+    lower, upper, mapped = drive.joint_lower_rad, drive.joint_upper_rad, JointMap(drive)
+    step_rad = abs(mapped.radians_per_count)
+    if not upper - lower <= turn_rad - step_rad:
+        expected = f"a range below {turn_rad:.4g} rad: the encoder knows its place within one turn, {turn_rad:.4g} rad here"
+        got = f"{lower:g} to {upper:g} rad"
+        remedy = "narrow joint_lower_rad and joint_upper_rad"
+        if drive.gear_ratio != 1.0:
+            remedy += f"; gear_ratio = {drive.gear_ratio:g} is of gears between that encoder and the joint"
+        raise Rejected((*path, "joint_upper_rad"), expected, got, remedy)
+    if kind.first_count is None:
+        return
+    first, last = kind.first_count, kind.first_count + kind.counts_per_turn - 1
+    counts = sorted((mapped.count(lower), mapped.count(upper)))
+    if counts[0] < first or counts[1] > last:
+        ends = sorted((mapped.radians(first), mapped.radians(last)))
+        expected = (
+            f"a range within the servo's counts {first} to {last}, here {ends[0]:.4g} to {ends[1]:.4g} rad"
+        )
+        got = f"{lower:g} to {upper:g} rad, counts {counts[0]} to {counts[1]}"
+        middle = drive.zero_count + round((first + last - sum(counts)) / 2)
+        remedy = f"narrow the range, or fit the servo's horn so that zero_count is about {middle}"
+        raise Rejected((*path, "zero_count"), expected, got, remedy)
 
 
 def _closes_own_loop(drive: Drive, kind: BoardKind) -> bool:

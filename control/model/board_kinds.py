@@ -19,7 +19,7 @@ class BoardKind:
     addresses: range  # on its line
     modes: tuple[Literal["voltage", "current", "position"], ...]
     has_encoder: bool  # its own, which the loop can use
-    is_absolute: bool  # that encoder knows the joint's angle at power-up: there is nothing to home
+    is_absolute: bool  # that encoder knows its place within one turn at power-up: there is nothing to home
     can_free: bool  # opens the motor's circuit; else a hand moves the joint against shorted windings
     can_hold: bool  # brings its joint to rest and holds it without the host
     usual_rate_Hz: float  # of the loop
@@ -41,6 +41,7 @@ class BoardKind:
     current_step_A: float = 0.0  # to which it rounds the current, where that is much
     current_is_newest: bool = True  # measured after the last command; else before the one that it answers
     counts_per_turn: int = 0  # that it sends, whatever the encoder; 0: its encoder's
+    first_count: int | None = None  # of the turn that an absolute encoder knows; None: its settings say
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
 
 
@@ -116,6 +117,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             stops_early=False,
             limits_force=True,
             counts_per_turn=4096,
+            first_count=0,
         ),
         "moteus": BoardKind(
             line="can",

@@ -18,6 +18,7 @@ from control.errors import ArmError
 ACCELERATION, SPEED, RANGE = "acceleration limit [rad/s]", "speed limit [rad/s]", "joint range [rad/s]"
 # A plan at its limit exceeds it by rounding errors: 1e-9 rad/s is 2e-12 rad in a cycle of 2 ms.
 _ROUNDING_RAD_S = 1e-9
+OUTSIDE_rad = 0.2  # of its range, where a pushed or sunken joint may stand
 
 
 class NotFinite(ArmError):
@@ -42,6 +43,30 @@ class Allowed(NamedTuple):
 
     value: float
     reasons: tuple[Clip, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class UniqueTurn:
+    """A joint whose encoder is absolute within `turn_rad`; a joint that it shows far outside of its range is elsewhere."""
+
+    joint: int  # 0-based
+    name: str
+    lower_rad: float
+    upper_rad: float
+    turn_rad: float
+
+    def objection(self, q_rad: float) -> str:
+        """Why the joint cannot be at `q_rad`; empty if it can. A little outside, it may truly be: pushed, or sunk."""
+        excess_rad = max(self.lower_rad - q_rad, q_rad - self.upper_rad)
+        # Beyond the middle of what the range leaves of the turn, the joint is nearer to the range's other end.
+        spare_rad = self.turn_rad - (self.upper_rad - self.lower_rad)
+        if excess_rad <= min(OUTSIDE_rad, 0.5 * spare_rad):
+            return ""
+        return (
+            f"{self.name} reads {q_rad:.3f} rad, {excess_rad:.3f} rad outside its limits ({self.lower_rad:.3f} to"
+            f" {self.upper_rad:.3f} rad): its encoder may be a turn off ({self.turn_rad:.3f} rad), or zero_count wrong. Bring the"
+            " joint into its range by hand, switch its board off and on, and compare the angle with the arm"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from control.dynamics.feedforward import torque_constants_Nm_A
 from control.dynamics.gains import InertiaScale, gains_of
@@ -47,7 +47,7 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import Stop
 from control.recording.layout import layout_of
 from control.recording.record import NoSink, Recorder, RowSink
-from control.safety.limits import SetPointLimits
+from control.safety.limits import SetPointLimits, UniqueTurn
 from control.server.cell_requests import CellRequests
 from control.server.requests import Requests
 from control.servo.gravity_compensation import GravityCompensation
@@ -112,6 +112,7 @@ def assemble(
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
         gripper=_gripper(arm, hardware),
         outputs=_outputs(arm, hardware),
+        unique_turns=tuple(_unique_turns(arm)),
         joint_side=JointSide.of(without_tool_mass(arm), loads.torques),
     )  # fmt: skip
     runtime = Runtime(parts)
@@ -269,6 +270,13 @@ def _motor(drive: Drive, kind: BoardKind, joint_constant: float) -> Motor:
         1.0 / joint_constant, drive.resistance_ohm, joint_constant, drive.supply_V, drive.current_limit_A,
         kind.current_step_A, kind.current_is_newest,
     )  # fmt: skip
+
+
+def _unique_turns(arm: Arm) -> Iterator[UniqueTurn]:
+    for joint, drive in enumerate(arm.drives):
+        if (turn_rad := arm.unique_rad(drive)) < math.inf:
+            ends = (drive.joint_lower_rad, drive.joint_upper_rad)
+            yield UniqueTurn(joint, f"joint {drive.joint}", *ends, turn_rad)
 
 
 def _watch_limits(arm: Arm, period_s: float) -> WatchLimits:

@@ -7,6 +7,7 @@ from typing import Any
 from control.end_effector.grip_state import State as GripperState
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.rotation import quaternion_of
+from control.loop.homing import doubt
 from control.loop.runtime import Runtime
 from control.recording.recorder_state import RecorderState
 from control.safety.table import CONTROLLED_MODES, Mode
@@ -172,6 +173,8 @@ def _warnings(runtime: Runtime) -> list[str]:
         warnings.append("not homed: joint angles are not valid yet (`armwright home`)")
     if runtime.monitor.is_homed:
         warnings += _near_range(runtime)
+    elif why := doubt(runtime):
+        warnings.append(why)
     return warnings
 
 

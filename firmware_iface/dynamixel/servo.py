@@ -13,19 +13,34 @@ from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import ServoWire, SmartServo
 
 REBOOT_s = 0.5
-MODEL, OPERATING_MODE, TORQUE_ENABLE, GOAL_POSITION, PROFILE, GOAL_CURRENT = 0, 11, 64, 116, 108, 102
+STORED_SPAN, LIMITS_SPAN = (
+    (10, 14),
+    (48, 8),
+)  # address and length: drive mode to homing offset; position limits
+MODEL, TORQUE_ENABLE, GOAL_POSITION, PROFILE, GOAL_CURRENT = 0, 64, 116, 108, 102
 # Address and length: torque to bus watchdog; current to temperature.
 STATE_SPAN, VALUES_SPAN = (64, 35), (126, 21)
 HARDWARE_ERROR, BUS_WATCHDOG = 70, 98
 WATCHDOG_STEP_s, LONGEST_WATCHDOG = 0.02, 127
 WATCHDOG_ERROR = 0xFF
+COUNTS_PER_TURN: Final = 4096
+WITHIN_LIMITS: Final = (
+    3  # the mode that keeps its position limits; its homing offset is at most a quarter of a turn
+)
+REVERSED: Final = 0x01  # bit of the drive mode: its positions have the other sense
 WITH_FORCE: Final = 5
-POSITION_MODES: Final = {3: "position", 4: "extended position", WITH_FORCE: "current-based position"}
+POSITION_MODES: Final = {
+    WITHIN_LIMITS: "position",
+    4: "extended position",
+    WITH_FORCE: "current-based position",
+}
 # Unit of the present current by model number (e-Manual); models without a current are not here.
 CURRENT_UNIT_A: Final = {
     1190: 0.001, 1200: 0.001,  # XL330-M077, -M288
     1020: 0.00269, 1030: 0.00269, 1120: 0.00269, 1130: 0.00269,  # XM430-W350, -W210, XM540-W270, -W150
 }  # fmt: skip
+_STORED = struct.Struct("<BB8xi")  # drive mode, operating mode, homing offset
+_LIMITS = struct.Struct("<ii")  # greatest position, least
 _VALUES = struct.Struct("<hiiiiHB")  # current, velocity, position, two of a trajectory, voltage, temperature
 
 
@@ -74,13 +89,22 @@ class DynamixelServo(SmartServo):
                 f"{self.where}: expected a model that measures its current (model numbers {known}), it is model {self.model}"
             )
         self._current_unit_A = CURRENT_UNIT_A[self.model]
-        (mode,) = self._read(OPERATING_MODE, 1)
+        drive_mode, mode, offset = _STORED.unpack(self._read(*STORED_SPAN))
+        most, least = _LIMITS.unpack(self._read(*LIMITS_SPAN))
         self._mode = mode
         if mode not in POSITION_MODES:
             raise WrongIdentity(
                 f"{self.where}: expected operating mode 3, 4 or 5 (position), it is {mode}: set it with Dynamixel Wizard"
             )
-        return f"model {self.model}, {POSITION_MODES[mode]} mode"
+        notes = [f"model {self.model}", f"{POSITION_MODES[mode]} mode"]
+        if mode == WITHIN_LIMITS:
+            offset = min(max(offset, -COUNTS_PER_TURN // 4), COUNTS_PER_TURN // 4)
+            self.reached = range(least, most + 1)
+            notes += [f"goals {least} to {most}"] if (least, most) != (0, COUNTS_PER_TURN - 1) else []
+        self.known = range(offset, offset + COUNTS_PER_TURN)
+        notes += [f"homing offset {offset}"] if offset else []
+        notes += ["sense of its position reversed"] if drive_mode & REVERSED else []
+        return ", ".join(notes)
 
     def set_up(self, watchdog_s: float) -> None:
         """Torque off, no motion profile, and the bus watchdog, which a restart clears. Nothing is stored."""

@@ -10,11 +10,18 @@ from firmware_iface.link import ByteLink
 from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import ServoWire, SmartServo
 
-MODEL, MODE, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 3, 33, 40, 41, 42, 46, 48
+STORED_SPAN = (9, 25)  # address and length: position limits to mode
+MODEL, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 3, 40, 41, 42, 46, 48
 STATE_SPAN = (40, 31)  # address and length: torque to current
 CURRENT_UNIT_A: Final = 0.0065
 MODELS: Final = {777: "STS3215", 2825: "STS3250"}
 # Torque; acceleration to lock; position, speed, load; voltage, temperature; asynchronous write; error; moving; two bytes; current
+COUNTS_PER_TURN: Final = 4096
+FURTHEST: Final = 7 * COUNTS_PER_TURN  # of a goal without position limits: seven turns
+BEYOND_A_TURN: Final = 0x10  # bit of the phase: the position counts on beyond a turn until the supply is cut
+REVERSED: Final = 0x80  # bit of the phase: the position has the other sense
+# Least and greatest position; to the phase; to the resolution; position correction with its sign in bit 11; mode
+_STORED = struct.Struct("<HH5xB11xBHB")
 _STATE = struct.Struct("<B15xHHHBBxBB2xH")
 
 
@@ -59,12 +66,27 @@ class FeetechServo(SmartServo):
         if model not in MODELS:
             known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
             raise WrongIdentity(f"{self.where}: expected model {known}, it is model {model}")
-        (mode,) = self._read(MODE, 1)
+        least, most, phase, resolution, correction, mode = _STORED.unpack(self._read(*STORED_SPAN))
         if mode != 0:
             raise WrongIdentity(
                 f"{self.where}: expected mode 0 (position), it is {mode}: set it with Feetech's FD tool"
             )
-        return f"model {MODELS[model]}, position mode"
+        if resolution > 1:
+            raise WrongIdentity(
+                f"{self.where}: expected angular resolution 1 (register 30: {COUNTS_PER_TURN} counts a turn), it is {resolution}:"
+                " set it with Feetech's FD tool"
+            )
+        self.known = range(COUNTS_PER_TURN)
+        self.reached = range(least, most + 1) if most > least else range(-FURTHEST, FURTHEST + 1)
+        notes = [f"model {MODELS[model]}", "position mode"]
+        if most <= least:
+            notes.append("no position limits: goals of several turns")
+        elif (least, most) != (0, COUNTS_PER_TURN - 1):
+            notes.append(f"goals {least} to {most}")
+        notes += [f"position correction {wire.signed(correction, 11)}"] if correction else []
+        notes += ["counts on beyond a turn until its supply is cut"] if phase & BEYOND_A_TURN else []
+        notes += ["sense of its position reversed"] if phase & REVERSED else []
+        return ", ".join(notes)
 
     def set_up(self, watchdog_s: float) -> None:
         """Torque off, no ramp and no speed limit. Nothing is stored; there is no watchdog to set."""

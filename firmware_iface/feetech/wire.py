@@ -81,9 +81,9 @@ def status_in(received: bytes) -> Status | None:
     return Status(inside[0], inside[2], inside[3:], end)
 
 
-def signed(raw: int) -> int:
-    """A number with its sign in bit 15."""
-    return -(raw & ~_SIGN) if raw & _SIGN else raw
+def signed(raw: int, bit: int = 15) -> int:
+    """A number with its sign in a bit."""
+    return -(raw & ~(1 << bit)) if raw >> bit & 1 else raw
 
 
 def raw(value: int) -> bytes:

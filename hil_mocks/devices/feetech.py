@@ -20,12 +20,15 @@ from hil_mocks.devices.servo_motor import ServoMotor
 COUNTS_PER_TURN = 4096
 BROADCAST = 0xFE
 OVER_HEATED, OVERLOAD = 0x04, 0x20
-RETURN_DELAY, RETURN_LEVEL, MAX_POSITION, STORED_END = (
+RETURN_DELAY, RETURN_LEVEL, MIN_POSITION, MAX_POSITION, PHASE, STORED_END = (
     7,
     8,
+    9,
     11,
+    18,
     40,
 )  # what is below the last is kept without supply
+FULL_ANGLE = 0x10  # bit of the phase: the position counts on beyond a turn
 TORQUE, GOAL, TORQUE_LIMIT, LOCK, POSITION, REGISTERED, ERROR, CURRENT, TABLE_BYTES = (
     40,
     42,
@@ -63,6 +66,7 @@ class StsSetup:
     number: int
     volts_per_rad_s: float
     model: int = 777
+    turns_on: bool = False  # set up for several turns: no position limits, and a position that counts on
 
 
 class FeetechMock:
@@ -75,7 +79,8 @@ class FeetechMock:
         self.table = bytearray(TABLE_BYTES)
         struct.pack_into("<H", self.table, 3, setup.model)
         self.table[5], self.table[RETURN_LEVEL] = setup.number, 1
-        struct.pack_into("<H", self.table, MAX_POSITION, COUNTS_PER_TURN - 1)
+        struct.pack_into("<H", self.table, MAX_POSITION, 0 if setup.turns_on else COUNTS_PER_TURN - 1)
+        self.table[PHASE] = 0x0C | (FULL_ANGLE if setup.turns_on else 0)
         self.power_up()
         self._deaf_until_s = 0.0
 
@@ -129,13 +134,20 @@ class FeetechMock:
             if not address <= GOAL < end:
                 struct.pack_into("<H", self.table, GOAL, _raw(self.position))
         if self.table[TORQUE]:
-            self._motor.goal_turns = _signed(struct.unpack_from("<H", self.table, GOAL)[0]) / COUNTS_PER_TURN
+            least, most = struct.unpack_from("<HH", self.table, MIN_POSITION)
+            goal = _signed(struct.unpack_from("<H", self.table, GOAL)[0])
+            goal = min(max(goal, least), most) if most > least else goal
+            self._motor.goal_turns = (goal + self._turned_on - self.position) / COUNTS_PER_TURN
 
     limit_A = math.inf  # it limits its duty, not its current
 
     @property
     def position(self) -> int:
-        """Present position."""
+        """Present position: within one turn, unless it is set up to count on."""
+        return self._turned_on if self.table[PHASE] & FULL_ANGLE else self._turned_on % COUNTS_PER_TURN
+
+    @property
+    def _turned_on(self) -> int:
         return round(self._read_turns() * COUNTS_PER_TURN)
 
     def _status(self, parameters: bytes = b"") -> bytes:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
-from control.model.arm import Arm
+from control.model.arm import Arm, Drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,12 @@ def _found(arm: Arm) -> Iterator[Missing]:
     ]
     if homeless:
         yield Missing(f"[drive.home] of {_joints(homeless)}", "home (else set the zero on the encoder board)")
+    guessed = [drive.joint for drive in arm.drives if _is_turn_guessed(arm, drive)]
+    if guessed:
+        yield Missing(
+            f"absolute_turns of the boards of {_joints(guessed)}",
+            "knowing the pose at power-up: the encoder is taken to be at the joint; at the motor it is absolute within a turn of it",
+        )
     yield from _electrical(arm)
     if arm.table is None:
         yield Missing("[table]", "session, calibrate without measured tips, demo")
@@ -51,6 +57,12 @@ def _found(arm: Arm) -> Iterator[Missing]:
         yield Missing("[camera]", "the noise of verify, iso9283 and gap (else it is estimated or assumed)")
     if arm.rest is None:
         yield Missing("[rest]", "tune without --pose; the mock begins at joint angles 0")
+
+
+def _is_turn_guessed(arm: Arm, drive: Drive) -> bool:
+    board = arm.board(drive)
+    is_said = board is None or board.absolute_turns is not None or arm.kind_of(drive).is_absolute
+    return arm.has_absolute_encoder(drive) and not is_said and drive.gear_ratio != 1.0
 
 
 def _masses(arm: Arm) -> Iterator[Missing]:

@@ -24,7 +24,7 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted
+from firmware_iface.errors import BoardFaulted, WrongIdentity
 from firmware_iface.link import ByteLink
 from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import SmartServo
@@ -33,6 +33,9 @@ L = TypeVar("L", bound=ServoLine)
 FaultMap = Sequence[tuple[int, int]]
 """Bits of a servo's hardware error, and the loop's fault for each."""
 
+STORED_SLACK_rad = (
+    0.05  # by which stored limits may be narrower than the range: what the loop allows beyond it
+)
 ANSWER_GAP_S = 0.0001  # between the answers of servos that are read together, with a return delay of 0
 TORQUE_CYCLES = (
     20  # until a servo that was told to switch its torque on says that it did: asked in turn, some times
@@ -211,10 +214,32 @@ def open_servos(
     open_lines(boards, opened, period_s, "servo", "raise the servos' baud rate", cycle_s, open_on)
 
 
+def _require_range(servo: SmartServo, drive: Drive) -> None:
+    """WrongIdentity unless the joint's range lies in the turn that the servo knows, and within its stored limits."""
+    ends = [end for end in (drive.joint_lower_rad, drive.joint_upper_rad) if math.isfinite(end)]
+    if not ends:
+        return  # a gripper's
+    mapped = JointMap(drive)
+    counts = sorted(map(mapped.count, ends))
+    slack = round(STORED_SLACK_rad * abs(mapped.counts_per_radian))
+    for allowed, room, what in (
+        (servo.known, 0, "the turn that it knows after power-up"),
+        (servo.reached, slack, "the position limits stored in it"),
+    ):
+        if counts[0] < allowed.start - room or counts[-1] >= allowed.stop + room:
+            turned = sorted((mapped.radians(allowed.start), mapped.radians(allowed.stop - 1)))
+            raise WrongIdentity(
+                f"{servo.where}: expected joint {drive.joint}'s range, counts {counts[0]} to {counts[-1]}, within {what}, got"
+                f" {allowed.start} to {allowed.stop - 1}: set joint_lower_rad and joint_upper_rad within {turned[0]:.3f} to"
+                f" {turned[1]:.3f} rad, or change what is stored in the servo (offset, limits) and zero_count"
+            )
+
+
 def _join(
     servo: SmartServo, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
 ) -> None:  # fmt: skip
     identity = servo.identify()
+    _require_range(servo, drive)
     servo.read_state()
     encoder = ServoEncoder(servo, joint)
     opened.encoders.append(encoder)

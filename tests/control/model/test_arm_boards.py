@@ -1,5 +1,6 @@
 """What arm.toml may say of bought boards: each kind's row of control.model.board_kinds is kept."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -103,3 +104,55 @@ def test_an_odrive_in_current_mode_may_leave_counting_and_homing_to_an_encoder_b
     by_torque = with_drive(arm, 1, pid=replace(arm.drives[0].pid, mode="current"), home=RIGHT.drives[0].home)
     save_arm(by_torque, tmp_path / "arm.toml")
     assert load_arm(tmp_path / "arm.toml").can_home
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "said"),
+    [
+        (
+            "dynamixel",
+            {"gear_ratio": 3.0},
+            r"joint_upper_rad of .* 1: .* one turn, 2.094 rad here, .*gear_ratio = 3",
+        ),
+        ("feetech", {"joint_lower_rad": -3.2, "joint_upper_rad": 3.2}, "a range below 6.283 rad"),
+        ("dynamixel", {"joint_lower_rad": -math.inf}, "a range below 6.283 rad"),
+        (
+            "feetech",
+            {"zero_count": 300},
+            r"zero_count of .* 1: .* 0 to 4095, here -0.4602 to 5.821 .*about 2048",
+        ),
+        (
+            "feetech",
+            {"zero_count": 3000, "encoder_direction": -1},
+            "counts 1305 to 4695 .*zero_count is about 2048",
+        ),
+    ],
+)
+def test_a_range_that_leaves_the_turn_that_an_absolute_encoder_knows_is_refused(
+    kind: str, change: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    save_arm(with_drive(on_boards(RIGHT, kind), 1, **change), tmp_path / "arm.toml")
+    with pytest.raises(ArmError, match=said):
+        load_arm(tmp_path / "arm.toml")
+
+
+@pytest.mark.parametrize(("turns", "is_read"), [(None, True), (100.0, True), (1.0, False)])
+def test_a_board_that_is_called_absolute_says_over_how_many_turns_of_its_encoder(
+    turns: float | None, is_read: bool, tmp_path: Path
+) -> None:
+    arm = on_boards(RIGHT, "odrive")
+    arm = replace(arm, boards=tuple(replace(board, absolute_turns=turns) for board in arm.boards))
+    save_arm(
+        replace(arm, drives=tuple(replace(d, gear_ratio=100.0) for d in arm.drives)), tmp_path / "arm.toml"
+    )
+    if is_read:
+        assert load_arm(tmp_path / "arm.toml").unique_rad(arm.drives[0]) == pytest.approx(2.0 * math.pi)
+    else:
+        with pytest.raises(
+            ArmError, match=r"a range below 0.06283 rad.*gear_ratio = 100 is of gears between"
+        ):
+            load_arm(tmp_path / "arm.toml")
+    alone = replace(arm, boards=tuple(replace(b, absolute=False, absolute_turns=2.0) for b in arm.boards))
+    save_arm(alone, tmp_path / "alone.toml")
+    with pytest.raises(ArmError, match="absolute_turns of .* 1: expected absolute = true beside it"):
+        load_arm(tmp_path / "alone.toml")

@@ -7,7 +7,7 @@ import pytest
 
 from control.errors import ArmError
 from control.safety import limits
-from control.safety.limits import Allowed, Clip, NotFinite, SetPointLimits
+from control.safety.limits import OUTSIDE_rad, Allowed, Clip, NotFinite, SetPointLimits, UniqueTurn
 
 T = 0.002
 JOINT = SetPointLimits(lower_rad=-1.0, upper_rad=1.0, speed_rad_s=2.0, acceleration_rad_s2=10.0)
@@ -300,3 +300,14 @@ def test_a_joint_that_brakes_softly_is_slowed_long_before_the_end_of_its_range()
     soft = SetPointLimits(-1.0, 1.0, speed_rad_s=10.0, acceleration_rad_s2=0.25)
     (clip,) = limits.limit_set_point([0.9006], [0.9], [0.3], [soft], 0.002).reasons
     assert clip.limit == limits.RANGE  # 0.3 rad/s need 0.18 rad, 0.1 rad are left
+
+
+@pytest.mark.parametrize(("turn_rad", "allowed_rad"), [(6.0, OUTSIDE_rad), (4.25, 0.125)])
+def test_a_joint_may_stand_a_little_outside_but_not_nearer_to_its_other_end_a_turn_on(turn_rad, allowed_rad):
+    turn = UniqueTurn(0, "joint 1", lower_rad=-2.0, upper_rad=2.0, turn_rad=turn_rad)
+    for side in (1.0, -1.0):
+        assert turn.objection(side * 2.0) == ""
+        assert turn.objection(side * (2.0 + 0.99 * allowed_rad)) == ""
+        said = turn.objection(side * (2.0 + 1.01 * allowed_rad))
+        assert f"{1.01 * allowed_rad:.3f} rad outside its limits" in said
+        assert "its encoder may be a turn off" in said

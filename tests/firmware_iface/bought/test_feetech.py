@@ -112,3 +112,21 @@ def test_an_answer_from_before_the_torque_was_switched_off_makes_no_restart() ->
     cable.servo.table[40] = 0
     servo.read_state()
     assert (servo.problems, servo.resets) == ([], 0)
+
+
+def test_what_is_stored_of_its_position_is_told_and_counts_of_another_size_are_refused() -> None:
+    cable = Cable()
+    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
+    servo.identify()
+    assert (servo.known, servo.reached) == (range(4096), range(4096))
+    table = cable.servo.table
+    table[9:13] = (1500).to_bytes(2, "little") + (2600).to_bytes(2, "little")
+    table[18], table[31:33] = 0x9C, (0x800 | 85).to_bytes(2, "little")
+    told = "goals 1500 to 2600, position correction -85, counts on beyond a turn until its supply is cut, sense of its position"
+    assert told in servo.identify()
+    assert servo.reached == range(1500, 2601)
+    table[9:13] = bytes(4)
+    assert "no position limits: goals of several turns" in servo.identify()
+    table[30] = 3
+    with pytest.raises(WrongIdentity, match=r"angular resolution 1 .*4096 counts a turn\), it is 3"):
+        servo.identify()

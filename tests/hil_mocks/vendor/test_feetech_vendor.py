@@ -47,7 +47,7 @@ class Port:
 
 @pytest.fixture
 def port() -> Port:
-    servos = [FeetechMock(StsSetup(number, 1.0), lambda: -0.25) for number in (1, 2)]
+    servos = [FeetechMock(StsSetup(number, 1.0, turns_on=True), lambda: -0.25) for number in (1, 2)]
     return Port(FeetechLineMock(servos, 1_000_000))
 
 
