@@ -48,7 +48,7 @@ def _found(arm: Arm) -> Iterator[Missing]:
     if guessed:
         yield Missing(
             f"absolute_turns of the boards of {_joints(guessed)}",
-            "knowing the pose at power-up: the encoder is taken to be at the joint; at the motor it is absolute within a turn of it",
+            "knowing the pose at power-up: the encoder is taken to be at the joint; one at the motor knows one motor turn",
         )
     yield from _electrical(arm)
     if arm.table is None:

@@ -154,5 +154,5 @@ def test_a_board_that_is_called_absolute_says_over_how_many_turns_of_its_encoder
             load_arm(tmp_path / "arm.toml")
     alone = replace(arm, boards=tuple(replace(b, absolute=False, absolute_turns=2.0) for b in arm.boards))
     save_arm(alone, tmp_path / "alone.toml")
-    with pytest.raises(ArmError, match="absolute_turns of .* 1: expected absolute = true beside it"):
+    with pytest.raises(ArmError, match=r"absolute_turns of .* 1: expected absolute = true beside it"):
         load_arm(tmp_path / "alone.toml")

@@ -7,7 +7,7 @@ import pytest
 
 from control.errors import ArmError
 from control.safety import limits
-from control.safety.limits import OUTSIDE_rad, Allowed, Clip, NotFinite, SetPointLimits, UniqueTurn
+from control.safety.limits import Allowed, Clip, NotFinite, OUTSIDE_rad, SetPointLimits, UniqueTurn
 
 T = 0.002
 JOINT = SetPointLimits(lower_rad=-1.0, upper_rad=1.0, speed_rad_s=2.0, acceleration_rad_s2=10.0)

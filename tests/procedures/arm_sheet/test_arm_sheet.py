@@ -16,6 +16,7 @@ from control.model.description import load_arm, save_arm
 from procedures.arm_sheet.figures import sheet, torque_limit_Nm
 from procedures.arm_sheet.missing import missing
 from procedures.arm_sheet.text import sheet_lines, warnings
+from procedures.on_boards import on_boards
 from tests.cell import with_drive, with_drives
 from tests.places import ARMS
 
@@ -112,3 +113,13 @@ def test_every_arm_with_some_keys_less_is_shown(tmp_path, capsys: pytest.Capture
         save_arm(arm, file)
         assert main(["arm", str(file)]) == 0
     capsys.readouterr()
+
+
+def test_an_absolute_encoder_that_is_not_said_to_be_at_the_joint_is_named() -> None:
+    boards = on_boards(load_arm("right"), "odrive")
+    said = {item.what for item in missing(boards)}
+    assert "absolute_turns of the boards of joints 1, 2, 3" in said
+    told = dataclasses.replace(
+        boards, boards=tuple(dataclasses.replace(board, absolute_turns=100.0) for board in boards.boards)
+    )
+    assert said - {item.what for item in missing(told)} == {"absolute_turns of the boards of joints 1, 2, 3"}
