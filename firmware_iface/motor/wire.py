@@ -91,6 +91,7 @@ class Parameter(IntEnum):
     ENCODER_COUNTS_PER_TURN = 3
     POSITION_COUNT = 4
     CONTROL_PERIOD_us = 5
+    RESET_CAUSE = 6
     KP_uV_count = 16
     KI_uV_count_s = 17
     KD_nV_s_count = 18
@@ -108,6 +109,17 @@ class Parameter(IntEnum):
     DIGITAL_OUTPUTS = 49
     DIGITAL_SAFE_LEVELS = 50
     DIGITAL_SAFE_KEEP = 51
+
+
+class ResetCause(IntEnum):
+    """Values of RESET_CAUSE: why a board last started."""
+
+    NOT_KNOWN = 0
+    POWER_UP = 1
+    RESET_LINE = 2
+    WATCHDOG = 3
+    LOW_SUPPLY = 4
+    PROGRAM = 5
 
 
 class Output(IntEnum):

@@ -335,6 +335,7 @@ class MotorBoardMock(MotorBoardHardware):
             2: setup.firmware,
             3: setup.counts_per_turn,
             5: setup.period_us,
+            6: setup.reset_cause,
         }
         if index == parameter.POSITION_COUNT:
             return self.position_count

@@ -65,6 +65,7 @@ class MotorBoardSetup:
     rated_degC: float = 90.0
     period_us: int = 1000
     digital_pins: int = 0  # 0: an older board, which does not know them
+    reset_cause: int = 1  # power-up
     seed: int = 0
 
 

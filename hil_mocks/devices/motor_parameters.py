@@ -49,7 +49,7 @@ def writable(rating_mA: int, digital_pins: int = 0) -> dict[int, Row]:
 def refusal(rows: dict[int, Row], index: int, value: int) -> int:
     """DONE if the value is allowed at the index, else UNKNOWN_INDEX, READ_ONLY or OUT_OF_RANGE."""
     if index not in rows:
-        is_read_only = index <= 5 or (index == DIGITAL_PINS and DIGITAL_OUTPUTS in rows)
+        is_read_only = index <= 6 or (index == DIGITAL_PINS and DIGITAL_OUTPUTS in rows)
         return READ_ONLY if is_read_only else UNKNOWN_INDEX
     row = rows[index]
     if not row.lowest <= value <= row.highest or (index in (WATCHDOG_MS, STOP_AFTER_MS) and 0 < value < 5):

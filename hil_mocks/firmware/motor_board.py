@@ -41,6 +41,7 @@ class _Setup(ctypes.Structure):
         ("period_us", ctypes.c_uint16),
         ("node", ctypes.c_uint8),
         ("digital_pins", ctypes.c_uint8),
+        ("reset_cause", ctypes.c_uint8),
     )
 
 
@@ -128,6 +129,7 @@ class MotorBoardFirmware(MotorBoardHardware):
             setup.serial_number, setup.counts_per_turn, setup.rating_mA, round(LOWEST_SUPPLY_V * 1e3),
             round(HIGHEST_SUPPLY_V * 1e3), round(setup.rated_degC * 1e3), setup.firmware, setup.period_us, setup.node,
             setup.digital_pins,
+            setup.reset_cause,
         )  # fmt: skip
         self._look(0.0)
         self._code.aw_motor_init(self._board, ctypes.byref(given), self._at[0])

@@ -15,6 +15,7 @@ from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import BoardSilent, LinkError, PortMissing
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.scan import BusScan, listen, scan_nodes
+from firmware_iface.motor.wire import Parameter, ResetCause
 from firmware_iface.serial_link import open_serial
 from procedures.doctor.finding import Finding, Level
 from procedures.doctor.links import CountedLink
@@ -22,6 +23,16 @@ from procedures.doctor.links import CountedLink
 GROUP = "boards"
 LISTEN_S = 0.1
 ASKED = 50  # questions to a bought board, to see how fast it answers
+_RESETS = {
+    ResetCause.WATCHDOG: (
+        "its watchdog ended a program that hung",
+        "update its firmware; switch it off and on, and look again",
+    ),
+    ResetCause.LOW_SUPPLY: (
+        "its own supply broke down",
+        "check its 3.3 V, the cable, and what else hangs on that supply",
+    ),
+}
 OTHER_BAUDS = (1_000_000, 921_600, 500_000, 460_800, 230_400, 115_200)
 
 
@@ -305,6 +316,18 @@ def _check_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None
             remedy,
         )
     _same(boards, what, drive, "counts per motor turn", identity.encoder_counts_per_turn)
+    _judge_reset(boards, what, board)
+
+
+def _judge_reset(boards: Boards, what: str, board: MotorBoard) -> None:
+    """What made the board start last, where it says so: firmware of before 2026-11 does not."""
+    try:
+        cause = board.read(Parameter.RESET_CAUSE)
+    except LinkError:
+        return
+    if cause in _RESETS:
+        measured, remedy = _RESETS[ResetCause(cause)]
+        boards.note(Level.WARN, f"{what}: last start", measured, "a power-up", remedy)
 
 
 def _note_not_one(boards: Boards, arm: Arm, drive: Drive, found: BusScan, what: str) -> None:

@@ -43,6 +43,32 @@ def test_every_file_of_it_is_shipped() -> None:
     assert max(len(file.relative_to(SOURCES).parts) for file in SOURCES.rglob("*")) <= 3
 
 
+@needs_compiler
+def test_the_bridge_of_a_board_that_cannot_go_on_is_off_before_its_watchdog_resets_it(tmp_path: Path) -> None:
+    """The files for the Nucleo on this machine, their registers in memory: enable pin, MOE, duty of the bridge's inputs."""
+    program, board = tmp_path / "nucleo", SOURCES / "bsp/nucleo_f446re"
+    build(
+        program, f"-I{board}", "-Wno-conversion",
+        sources=(board / "stm32f446.c", board / "startup.c", SOURCES / "test/nucleo.c"),
+    )  # fmt: skip
+    said = subprocess.run([str(program)], capture_output=True, text=True, check=True, timeout=30).stdout
+    assert said.splitlines() == [
+        "reset flags 00: cause 0",
+        "reset flags 07: cause 1",
+        "reset flags 02: cause 2",
+        "reset flags 12: cause 3",
+        "reset flags 03: cause 4",
+        "reset flags 0a: cause 5",
+        "at power-up: state 00, enable 1, MOE 1, duty 0 0",
+        "at 6 V: state 27, enable 1, MOE 1, duty 4201 3151",
+        "0.5 ms without the fast loop: state 27, enable 0, MOE 0, duty 4201 3151",
+        "stuck, and the watchdog unfed",
+        "a fault of the processor: state 27, enable 0, MOE 0, duty 4201 3151",
+        "stuck, and the watchdog unfed",
+        "emergency stop, the fast loop stalled: state 0f, enable 1, MOE 0, duty 4201 3151",
+    ]
+
+
 @pytest.mark.skipif(
     shutil.which("arm-none-eabi-gcc") is None,
     reason="no arm-none-eabi-gcc: apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi",

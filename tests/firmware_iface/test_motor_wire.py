@@ -31,6 +31,7 @@ PARAMETER_SIGNALS = {
     3: "EncoderCountsPerTurn",
     4: "PositionCount",
     5: "ControlPeriod",
+    6: "ResetCause",
     16: "Kp",
     17: "Ki",
     18: "Kd",
@@ -207,6 +208,7 @@ def test_choices_of_the_dbc_are_the_enums(dbc: Any) -> None:
         "Result": wire.ParameterResult,
         "Mode": Mode,
         "Operation": wire.Operation,
+        "ResetCause": wire.ResetCause,
         "WatchdogAction": wire.Output,
     }
     for name, enum in enums.items():

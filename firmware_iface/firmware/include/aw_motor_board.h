@@ -39,6 +39,7 @@ typedef struct {
     uint16_t period_us;  /* of aw_motor_tick, 20 ... 1000 */
     uint8_t node;        /* 1 ... 15 */
     uint8_t digital_pins; /* 0 ... 8 */
+    uint8_t reset_cause;  /* parameter 6 */
 } aw_motor_setup_t;
 
 /* What the hardware has at one moment. Currents have the sign of the voltage that drives them. */

@@ -18,6 +18,7 @@
 #define COUNTS_PER_TURN 3u
 #define POSITION_COUNT 4u
 #define CONTROL_PERIOD_US 5u
+#define RESET_CAUSE 6u
 #define DIGITAL_PINS 48u
 
 #define SHORTEST_WAIT_MS 5 /* of watchdog and stop, which are off at 0 */
@@ -96,6 +97,8 @@ static bool read_value(const aw_motor_board_t *board, uint8_t index, uint32_t co
         *value = aw_signed32(aw_motor_count(board, counter));
     } else if (index == CONTROL_PERIOD_US) {
         *value = (int32_t)board->setup.period_us;
+    } else if (index == RESET_CAUSE) {
+        *value = (int32_t)board->setup.reset_cause;
     } else if ((index == DIGITAL_PINS) && (board->setup.digital_pins > 0u)) {
         *value = (int32_t)board->setup.digital_pins;
     } else {

@@ -156,7 +156,7 @@ static void enable(aw_motor_board_t *board, aw_motor_inputs_t *inputs)
 
 static void fuzz_motor(uint32_t frames)
 {
-    aw_motor_setup_t setup = {7u, 2048, 8000, 9000, 50000, 90000, 0x0100u, 1000u, 3u, 4u};
+    aw_motor_setup_t setup = {7u, 2048, 8000, 9000, 50000, 90000, 0x0100u, 1000u, 3u, 4u, 0u};
     aw_motor_inputs_t inputs = {0u, 0u, 0, 0, 24000, 25000, 0u, 0u, false};
     aw_motor_board_t board;
     aw_can_frame_t frame;

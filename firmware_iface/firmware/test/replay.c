@@ -57,7 +57,7 @@ void replay_begin(void)
 {
     static const uint8_t indices[] = {16u, 17u, 18u, 22u, 23u, 35u};
     static const uint32_t values[] = {6135u, 50000u, 153400u, 9000u, 5000u, 24u};
-    const aw_motor_setup_t board = {1u, 2048, 8000, 9000, 50000, 90000, 0x0100u, 1000u, 1u, 4u};
+    const aw_motor_setup_t board = {1u, 2048, 8000, 9000, 50000, 90000, 0x0100u, 1000u, 1u, 4u, 0u};
     const aw_encoder_setup_t reports = {1u, 1000000u, {2048u, 2048u, 2048u}, 0x0100u, 3u, 24u};
     const aw_current_setup_t winding = {6283, 6283185, 50};
     const uint8_t stream[] = {0x05u, 0x02u, 0x02u, 0xD0u, 0x07u, 0x01u, 0x03u, 0x40u, 0xECu, 0x00u};

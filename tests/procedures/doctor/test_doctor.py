@@ -17,6 +17,7 @@ from console.main import main
 from control.model.arm import Arm, CanBus
 from firmware_iface.clock import MonotonicClock
 from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.wire import ResetCause
 from firmware_iface.serial_link import PortHere
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
@@ -120,6 +121,17 @@ def test_a_board_under_another_node_is_offered_for_the_one_that_is_missing() -> 
     said = found_on(believed=with_drive(RIGHT, 2, motor_node=9))
     assert any("joint 2 (node 9)" in line and "node 2 answers but has no joint" in line for line in said)
     assert any(line.startswith("WARN node 2:") for line in said)
+
+
+def test_a_board_that_its_watchdog_or_a_low_supply_restarted_says_so() -> None:
+    with open_rig() as (rig, arm):
+        for cause, board in zip(ResetCause, rig.robot.motor_boards, strict=False):
+            board.setup = replace(board.setup, reset_cause=int(cause) + 2)  # reset line, watchdog, low supply
+        starts = {f.what.split(" (")[0]: f.measured for f in examined(rig, arm) if "last start" in f.what}
+    assert starts == {
+        "motor board of joint 2": "its watchdog ended a program that hung",
+        "motor board of joint 3": "its own supply broke down",
+    }
 
 
 def test_a_joint_that_moves_is_not_judged_for_noise_and_its_current_not_at_all() -> None:

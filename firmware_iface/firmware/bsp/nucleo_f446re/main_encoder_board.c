@@ -189,8 +189,8 @@ static void send(void)
 static void set_up(void)
 {
     chip_init();
-    RCC->apb1enr |= APB1_TIM2 | APB1_TIM3 | APB1_TIM4;
-    RCC->apb2enr |= APB2_USART1 | APB2_SYSCFG;
+    clock_on(&RCC->apb1enr, APB1_TIM2 | APB1_TIM3 | APB1_TIM4);
+    clock_on(&RCC->apb2enr, APB2_USART1 | APB2_SYSCFG);
     pin_function(GPIO_A, 0u, 1u, PULL_UP);
     pin_function(GPIO_A, 1u, 1u, PULL_UP);
     pin_function(GPIO_A, 6u, 2u, PULL_UP);
@@ -206,8 +206,8 @@ static void set_up(void)
         interrupt_enable(IRQ_EXTI0 + at, 0u);
     }
     SYSCFG_EXTICR[0] = 0x0222u; /* lines 0 to 2 are those of port C */
-    EXTI->rtsr = 7u;
-    EXTI->imr = 7u;
+    EXTI->rtsr |= 7u;
+    EXTI->imr |= 7u;
     pin_function(GPIO_A, 9u, 7u, PULL_NONE);
     pin_function(GPIO_A, 10u, 7u, PULL_UP);
     USART1->brr = (APB2_HZ + (BAUD / 2u)) / BAUD;

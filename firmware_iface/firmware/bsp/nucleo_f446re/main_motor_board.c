@@ -23,6 +23,7 @@
 #define PWM_US 50u
 #define PWM_TOP 4200u /* 168 MHz / 2 / 20 kHz, up and down */
 #define MEAN_OF 20    /* PWM periods: one millisecond */
+#define FAST_LOOP_LATE_US 500u /* ten periods; an answer over CAN holds the main loop up for less */
 #define PINS 4u
 #define FIRST_PIN 4u /* PC4, PC5, PC6, PC7 */
 
@@ -35,6 +36,11 @@
 #define CAN_EMPTY(mailbox) (1uL << (26u + (mailbox)))
 #define CAN_BUS_OFF (1uL << 2u)
 #define CAN_ABORT ((1uL << 7u) | (1uL << 15u) | (1uL << 23u))
+
+/* Without MOE both inputs of the bridge are at their idle level, high, whatever the fast loop does: the windings are shorted. */
+#define PWM_BRAKED (1uL << 10u)
+#define PWM_DRIVEN (PWM_BRAKED | (1uL << 15u))
+#define PWM_IDLE_HIGH ((1uL << 8u) | (1uL << 10u))
 
 /* What the main loop wants of the fast loop, and what this has measured. Written whole, with interrupts off or in them. */
 static volatile struct {
@@ -51,6 +57,7 @@ static volatile struct {
 
 static aw_motor_board_t board;
 static aw_current_t loop;
+static volatile uint32_t steps; /* of the fast loop */
 
 static void drive(int32_t voltage_uV, int32_t supply_mV, bool is_open)
 {
@@ -83,6 +90,7 @@ void adc_handler(void)
     const int32_t most_uV = 1000 * ((supply_mV < shared.voltage_limit_mV) ? supply_mV : shared.voltage_limit_mV);
 
     ADC1->sr = 0u;
+    steps++;
     drive(aw_current_step(&loop, wanted, shared.limit_mA, most_uV, current_mA), supply_mV, wanted.kind == AW_OUTPUT_OPEN);
     sum_mA += current_mA;
     count++;
@@ -121,6 +129,7 @@ static void obey(void)
     shared.value = output.value;
     shared.limit_mA = aw_motor_current_limit_mA(&board);
     shared.voltage_limit_mV = aw_motor_voltage_limit_mV(&board);
+    TIM1->bdtr = ((output.kind == AW_OUTPUT_VOLTAGE) && (output.value == 0)) ? PWM_BRAKED : PWM_DRIVEN;
     interrupts_on();
     for (uint32_t pin = 0u; pin < PINS; pin++) {
         const bool is_output = ((outputs >> pin) & 1u) != 0u;
@@ -202,8 +211,8 @@ static void pwm_set_up(void)
     TIM1->rcr = 1u; /* one update a period */
     TIM1->ccmr1 = 0x6868u;
     TIM1->ccer = 0x11u;
-    TIM1->bdtr = 1uL << 15u;
-    TIM1->cr2 = 2uL << 4u;
+    TIM1->bdtr = PWM_DRIVEN; /* at a duty of 0: open, until the board's state says more */
+    TIM1->cr2 = PWM_IDLE_HIGH | (2uL << 4u);
     TIM1->cr1 = (1uL << 7u) | (1uL << 5u) | 1uL; /* up and down */
 }
 
@@ -227,8 +236,8 @@ static void set_up(void)
     const aw_current_setup_t winding = {WINDING_KP_UV_MA, WINDING_KI_UV_MAS, PWM_US};
 
     chip_init();
-    RCC->apb1enr |= APB1_TIM2 | APB1_CAN1;
-    RCC->apb2enr |= APB2_TIM1 | APB2_ADC1;
+    clock_on(&RCC->apb1enr, APB1_TIM2 | APB1_CAN1);
+    clock_on(&RCC->apb2enr, APB2_TIM1 | APB2_ADC1);
     pin_set_up(GPIO_B, BRIDGE_FAULT, PIN_INPUT, PULL_UP);
     pin_function(GPIO_A, 0u, 1u, PULL_UP);
     pin_function(GPIO_A, 1u, 1u, PULL_UP);
@@ -266,12 +275,41 @@ static void serve(aw_motor_inputs_t *inputs)
     }
 }
 
+void board_off(void)
+{
+    GPIO_B->bsrr = 1uL << (BRIDGE_ENABLE + 16u);
+    TIM1->bdtr = PWM_BRAKED;
+}
+
+/* Nothing but the fast loop holds the current and sets the duty: without it the board may not go on. */
+static bool is_fast_loop_late(void)
+{
+    static uint32_t seen;
+    static uint32_t seen_us;
+
+    if ((steps != seen) || (seen_us == 0u)) {
+        seen = steps;
+        seen_us = now_us();
+    }
+    return (now_us() - seen_us) >= FAST_LOOP_LATE_US;
+}
+
+static void turn(aw_motor_inputs_t *inputs)
+{
+    serve(inputs);
+    if (is_fast_loop_late()) {
+        unexpected();
+    }
+    watchdog_feed();
+}
+
 int main(void)
 {
     aw_motor_setup_t setup = {0u, COUNTS_PER_TURN, RATING_MA, LOWEST_SUPPLY_MV, HIGHEST_SUPPLY_MV, RATED_MDEGC, FIRMWARE,
-                              PERIOD_US, 0u, PINS};
+                              PERIOD_US, 0u, PINS, 0u};
     aw_motor_inputs_t inputs;
 
+    setup.reset_cause = reset_cause();
     set_up();
     setup.serial_number = chip_serial_number();
     setup.node = node();
@@ -284,7 +322,6 @@ int main(void)
         watchdog_feed();
     }
     for (;;) {
-        serve(&inputs);
-        watchdog_feed();
+        turn(&inputs);
     }
 }

@@ -1,4 +1,4 @@
-/* Vector table and reset of an STM32F446. Interrupts that nobody takes stop the board; its watchdog then resets it. */
+/* Vector table and reset of an STM32F446. What nobody takes, faults of the processor too, is `unexpected`. */
 #include <stdint.h>
 
 #include "stm32f446.h"
@@ -9,7 +9,6 @@ extern uint32_t stack_top, data_start, data_end, data_image, bss_start, bss_end;
 
 int main(void);
 void reset_handler(void);
-void unexpected(void);
 void exti0_handler(void) __attribute__((weak, alias("unexpected")));
 void exti1_handler(void) __attribute__((weak, alias("unexpected")));
 void exti2_handler(void) __attribute__((weak, alias("unexpected")));
@@ -30,6 +29,7 @@ const vector_t vectors[VECTORS] __attribute__((section(".vectors"), used)) = {
     [4] = {.handler = unexpected},
     [5] = {.handler = unexpected},
     [6] = {.handler = unexpected},
+    [16 + IRQ_SUPPLY] = {.handler = unexpected},
     [16 + IRQ_EXTI0] = {.handler = exti0_handler},
     [16 + IRQ_EXTI0 + 1] = {.handler = exti1_handler},
     [16 + IRQ_EXTI0 + 2] = {.handler = exti2_handler},
@@ -53,8 +53,15 @@ void reset_handler(void)
     unexpected();
 }
 
+void board_off(void) __attribute__((weak));
+
+void board_off(void)
+{
+}
+
 void unexpected(void)
 {
+    board_off();
     interrupts_off();
     for (;;) {
     }

@@ -11,8 +11,78 @@
 #define FROM_PLL 2uL
 #define FLASH_168_MHZ ((1uL << 10u) | (1uL << 9u) | (1uL << 8u) | 5uL) /* caches, prefetch, 5 wait states */
 
+#define BROWN_OUT_MASK (3uL << 2u)
+#define BROWN_OUT_2V7 0uL
+#define OPTION_LOCK 1uL
+#define OPTION_START 2uL
+#define FLASH_BUSY (1uL << 16u)
+#define SUPPLY_2V9 ((7uL << 5u) | (1uL << 4u))
+#define SUPPLY_LINE (1uL << 16u) /* of EXTI */
+
+#define RESET_SUPPLY (1uL << 25u)
+#define RESET_PIN (1uL << 26u)
+#define RESET_POWER (1uL << 27u)
+#define RESET_SOFTWARE (1uL << 28u)
+#define RESET_WATCHDOGS ((1uL << 29u) | (1uL << 30u))
+#define RESET_FORGET (1uL << 24u)
+
+/* The chip comes with its brown-out reset off: below its lowest supply it may then do anything with the bridge. The level is
+ * an option byte, which stays; it is written once in the life of a chip. */
+static void brown_out_set(void)
+{
+    if ((FLASH_OPTCR & BROWN_OUT_MASK) != BROWN_OUT_2V7) {
+        FLASH_OPTKEYR = 0x08192A3Bu;
+        FLASH_OPTKEYR = 0x4C5D6E7Fu;
+        FLASH_OPTCR = (FLASH_OPTCR & ~(BROWN_OUT_MASK | OPTION_LOCK)) | BROWN_OUT_2V7;
+        FLASH_OPTCR |= OPTION_START;
+        while ((FLASH_SR & FLASH_BUSY) != 0u) {
+        }
+        FLASH_OPTCR |= OPTION_LOCK;
+    }
+}
+
+/* The supply's comparator interrupts, and nobody takes that: `unexpected`. */
+static void supply_watch(void)
+{
+    clock_on(&RCC->apb1enr, APB1_PWR);
+    PWR_CR = SUPPLY_2V9;
+    EXTI->rtsr |= SUPPLY_LINE; /* its output rises when the supply falls */
+    EXTI->imr |= SUPPLY_LINE;
+    interrupt_enable(IRQ_SUPPLY, 0u);
+}
+
+void clock_on(reg_t *enable, uint32_t bits)
+{
+    *enable |= bits;
+    (void)*enable; /* a write in the two bus cycles after the clock came would be lost: RM0390, "Peripheral clock enable" */
+}
+
+uint8_t reset_cause(void)
+{
+    const uint32_t causes = RCC->csr;
+    uint8_t cause = 0u;
+
+    RCC->csr |= RESET_FORGET;
+    /* A power-up sets the bits of brown-out and pin, too, and every reset pulls the pin. */
+    if ((causes & RESET_WATCHDOGS) != 0u) {
+        cause = 3u;
+    } else if ((causes & RESET_POWER) != 0u) {
+        cause = 1u;
+    } else if ((causes & RESET_SUPPLY) != 0u) {
+        cause = 4u;
+    } else if ((causes & RESET_SOFTWARE) != 0u) {
+        cause = 5u;
+    } else if ((causes & RESET_PIN) != 0u) {
+        cause = 2u;
+    } else {
+        /* 0: the chip does not say */
+    }
+    return cause;
+}
+
 void chip_init(void)
 {
+    brown_out_set();
     RCC->cr |= HSE_BYPASS; /* can be set only while the oscillator is off */
     RCC->cr |= HSE_ON;
     while ((RCC->cr & HSE_READY) == 0u) {
@@ -26,13 +96,14 @@ void chip_init(void)
     RCC->cfgr |= FROM_PLL;
     while (((RCC->cfgr >> 2u) & 3u) != FROM_PLL) {
     }
-    RCC->ahb1enr |= 0xFu;
-    RCC->apb1enr |= APB1_TIM5;
+    clock_on(&RCC->ahb1enr, 0xFu);
+    clock_on(&RCC->apb1enr, APB1_TIM5);
     TIM5->psc = 83u;
     TIM5->arr = UINT32_MAX;
     TIM5->egr = 1u;
     TIM5->sr = 0u;
     TIM5->cr1 = 1u;
+    supply_watch();
 }
 
 void pin_set_up(gpio_t *port, uint32_t pin, pin_mode_t mode, pin_pull_t pull)

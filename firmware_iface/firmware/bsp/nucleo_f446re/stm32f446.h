@@ -35,7 +35,7 @@ typedef struct {
 } can_t;
 
 typedef struct {
-    reg_t cr, pllcfgr, cfgr, cir, reserved0[8], ahb1enr, reserved1[3], apb1enr, apb2enr;
+    reg_t cr, pllcfgr, cfgr, cir, reserved0[8], ahb1enr, reserved1[3], apb1enr, apb2enr, reserved2[11], csr;
 } rcc_t;
 
 typedef struct {
@@ -48,6 +48,10 @@ typedef struct {
 #define GPIO_D ((gpio_t *)0x40020C00u)
 #define RCC ((rcc_t *)0x40023800u)
 #define FLASH_ACR (*(reg_t *)0x40023C00u)
+#define FLASH_OPTKEYR (*(reg_t *)0x40023C08u)
+#define FLASH_SR (*(reg_t *)0x40023C0Cu)
+#define FLASH_OPTCR (*(reg_t *)0x40023C14u)
+#define PWR_CR (*(reg_t *)0x40007000u)
 #define TIM1 ((tim_t *)0x40010000u)
 #define TIM2 ((tim_t *)0x40000000u) /* 32 bits */
 #define TIM3 ((tim_t *)0x40000400u)
@@ -71,11 +75,13 @@ typedef struct {
 #define APB1_TIM4 (1uL << 2u)
 #define APB1_TIM5 (1uL << 3u)
 #define APB1_CAN1 (1uL << 25u)
+#define APB1_PWR (1uL << 28u)
 #define APB2_TIM1 (1uL << 0u)
 #define APB2_USART1 (1uL << 4u)
 #define APB2_ADC1 (1uL << 8u)
 #define APB2_SYSCFG (1uL << 14u)
 
+#define IRQ_SUPPLY 1u
 #define IRQ_EXTI0 6u
 #define IRQ_ADC 18u
 #define IRQ_USART1 37u
@@ -85,8 +91,20 @@ typedef enum { PIN_INPUT = 0, PIN_OUTPUT = 1, PIN_FUNCTION = 2, PIN_ANALOG = 3 }
 typedef enum { PULL_NONE = 0, PULL_UP = 1, PULL_DOWN = 2 } pin_pull_t;
 
 /* 168 MHz from the 8 MHz of the ST-LINK: APB1 42 MHz (its timers 84), APB2 84 MHz (its timers 168). Ports A to D and the
- * microseconds run afterwards. */
+ * microseconds run afterwards. A 3.3 V supply below 2.9 V is `unexpected`, below 2.7 V it holds the chip in reset. */
 void chip_init(void);
+
+/* Gives peripherals their clock: bits of RCC->ahb1enr, apb1enr or apb2enr. They may be written to afterwards. */
+void clock_on(reg_t *enable, uint32_t bits);
+
+/* Why the chip last started, as docs/motor_board.md numbers it (reset_cause). To be asked once. */
+uint8_t reset_cause(void);
+
+/* Where whatever must not happen ends: board_off first, then nothing, until the watchdog resets the board. */
+void unexpected(void);
+
+/* What a board switches off by writing registers alone. Weak: nothing. */
+void board_off(void);
 
 void pin_set_up(gpio_t *port, uint32_t pin, pin_mode_t mode, pin_pull_t pull);
 void pin_function(gpio_t *port, uint32_t pin, uint32_t function, pin_pull_t pull);
@@ -109,6 +127,7 @@ static inline uint32_t now_us(void)
     return TIM5->cnt;
 }
 
+#ifdef __arm__
 static inline void interrupts_off(void)
 {
     __asm volatile("cpsid i" ::: "memory");
@@ -118,5 +137,14 @@ static inline void interrupts_on(void)
 {
     __asm volatile("cpsie i" ::: "memory");
 }
+#else /* test/nucleo.c: the registers are memory, and nothing interrupts */
+static inline void interrupts_off(void)
+{
+}
+
+static inline void interrupts_on(void)
+{
+}
+#endif
 
 #endif
