@@ -18,7 +18,7 @@ class RoboClawIdentity:
     """What a board says of itself: product and firmware version, pin and encoder modes."""
 
     version: str
-    pin_modes: tuple[int, int, int]
+    pin_modes: tuple[int, ...]  # of S3, S4, S5; today's firmware adds CTRL1, CTRL2
     encoder_modes: tuple[int, int]
 
 
@@ -96,7 +96,7 @@ class RoboClaw:
             raise WrongIdentity(
                 f"{self.where}: expected a RoboClaw or MCP controller, it says it is {version!r}"
             )
-        pins = struct.unpack(">BBB", self._read(Command.READ_PIN_MODES, 3))
+        pins = tuple(self._read(Command.READ_PIN_MODES, wire.PIN_MODE_BYTES))
         modes = struct.unpack(">BB", self._read(Command.READ_ENCODER_MODES, 2))
         self.identity = RoboClawIdentity(version, pins, modes)
         return self.identity
@@ -123,10 +123,12 @@ class RoboClaw:
         if found == wanted:
             wanted = wanted - 1 if wanted > LEAST_TIMEOUT else wanted + 1
         self._timeout = None
+        identity = self.identity or self.identify()
+        change = struct.pack(">I", wire.FASTEST_DUTY_CHANGE)
+        if len(identity.pin_modes) > wire.PIN_MODE_BYTES[0]:
+            change += change  # the same firmware asks for the fastest fall of the duty, too
         for channel, limit_A in enumerate(current_limits_A):
-            self._command(
-                Command.SET_DUTY_ACCELERATION_1 + channel, struct.pack(">I", wire.FASTEST_DUTY_CHANGE)
-            )
+            self._command(Command.SET_DUTY_ACCELERATION_1 + channel, change)
             if math.isfinite(limit_A):
                 self._command(
                     Command.SET_CURRENT_LIMIT_1 + channel, struct.pack(">II", round(limit_A * 100), 0)
@@ -149,7 +151,7 @@ class RoboClaw:
         """Set the counter of a channel, 1 or 2."""
         self._command(Command.SET_ENCODER_1 + channel - 1, struct.pack(">I", count & 0xFFFF_FFFF))
 
-    def _read(self, command: int, reply_bytes: int) -> bytes:
+    def _read(self, command: int, reply_bytes: int | tuple[int, ...]) -> bytes:
         return self._line.read(self.address, command, reply_bytes, self.where)
 
     def _command(self, command: int, data: bytes) -> None:

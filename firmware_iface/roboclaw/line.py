@@ -17,13 +17,13 @@ VERSION_BYTES = -1  # as `reply_bytes`: text that ends with 0
 class Question:
     """A command of the manual and its answer; meets `firmware_iface.polled_line.Question`.
 
-    `reply_bytes`: of data, without the CRC; None: an acknowledgement; VERSION_BYTES: text. `take` gets the data and when the
-    request was sent, on the host's clock.
+    `reply_bytes`: of data, without the CRC; several, ascending, where firmwares differ; None: an acknowledgement; VERSION_BYTES:
+    text. `take` gets the data and when the request was sent, on the host's clock.
     """
 
     address: int
     command: int
-    reply_bytes: int | None
+    reply_bytes: int | tuple[int, ...] | None
     take: Callable[[bytes, float], None]
     data: Callable[[], bytes] | None = None
 
@@ -32,6 +32,8 @@ class Question:
         """The most bytes of its answer."""
         if self.reply_bytes is None:
             return 1
+        if isinstance(self.reply_bytes, tuple):
+            return self.reply_bytes[-1] + 2
         return (wire.LONGEST_VERSION if self.reply_bytes == VERSION_BYTES else self.reply_bytes) + 2
 
     def packet(self) -> bytes:
@@ -42,19 +44,24 @@ class Question:
 
     def answered(self, received: bytes) -> bytes | None:
         """The data in an answer. Raises Unfinished."""
-        wanted = self._length(received)
-        if wanted is None or len(received) < wanted:
-            raise Unfinished
-        if self.reply_bytes is None:
-            return b"" if received[0] == wire.ACKNOWLEDGED else WRONG
-        return wire.reply_data(self.address, self.command, received[:wanted])
+        for wanted in self._lengths(received):
+            if len(received) < wanted:
+                raise Unfinished
+            if self.reply_bytes is None:
+                return b"" if received[0] == wire.ACKNOWLEDGED else WRONG
+            if (data := wire.reply_data(self.address, self.command, received[:wanted])) is not None:
+                return data
+        return WRONG
 
-    def _length(self, received: bytes) -> int | None:
-        """Length of the whole answer; None while it is unknown."""
+    def _lengths(self, received: bytes) -> tuple[int, ...]:
+        """Lengths that the whole answer may have. Raises Unfinished while they are unknown."""
+        if isinstance(self.reply_bytes, tuple):
+            return tuple(count + 2 for count in self.reply_bytes)
         if self.reply_bytes != VERSION_BYTES:
-            return self.answer_bytes
-        end = received.find(0)
-        return None if end < 0 else end + 3
+            return (self.answer_bytes,)
+        if (end := received.find(0)) < 0:
+            raise Unfinished
+        return (end + 3,)
 
 
 class PacketLine(PolledLine):
@@ -63,7 +70,7 @@ class PacketLine(PolledLine):
     def __init__(self, link: ByteLink, clock: Clock) -> None:
         super().__init__(link, clock, ANSWER_TIMEOUT_s)
 
-    def read(self, address: int, command: int, reply_bytes: int, where: str) -> bytes:
+    def read(self, address: int, command: int, reply_bytes: int | tuple[int, ...], where: str) -> bytes:
         """Read something from a board; waits. Raises BoardSilent."""
         return self._ask(address, command, reply_bytes, None, where)
 
@@ -75,7 +82,7 @@ class PacketLine(PolledLine):
         self,
         address: int,
         command: int,
-        reply_bytes: int | None,
+        reply_bytes: int | tuple[int, ...] | None,
         data: Callable[[], bytes] | None,
         where: str,
     ) -> bytes:

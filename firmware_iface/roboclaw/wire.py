@@ -21,6 +21,10 @@ FULL_DUTY: Final = 32767
 FASTEST_DUTY_CHANGE: Final = 655_359  # -100 % to 100 % in 100 ms: what the board allows at most
 TIMEOUT_STEP_s: Final = 0.1
 LONGEST_VERSION: Final = 48
+PIN_MODE_BYTES: Final = (
+    3,
+    5,
+)  # the manual's S3 to S5; and CTRL1, CTRL2: the vendor's client basicmicro 2.0.10, GETPINFUNCTIONS
 _CRC = struct.Struct(">H")
 
 
@@ -35,9 +39,9 @@ class Command(IntEnum):
     READ_MAIN_BATTERY = 24  # u16 in 0.1 V
     DUTY_M1_M2 = 34  # i16, i16
     READ_CURRENTS = 49  # i16, i16 in 10 mA
-    SET_DUTY_ACCELERATION_1 = 68  # u32
+    SET_DUTY_ACCELERATION_1 = 68  # u32 of rise; and u32 of fall where READ_PIN_MODES says five
     SET_DUTY_ACCELERATION_2 = 69
-    READ_PIN_MODES = 75  # u8, u8, u8
+    READ_PIN_MODES = 75  # u8, u8, u8; two more with today's firmware
     READ_ENCODERS = 78  # u32, u32
     READ_TEMPERATURE = 82  # u16 in 0.1 degC
     READ_STATUS = 90  # u32

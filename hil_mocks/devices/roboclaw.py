@@ -22,6 +22,8 @@ ERRORS = 0xFFFF
 WRITES = {
     14: 1, 20: 0, 22: 4, 23: 4, 32: 2, 33: 2, 34: 4, 57: 4, 68: 4, 69: 4, 74: 3, 92: 1, 93: 1, 94: 0, 133: 8, 134: 8, 200: 0,
 }  # fmt: skip
+# Today's firmware, as the vendor's client basicmicro 2.0.10 speaks with it: rise and fall of the duty, and the pins CTRL1, CTRL2.
+CTRL_WRITES = {**WRITES, 68: 8, 69: 8, 74: 5}
 READS = {15, 16, 17, 21, 24, 25, 48, 49, 59, 75, 78, 82, 90, 91, 135, 136}
 
 
@@ -42,15 +44,16 @@ class Settings:
     timeout: int = 10  # in 0.1 s; 0: none
     duty_accelerations: list[int] = field(default_factory=lambda: [655359, 655359])
     current_limits: list[int] = field(default_factory=lambda: [6000, 6000])  # in 10 mA
-    pin_modes: tuple[int, int, int] = (0, 0x62, 0x62)  # S3; S4 and S5 as home switches
+    duty_falls: list[int] = field(default_factory=lambda: [655359, 655359])
+    pin_modes: tuple[int, ...] = (0, 0x62, 0x62, 0, 0)  # S3; S4 and S5 as home switches; CTRL1, CTRL2
     encoder_modes: list[int] = field(default_factory=lambda: [0, 0])
     main_voltages: tuple[int, int] = (60, 340)  # in 0.1 V
 
     def copy(self) -> Settings:
         """A copy that shares nothing."""
         return Settings(
-            self.timeout, list(self.duty_accelerations), list(self.current_limits), self.pin_modes,
-            list(self.encoder_modes), self.main_voltages,
+            self.timeout, list(self.duty_accelerations), list(self.current_limits), list(self.duty_falls),
+            self.pin_modes, list(self.encoder_modes), self.main_voltages,
         )  # fmt: skip
 
 
@@ -59,9 +62,13 @@ class RoboClawMock:
 
     version = "RoboClaw 2x15A v4.3.6"
 
-    def __init__(self, address: int, read_shaft: Callable[[int], int]) -> None:
+    def __init__(self, address: int, read_shaft: Callable[[int], int], has_ctrl_pins: bool = True) -> None:
+        """`has_ctrl_pins`: its firmware is today's, and not that of the manual of 2017."""
         self.address = address
+        self.writes = CTRL_WRITES if has_ctrl_pins else WRITES
         self.saved = Settings()
+        if not has_ctrl_pins:
+            self.saved.pin_modes = self.saved.pin_modes[:3]
         self.forced_errors = 0  # persistent causes, set by a fault of the scenario
         self.stuck: dict[int, int] = {}  # channel: the count at which its input stands still
         self.are_switches_on = [False, False]
@@ -109,8 +116,10 @@ class RoboClawMock:
         is_stopped = bool(self.status & ERRORS)
         for channel in (0, 1):
             wanted = 0 if is_stopped else self.wanted_duty[channel]
-            most = self.settings.duty_accelerations[channel] * step_s
             change = wanted - self.duty[channel]
+            is_falling = change * self.duty[channel] < 0.0
+            rates = self.settings.duty_falls if is_falling else self.settings.duty_accelerations
+            most = rates[channel] * step_s
             self.duty[channel] += min(max(change, -most), most)
 
     def obey(self, packet: bytes, now_s: float) -> bytes:
@@ -173,9 +182,10 @@ class RoboClawMock:
                 low, high = struct.unpack(">HH", data)
                 settings.main_voltages = (low, high)
             case 68 | 69:
-                (settings.duty_accelerations[command - 68],) = struct.unpack(">I", data)
+                settings.duty_accelerations[command - 68] = int.from_bytes(data[:4], "big")
+                settings.duty_falls[command - 68] = int.from_bytes(data[-4:], "big")
             case 74:
-                settings.pin_modes = (data[0], data[1], data[2])
+                settings.pin_modes = tuple(data)
             case 92 | 93:
                 settings.encoder_modes[command - 92] = data[0]
             case 94:
@@ -219,10 +229,11 @@ class RoboClawLineMock:
         if len(self._packet) < 2:
             return None
         address, command = self._packet[0], self._packet[1]
-        if not 0x80 <= address <= 0x87 or (command not in WRITES and command not in READS):
+        writes = self.boards[address].writes if address in self.boards else CTRL_WRITES
+        if not 0x80 <= address <= 0x87 or (command not in writes and command not in READS):
             self._packet, self._is_deaf = b"", True
             return None
-        return 2 if command in READS else 4 + WRITES[command]
+        return 2 if command in READS else 4 + writes[command]
 
     def _take(self, packet: bytes, now_s: float) -> None:
         board = self.boards.get(packet[0])

@@ -116,6 +116,19 @@ def test_a_silent_board_is_given_up_after_three_time_outs_and_the_error_says_wha
     assert cable.now_s() < 3 * (ANSWER_TIMEOUT_s + 0.005)
 
 
+@pytest.mark.parametrize("has_ctrl_pins", [False, True])
+def test_the_firmware_of_the_manual_and_todays_are_told_apart_by_their_pin_modes(has_ctrl_pins: bool) -> None:
+    cable = Cable()
+    mock = RoboClawMock(0x80, lambda channel: 0, has_ctrl_pins)
+    cable.mock.boards[0x80] = mock
+    mock.settings.duty_accelerations, mock.settings.duty_falls = [1, 1], [2, 2]
+    board = board_on(cable)
+    board.set_up(0.2, (10.0, 10.0))
+    assert board.identity is not None
+    assert board.identity.pin_modes == (0, 0x62, 0x62, 0, 0)[: 5 if has_ctrl_pins else 3]
+    assert mock.settings.duty_accelerations == mock.settings.duty_falls == [wire.FASTEST_DUTY_CHANGE] * 2
+
+
 def test_the_board_forgets_half_a_packet_after_a_gap(cable: Cable) -> None:
     cable.link.write(b"\x80")  # of a host that died here
     board = board_on(cable)

@@ -59,6 +59,9 @@ def test_the_vendors_client_reads_what_the_mock_has(claw: tuple[Any, Port, RoboC
     assert client.ReadError(0x80) == (1, 0x20000)
     assert client.ReadEncoderModes(0x80) == (1, 0, 0)
     assert client.GetTimeout(0x80) == (True, 1.0)
+    assert client.ReadPinFunctions(0x80) == (1, 0, 0x62, 0x62, 0, 0)
+    assert client.SetM1DefaultAccel(0x80, 1000, 2000)
+    assert (board.settings.duty_accelerations[0], board.settings.duty_falls[0]) == (1000, 2000)
 
 
 def test_the_vendors_client_drives_the_mock(claw: tuple[Any, Port, RoboClawMock]) -> None:
@@ -83,6 +86,8 @@ def test_our_packets_are_the_vendors_byte_for_byte(claw: tuple[Any, Port, RoboCl
             wire.command_packet(0x80, Command.SET_SERIAL_TIMEOUT, b"\x02"),
             wire.command_packet(0x80, Command.SET_ENCODER_2, (1000).to_bytes(4, "big")),
             wire.command_packet(0x80, Command.SET_CURRENT_LIMIT_1, (1000).to_bytes(4, "big") + bytes(4)),
+            wire.command_packet(0x80, Command.SET_DUTY_ACCELERATION_2, (655_359).to_bytes(4, "big") * 2),
+            wire.read_packet(0x80, Command.READ_PIN_MODES),
             wire.read_packet(0x80, Command.READ_ENCODERS),
             wire.read_packet(0x80, Command.READ_STATUS),
             wire.read_packet(0x80, Command.READ_TEMPERATURE),
@@ -92,6 +97,8 @@ def test_our_packets_are_the_vendors_byte_for_byte(claw: tuple[Any, Port, RoboCl
     client.SetTimeout(0x80, 0.2)
     client.SetEncM2(0x80, 1000)
     client.SetM1MaxCurrent(0x80, 1000, 0)
+    client.SetM2DefaultAccel(0x80, 655_359, 655_359)
+    client.ReadPinFunctions(0x80)
     client.GetEncoders(0x80)
     client.ReadError(0x80)
     client.ReadTemp(0x80)
