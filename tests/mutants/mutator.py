@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 TURNED: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
@@ -45,24 +45,36 @@ class Mutant:
         return f"{self.line}: {self.change}"
 
 
-def mutants_of(source: str) -> Iterator[Mutant]:
-    """All mutants of a module, in the order of its lines."""
+def sites_of(source: str) -> list[tuple[int, int]]:
+    """The places of a module that can be changed: the number of a node, and which of its changes."""
     tree = ast.parse(source)
-    nodes = [node for node in ast.walk(tree) if hasattr(node, "lineno")]
     left_out = _not_mutated(tree)
-    for number, node in enumerate(nodes):
-        if id(node) in left_out:
-            continue
-        for variant in range(_variants(node)):
-            changed = copy.deepcopy(tree)
-            twin = [n for n in ast.walk(changed) if hasattr(n, "lineno")][number]
-            before = ast.unparse(twin)
-            _change(changed, twin, variant)
-            after = ast.unparse(ast.fix_missing_locations(changed))
-            if after != ast.unparse(tree):
-                now = _short(ast.unparse(twin))
-                is_gone = now == _short(before)
-                yield Mutant(node.lineno, _short(before), "left out" if is_gone else now, after)  # type: ignore[attr-defined]
+    return [
+        (number, variant)
+        for number, node in enumerate(_located(tree))
+        if id(node) not in left_out
+        for variant in range(_variants(node))
+    ]
+
+
+def mutants_of(source: str, sites: Iterable[tuple[int, int]] | None = None) -> Iterator[Mutant]:
+    """The mutants of a module at `sites`, or all of them."""
+    tree = ast.parse(source)
+    unchanged = ast.unparse(tree)
+    for number, variant in sites_of(source) if sites is None else sites:
+        changed = copy.deepcopy(tree)
+        twin = _located(changed)[number]
+        line, before = twin.lineno, ast.unparse(twin)
+        _change(changed, twin, variant)
+        after = ast.unparse(ast.fix_missing_locations(changed))
+        if after != unchanged:
+            now = _short(ast.unparse(twin))
+            is_gone = now == _short(before)
+            yield Mutant(line, _short(before), "left out" if is_gone else now, after)
+
+
+def _located(tree: ast.AST) -> list[ast.expr | ast.stmt]:
+    return [node for node in ast.walk(tree) if isinstance(node, ast.expr | ast.stmt)]
 
 
 def _not_mutated(tree: ast.Module) -> set[int]:

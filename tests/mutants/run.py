@@ -1,19 +1,23 @@
-"""Mutation testing of what keeps the arm safe: `python -m tests.mutants.run [MODULE ...]` (`make mutants`).
+"""Mutation testing: `python -m tests.mutants.run [MODULE ...]` (`make mutants`) of what keeps the arm safe, every change;
+`python -m tests.mutants.run --sample 300 --seed 1` (`make mutants SAMPLE=300`) of the whole product, changes drawn by chance.
 
 Each mutant runs in a forked process in which the mutated module is imported in place of the real one, with the tests of that
-module. One that no test fails has survived: tests/mutants/survivors.md lists the known ones with reasons; others are an error.
+module. One that no test fails has survived: tests/mutants/survivors.md lists the known ones of the safety layer with reasons;
+others are an error. A sample is an error where fewer than nine in ten are killed.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import importlib.abc
 import importlib.util
 import os
+import random
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
@@ -22,7 +26,8 @@ import hypothesis
 import numpy as np
 import pytest
 
-from tests.mutants.mutator import Mutant, mutants_of
+from firmware_iface.installation import PACKAGES
+from tests.mutants.mutator import Mutant, mutants_of, sites_of
 
 ROOT = Path(__file__).parents[2]
 LIST = Path(__file__).with_name("survivors.md")
@@ -48,7 +53,14 @@ TESTS: dict[str, tuple[str, ...]] = {
     "control.loop.watch": ("tests/control/loop/test_reactions.py", "tests/control/loop/test_watch.py"),
     "control.loop.cross_checks": ("tests/control/loop/test_reactions.py",),
 }
+WIDER = {  # of rooms whose promises others show
+    "control.hardware": "tests/contract",
+    "firmware_iface": "tests/contract",
+    "hil_mocks": "tests/contract",
+    "console.commands": "tests/console",
+}
 AT_ONCE = os.cpu_count() or 1
+KILLED_SHARE = 0.9  # asked of a sample
 
 
 class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -70,28 +82,66 @@ class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 def survivors(name: str) -> tuple[list[Mutant], int]:
     """The mutants of a module that no test fails, and how many there are."""
-    source = (ROOT / Path(*name.split("."))).with_suffix(".py").read_text("utf-8")
+    source = _file(name).read_text("utf-8")
     found = list(mutants_of(source))
+    require_green(name, source)
+    alive = [mutant for _, mutant in survivors_of((name, mutant) for mutant in found)]
+    return sorted(alive, key=lambda mutant: mutant.line), len(found)
+
+
+def _file(name: str) -> Path:
+    return (ROOT / Path(*name.split("."))).with_suffix(".py")
+
+
+def require_green(name: str, source: str) -> None:
+    """SystemExit unless the tests of a module pass as it is."""
     _, status = os.waitpid(_started(name, Mutant(0, "", "", source)), 0)
     if os.waitstatus_to_exitcode(status) != 0:
         raise SystemExit(f"{name}: its tests fail without a mutant, or do not run")
-    running: dict[int, Mutant] = {}
-    alive: list[Mutant] = []
+
+
+def survivors_of(mutants: Iterable[tuple[str, Mutant]]) -> list[tuple[str, Mutant]]:
+    """Those of the mutants, each with its module, that no test fails."""
+    running: dict[int, tuple[str, Mutant]] = {}
+    alive: list[tuple[str, Mutant]] = []
 
     def collect() -> None:
         pid, status = os.wait()
-        mutant = running.pop(pid)
+        name, mutant = running.pop(pid)
         if os.waitstatus_to_exitcode(status) == 0:
-            alive.append(mutant)
-            print(f"  survives {mutant}", flush=True)
+            alive.append((name, mutant))
+            print(f"  survives {name} {mutant}", flush=True)
 
-    for mutant in found:
+    for name, mutant in mutants:
         if len(running) >= AT_ONCE:
             collect()
-        running[_started(name, mutant)] = mutant
+        running[_started(name, mutant)] = name, mutant
     while running:
         collect()
-    return sorted(alive, key=lambda mutant: mutant.line), len(found)
+    return alive
+
+
+def sampled(count: int, seed: int) -> list[tuple[str, Mutant]]:
+    """So many mutants of the whole product, each place as likely as any other."""
+    files = [file for package in PACKAGES for file in sorted((ROOT / package).rglob("*.py"))]
+    places = [(file, site) for file in files for site in sites_of(file.read_text("utf-8"))]
+    drawn = random.Random(seed).sample(places, min(count, len(places)))
+    found = []
+    for file, site in drawn:
+        name = ".".join(file.relative_to(ROOT).with_suffix("").parts)
+        found += [(name, mutant) for mutant in mutants_of(file.read_text("utf-8"), [site])]
+    return found
+
+
+def tests_of(name: str) -> tuple[str, ...]:
+    """The tests of a module: those listed, or its own file and the folder that mirrors its room."""
+    if name in TESTS:
+        return TESTS[name]
+    folder = Path("tests", *name.split(".")[:-1])
+    while not any((ROOT / folder).rglob("test_*.py")):
+        folder = folder.parent
+    own = [str(file.relative_to(ROOT)) for file in (ROOT / folder).rglob(f"test_{name.split('.')[-1]}.py")]
+    return (*own, str(folder), *(test for room, test in WIDER.items() if name.startswith(room)))
 
 
 def _started(name: str, mutant: Mutant) -> int:
@@ -112,7 +162,7 @@ def _started(name: str, mutant: Mutant) -> int:
             "-p",
             "no:xdist",
         ]
-        status = pytest.main(["-x", "-q", *quiet, *TESTS[name]])
+        status = pytest.main(["-x", "-q", "-m", "not hardware and not nightly", *quiet, *tests_of(name)])
         os._exit(int(status))
     os._exit(1)
 
@@ -121,11 +171,34 @@ def _known() -> str:
     return LIST.read_text("utf-8") if LIST.exists() else ""
 
 
-def main(names: Sequence[str]) -> int:
-    """Print the survivors of each module; 1 if one is not listed in tests/mutants/survivors.md."""
-    known, unknown = _known(), 0
+def main(arguments: Sequence[str]) -> int:
+    """Print the survivors; 1 if one is not listed in tests/mutants/survivors.md, or too many of a sample live."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("modules", nargs="*", metavar="MODULE")
+    parser.add_argument("--sample", type=int, help="how many changes of the whole product")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args(arguments)
     assert np.__version__  # imported before the forks
-    for name in names or TESTS:
+    if given.sample is not None:
+        return _run_sample(given.sample, given.seed)
+    return _run_modules(given.modules or list(TESTS))
+
+
+def _run_sample(count: int, seed: int) -> int:
+    begun_s = time.monotonic()
+    mutants = sampled(count, seed)
+    alive = survivors_of(mutants)
+    share = 1.0 - len(alive) / len(mutants)
+    print(
+        f"seed {seed}: {len(mutants) - len(alive)} of {len(mutants)} mutants killed, {100 * share:.0f} %"
+        f" ({time.monotonic() - begun_s:.0f} s)"
+    )
+    return int(share < KILLED_SHARE)
+
+
+def _run_modules(names: Sequence[str]) -> int:
+    known, unknown = _known(), 0
+    for name in names:
         begun_s = time.monotonic()
         alive, count = survivors(name)
         print(
