@@ -38,7 +38,7 @@ def on_boards(arm: Arm, kinds: str | Sequence[str]) -> Arm:
             continue
         motors = KINDS[kind].motors
         if before % motors == 0:
-            boards.append(_board(kind, before // motors))
+            boards.append(_board(kind, before // motors, drive.gear_ratio))
         its_own = next(board for board in reversed(boards) if board.kind == kind)
         drives.append(_on_board(drive, its_own, 1 + before % motors))
     return _with(arm, boards, drives) if boards else arm
@@ -62,12 +62,14 @@ def _each(kinds: str | Sequence[str], joints: int) -> list[str]:
     return [kinds] * joints if isinstance(kinds, str) else list(kinds)
 
 
-def _board(kind: str, number: int) -> Board:
+def _board(kind: str, number: int, gear_ratio: float) -> Board:
     """The board of this number, from 0. RoboClaws have a line each; boards of another kind share one."""
     first = max(KINDS[kind].addresses.start, 1)
     if KINDS[kind].line == "can":
         # An ODrive tells of no switch: the arm's are set up to know the joint's angle.
-        return Board(f"{kind}{number + 1}", kind, first + number, absolute=not KINDS[kind].has_switch)
+        is_absolute = not KINDS[kind].has_switch
+        turns = round(gear_ratio, 9) if is_absolute else None  # the encoder is at the joint
+        return Board(f"{kind}{number + 1}", kind, first + number, absolute=is_absolute, absolute_turns=turns)
     if kind == "roboclaw":
         return Board(f"{kind}{number + 1}", kind, first, f"{kind}{number + 1}", BAUD[kind])
     return Board(f"{kind}{number + 1}", kind, first + number, kind, BAUD[kind])
@@ -100,7 +102,7 @@ def _at_the_output(drive: Drive) -> Drive:
     return replace(
         drive,
         gear_ratio=1.0,
-        zero_count=drive.encoder_counts_per_rev // 2,
+        zero_count=drive.zero_count or drive.encoder_counts_per_rev // 2,
         torque_constant_Nm_A=ratio * drive.torque_constant_Nm_A,
         rotor_inertia_kg_m2=ratio**2 * drive.rotor_inertia_kg_m2,
         home=None,

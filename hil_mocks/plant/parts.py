@@ -8,6 +8,8 @@ from control.model.description import Arm, Drive, Link, Tool
 from hil_mocks.errors import MockError
 from hil_mocks.plant.geometry import Convention
 
+ELECTRICAL_S, MECHANICAL_S = 1e-4, 0.02  # L / R and J R / K^2 of a small motor
+
 Vector = tuple[float, float, float]
 
 
@@ -109,14 +111,17 @@ def _link(arm: Arm, i: int, link: Link) -> LinkParts:
 
 
 def _drive(drive: Drive) -> DriveParts:
+    """Inductance and rotor inertia that the file does not know are those of usual motors, by their time constants."""
+    usual_H = ELECTRICAL_S * drive.resistance_ohm
+    usual_kg_m2 = MECHANICAL_S * drive.torque_constant_Nm_A**2 / drive.resistance_ohm
     return DriveParts(
         gear_ratio=drive.gear_ratio,
         encoder_counts_per_rev=drive.encoder_counts_per_rev,
         encoder_bits=drive.encoder_bits,
         torque_constant_Nm_A=drive.torque_constant_Nm_A,
         resistance_ohm=drive.resistance_ohm,
-        inductance_H=drive.inductance_H,
-        rotor_inertia_kg_m2=drive.rotor_inertia_kg_m2,
+        inductance_H=drive.inductance_H or usual_H,
+        rotor_inertia_kg_m2=drive.rotor_inertia_kg_m2 or usual_kg_m2,
         supply_V=drive.supply_V,
         current_limit_A=drive.current_limit_A,
         joint_lower_rad=drive.joint_lower_rad,

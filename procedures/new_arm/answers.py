@@ -26,6 +26,7 @@ USUAL_LENGTHS_m = {
     6: (0.12, 0.32, 0.15, 0.15, 0.08, 0.08),
     7: (0.12, 0.20, 0.15, 0.20, 0.12, 0.08, 0.08),
 }
+SERVO_SHARE, SERVO_kg, SERVO_TUBE_kg_m = 0.35, 0.08, 0.4  # of servo arms: of the usual lengths; masses
 COUNTS_PER_REV = 2048
 FIRST_PORT = "/dev/ttyACM"
 CAN = "socketcan:can0"
@@ -37,6 +38,8 @@ class Shape:
 
     axes: str
     lengths_m: tuple[float, ...]
+    joint_kg: float = 0.5  # motor and gear at the far end of a link
+    tube_kg_m: float = 1.5  # of length
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +76,11 @@ def usual_ports(count: int, here: Sequence[PortHere]) -> tuple[str, ...]:
 def is_on_can(kind: str) -> bool:
     """Whether a kind, or the reference motor boards, need a CAN bus."""
     return kind == REFERENCE or KINDS[kind].line == "can"
+
+
+def is_servo(kind: str) -> bool:
+    """Whether a kind is a smart servo, with gear and absolute encoder inside."""
+    return kind in KINDS and KINDS[kind].is_absolute
 
 
 def has_own_counts(kind: str) -> bool:

@@ -13,7 +13,7 @@ from control.kinematics.corners import Corners
 from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
 from control.model.board_kinds import KINDS
 from procedures.new_arm.answers import Answers, Parts
-from procedures.new_arm.motors import Load, drives, loads, range_of
+from procedures.new_arm.motors import SERVOS, Load, WITHOUT_LIMIT_rad, drives, loads, range_of, servo_of
 from procedures.new_arm.rest import rest_pose
 from procedures.new_arm.stretched import is_level
 from procedures.on_boards import on_boards, serial_lines
@@ -35,7 +35,8 @@ class NewArm:
 def compose(serial: SerialArm, answers: Answers) -> NewArm:
     """The arm of these axes with these parts."""
     links, notes = arm_links(serial, answers.convention)
-    ranges = [range_of(joint) for joint in serial.joints]
+    boards = answers.parts.boards
+    ranges = [range_of(joint, kind) for joint, kind in zip(serial.joints, boards, strict=True)]
     bare = Arm(
         answers.name,
         links,
@@ -55,7 +56,17 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
     return NewArm(
         arm,
         names,
-        (*serial.notes, *notes, *floor_notes, *more, *_weak(arm, needed), *_slow(arm, serial), *_on(arm)),
+        (
+            *serial.notes,
+            *notes,
+            *floor_notes,
+            *more,
+            *_narrowed(arm, serial),
+            *_placed(arm, answers.parts),
+            *_weak(arm, needed),
+            *_slow(arm, serial),
+            *_on(arm),
+        ),
     )
 
 
@@ -104,6 +115,31 @@ def _floor_below(arm: Arm, rest: tuple[float, ...], limits: Limits) -> tuple[Lim
     floor = round(lowest - BELOW_REST_m, 3)
     note = f"the arm reaches below z = 0 at rest: [limits] floor_z_m = {floor:g}; measure where the floor is"
     return dataclasses.replace(limits, floor_z_m=floor), [note]
+
+
+def _narrowed(arm: Arm, serial: SerialArm) -> list[str]:
+    """Joints whose range is that of an encoder of one turn."""
+    return [
+        f"joint {drive.joint}: {drive.joint_lower_rad:.4g} to {drive.joint_upper_rad:.4g} rad, narrower than asked: its board's"
+        " encoder knows its place within one turn"
+        for drive, joint in zip(arm.drives, serial.joints, strict=True)
+        if drive.joint_upper_rad - drive.joint_lower_rad
+        < min(joint.upper_rad - joint.lower_rad, 2.0 * WITHOUT_LIMIT_rad) - 1e-9
+    ]
+
+
+def _placed(arm: Arm, parts: Parts) -> list[str]:
+    """Which servos stand in the file, and what their data sheets do not tell."""
+    notes = []
+    for kind in dict.fromkeys(kind for kind in parts.boards if kind in SERVOS):
+        of_kind = [drive for drive, board in zip(arm.drives, parts.boards, strict=True) if board == kind]
+        names = ", ".join(f"joint {drive.joint} {servo_of(kind, drive).name}" for drive in of_kind)
+        notes.append(
+            f"{kind}, by the data sheets: {names}; replace them by yours. Rotor inertias are not known (armwright arm names them)"
+        )
+        if parts.gear_ratios is not None:
+            notes.append(f"{kind}: its gear is inside, so the gears that were given are not its joints'")
+    return notes
 
 
 def _weak(arm: Arm, needed: tuple[Load, ...]) -> list[str]:

@@ -27,6 +27,10 @@ GEARS: Final = (50.0, 80.0, 100.0, 120.0, 160.0, 200.0, 300.0, 500.0)
 FREE_SHARE: Final = 0.7  # of the speed without load that a loaded motor reaches
 USUAL_SPEED_rad_s: Final = 2.0
 MOST_ACCELERATION_rad_s2: Final = 10.0
+SERVO_SPEED_rad_s, SERVO_ACCELERATION_rad_s2 = (
+    1.0,
+    3.0,
+)  # a servo's own loop lags by some hundredths of a second
 WANTED_ACCELERATION_rad_s2: Final = 5.0  # against gravity, in the worst pose
 MISMATCH: Final = (
     5.0  # largest inertia over that of the rotor at the joint: a lighter rotor hunts in its gear's backlash
@@ -36,12 +40,15 @@ JERK_PER_ACCELERATION_1_s: Final = 20.0
 WITHOUT_LIMIT_rad: Final = math.pi  # range of a joint whose file has no limits
 HOMING_SPEED_rad_s: Final = 0.3
 SWITCH_BEFORE_REST_rad: Final = 0.1
-SERVO_SUPPLY_V: Final = 24.0  # at most, of smart servos
+TURN_SPARE_rad: Final = 0.1  # that a range leaves of the one turn that an absolute encoder knows
 
 
 @dataclass(frozen=True, slots=True)
 class Motor:
-    """A usual brushed or block-commutated motor."""
+    """A usual brushed or block-commutated motor; or a servo at its output, whose gear takes from torque and speed.
+
+    A value of 0 is not known.
+    """
 
     torque_constant_Nm_A: float
     resistance_ohm: float
@@ -49,6 +56,8 @@ class Motor:
     rotor_inertia_kg_m2: float
     supply_V: float
     current_A: float
+    free_rad_s: float = 0.0  # without load, where that is not supply over torque constant
+    name: str = ""
 
     def torque_Nm(self, gear: float) -> float:
         """At the joint, at the current limit."""
@@ -56,7 +65,7 @@ class Motor:
 
     def speed_rad_s(self, gear: float) -> float:
         """Of the joint that a loaded motor still reaches."""
-        return FREE_SHARE * self.supply_V / (self.torque_constant_Nm_A * gear)
+        return FREE_SHARE * (self.free_rad_s or self.supply_V / self.torque_constant_Nm_A) / gear
 
 
 MOTORS: Final = (
@@ -64,6 +73,29 @@ MOTORS: Final = (
     Motor(0.0302, 0.299, 8.2e-5, 1.42e-5, 24.0, 8.0),  # the reference arm's
     Motor(0.1, 0.12, 1.5e-4, 1.2e-4, 48.0, 20.0),
 )
+RPM: Final = 2.0 * math.pi / 60.0
+
+
+def _servo(name: str, stall_Nm: float, stall_A: float, supply_V: float, free_rpm: float) -> Motor:
+    """A servo by its data sheet, which tells neither inductance nor rotor inertia."""
+    return Motor(stall_Nm / stall_A, supply_V / stall_A, 0.0, 0.0, supply_V, stall_A, RPM * free_rpm, name)
+
+
+SERVOS: Final = {
+    # ROBOTIS e-Manual: stall torque and current, no-load speed at the recommended voltage
+    "dynamixel": (
+        _servo("XL330-M288", 0.52, 1.47, 5.0, 103.0),
+        _servo("XM430-W350", 4.1, 2.3, 12.0, 46.0),
+        _servo("XM540-W270", 10.6, 4.4, 12.0, 30.0),
+    ),
+    # Feetech's data sheet of the STS3215-C018: 30 kg cm, 45 rpm, 2.7 A at 12 V
+    "feetech": (_servo("STS3215", 2.94, 2.7, 12.0, 45.0),),
+}
+
+
+def servo_of(kind: str, drive: Drive) -> Motor:
+    """Which servo of a kind a drive has."""
+    return next(servo for servo in SERVOS[kind] if servo.torque_constant_Nm_A == drive.torque_constant_Nm_A)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +106,20 @@ class Load:
     inertia_kg_m2: float
 
 
-def range_of(joint: TreeJoint) -> tuple[float, float]:
-    """Limits of a joint, both finite: the mock's end stops stand there."""
+def range_of(joint: TreeJoint, kind: str) -> tuple[float, float]:
+    """Limits of a joint on a kind of board, both finite: the mock's end stops stand there.
+
+    Where the board knows the angle at power-up, it knows it within one turn: a wider range is narrowed around its middle.
+    """
     lower = joint.lower_rad if math.isfinite(joint.lower_rad) else -WITHOUT_LIMIT_rad
     upper = joint.upper_rad if math.isfinite(joint.upper_rad) else WITHOUT_LIMIT_rad
+    is_absolute = kind != REFERENCE and (KINDS[kind].is_absolute or not KINDS[kind].has_switch)
+    excess = upper - lower - (2.0 * math.pi - TURN_SPARE_rad)
+    if is_absolute and excess > 0.0:
+        lower, upper = (
+            _within(lower + 0.5 * excess, lower, upper),
+            _within(upper - 0.5 * excess, lower, upper),
+        )
     return lower, upper
 
 
@@ -106,9 +148,10 @@ def drives(
 
 def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: float) -> Drive:
     given = None if parts.gear_ratios is None else parts.gear_ratios[number - 1]
-    is_servo = parts.boards[number - 1] != REFERENCE and KINDS[parts.boards[number - 1]].is_absolute
-    motors = [motor for motor in MOTORS if not is_servo or motor.supply_V <= SERVO_SUPPLY_V]
-    motor, gear = _chosen(joint, load, motors, (given,) if given else GEARS)
+    kind = parts.boards[number - 1]
+    servos = SERVOS.get(kind, ())  # whose gear is inside
+    gears = (1.0,) if servos else (given,) if given else GEARS
+    motor, gear = _chosen(joint, load, servos or MOTORS, gears)
     current_A = motor.current_A
     if math.isfinite(joint.torque_Nm) and joint.torque_Nm < motor.torque_Nm(gear):
         current_A = joint.torque_Nm / (motor.torque_constant_Nm_A * gear)
@@ -116,7 +159,13 @@ def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: fl
         motor.speed_rad_s(gear), joint.speed_rad_s if math.isfinite(joint.speed_rad_s) else USUAL_SPEED_rad_s
     )
     acceleration = _acceleration(motor, gear, current_A, load, joint)
-    lower, upper = range_of(joint)
+    lower, upper = range_of(joint, kind)
+    zero_count = 0
+    if servos:
+        acceleration = min(acceleration, SERVO_ACCELERATION_rad_s2)
+        speed = speed if math.isfinite(joint.speed_rad_s) else min(speed, SERVO_SPEED_rad_s)
+        per_rad = KINDS[kind].counts_per_turn / (2.0 * math.pi)
+        zero_count = round(0.5 * (KINDS[kind].counts_per_turn - (lower + upper) * per_rad))
     return Drive(
         joint=number,
         gear_ratio=gear,
@@ -132,7 +181,8 @@ def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: fl
         joint_speed_limit_rad_s=_rounded(speed),
         joint_acceleration_limit_rad_s2=_rounded(acceleration),
         joint_jerk_limit_rad_s3=_rounded(JERK_PER_ACCELERATION_1_s * acceleration),
-        home=_home(rest_rad, gear, lower, speed) if parts.has_home_switches else None,
+        zero_count=zero_count,
+        home=_home(rest_rad, gear, (lower, upper), speed) if parts.has_home_switches else None,
     )
 
 
@@ -150,7 +200,7 @@ def _chosen(
 def _is_strong(motor: Motor, gear: float, joint: TreeJoint, load: Load) -> bool:
     """As strong as the file says, else it holds the arm with reserve and accelerates it; and its rotor fits the load."""
     torque, rotor = motor.torque_Nm(gear), gear**2 * _rotor(motor, gear, joint)
-    if load.inertia_kg_m2 > MISMATCH * rotor:
+    if load.inertia_kg_m2 > MISMATCH * rotor > 0.0:
         return False
     if math.isfinite(joint.torque_Nm):
         return torque >= joint.torque_Nm
@@ -170,10 +220,21 @@ def _acceleration(motor: Motor, gear: float, current_A: float, load: Load, joint
     return min(MOST_ACCELERATION_rad_s2, spare / inertia)
 
 
-def _home(rest_rad: float, gear: float, lower: float, speed: float) -> Home:
-    """Beside the rest pose, so that homing moves little; the index half a motor turn further."""
-    switch = round(max(rest_rad - SWITCH_BEFORE_REST_rad, lower), 4)
-    return Home(switch, round(switch + math.pi / gear, 7), min(HOMING_SPEED_rad_s, _rounded(0.5 * speed)))
+def _home(rest_rad: float, gear: float, limits: tuple[float, float], speed: float) -> Home:
+    """Beside the rest pose, so that homing moves little; the index half a motor turn further, both within the limits."""
+    lower, upper = limits
+    switch = _within(rest_rad - SWITCH_BEFORE_REST_rad, lower, upper)
+    if switch + math.pi / gear > upper:  # a narrow range: the index then lies at its end
+        switch = _within(upper - math.pi / gear, lower, upper)
+    index = min(round(switch + math.pi / gear, 7), upper)
+    return Home(switch, index, min(HOMING_SPEED_rad_s, _rounded(0.5 * speed)))
+
+
+def _within(angle: float, lower: float, upper: float) -> float:
+    """An angle of four digits, if one is within the limits; else the nearer limit."""
+    clipped = min(max(angle, lower), upper)
+    rounded = round(clipped, 4)
+    return rounded if lower <= rounded <= upper else clipped
 
 
 def _rounded(value: float) -> float:

@@ -53,14 +53,16 @@ def ask_shape(given: Given, asker: Asker) -> Shape:
         answers.USUAL_AXES[joints],
         lambda text: answers.axes_from(text, joints),
     )
+    is_of_servos = bool(given.boards) and all(answers.is_servo(kind) for kind in given.boards or ())
+    share = answers.SERVO_SHARE if is_of_servos else 1.0
     lengths = _answer(
         _joined(given.lengths),
         asker,
         "Lengths in m: base to joint 2, then joint to joint, last joint to tip",
-        " ".join(f"{length:g}" for length in answers.USUAL_LENGTHS_m[joints]),
+        " ".join(f"{share * length:.3g}" for length in answers.USUAL_LENGTHS_m[joints]),
         lambda text: answers.lengths_from(_words(text), joints),
     )
-    return Shape(axes, lengths)
+    return Shape(axes, lengths, *((answers.SERVO_kg, answers.SERVO_TUBE_kg_m) if is_of_servos else ()))
 
 
 def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:

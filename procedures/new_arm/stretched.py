@@ -13,9 +13,7 @@ from procedures.new_arm.answers import Shape
 
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 ALONG_LIMIT_rad, ACROSS_LIMIT_rad = 2.6, 1.9  # cables; and a link that does not fold into the one before
-TUBE_kg_m = 1.5  # of length
-JOINT_kg = 0.5  # motor and gear at the far end of a link
-LEAST_LINK_kg = 0.1
+LEAST_LINK_m = 0.07  # as which a shorter link weighs
 RADIUS_m = 0.03  # of a link as a rod
 
 
@@ -31,16 +29,15 @@ def stretched_arm(shape: Shape) -> SerialArm:
         limit = ALONG_LIMIT_rad if letter == "z" else ACROSS_LIMIT_rad
         joints.append(TreeJoint(f"joint{number}", "revolute", "revolute", axis, np.zeros(3), -limit, limit))
         axes.append(Axis(place, axis))
-        masses.append(_rod(place, length, carries_a_joint=number < len(shape.axes)))
+        tube_kg = shape.tube_kg_m * max(length, LEAST_LINK_m)
+        masses.append(_rod(place, length, tube_kg, shape.joint_kg if number < len(shape.axes) else 0.0))
     tip = np.eye(4)
     tip[2, 3] = heights[-1]
     return SerialArm(tuple(joints), tuple(axes), tuple(masses), tip, "tip", (0.0, 0.0, -9.81), ())
 
 
-def _rod(start_m: np.ndarray, length_m: float, carries_a_joint: bool) -> Mass:
+def _rod(start_m: np.ndarray, length_m: float, tube_kg: float, end_kg: float) -> Mass:
     """A tube that carries the next joint at its end, in the base frame."""
-    tube_kg = max(TUBE_kg_m * length_m, LEAST_LINK_kg)
-    end_kg = JOINT_kg if carries_a_joint else 0.0
     total_kg = tube_kg + end_kg
     com_m = (0.5 * tube_kg + end_kg) / total_kg * length_m
     across = tube_kg * (length_m**2 / 12 + (com_m - 0.5 * length_m) ** 2) + end_kg * (length_m - com_m) ** 2

@@ -114,7 +114,13 @@ def _keys_of_board(board: Board) -> list[str]:
     """Those that mean something for its kind."""
     kind = KINDS[board.kind]
     where = ["port", "baud"] if kind.line == "serial" else []
-    return ["name", "kind", "address", *where, *(["absolute"] if kind.may_be_absolute else [])]
+    return [
+        "name",
+        "kind",
+        "address",
+        *where,
+        *(["absolute", "absolute_turns"] if kind.may_be_absolute else []),
+    ]
 
 
 def _tables(name: str, kind: type[Any], items: Sequence[object], keys: tuple[str, ...]) -> list[str]:

@@ -15,10 +15,12 @@ from calib.export import export_text
 from console.main import main
 from control.kinematics.corners import Corners
 from control.kinematics.kinematics import Kinematics
+from control.model.board_kinds import KINDS
 from control.model.description import load_arm
 from firmware_iface.serial_link import PortHere
 from hil_mocks.scenario import load_scenario
 from procedures.new_arm.answers import usual_ports
+from procedures.new_arm.motors import SERVOS
 from tests.cell import open_cell
 
 RIGHT = load_arm("right")
@@ -226,3 +228,60 @@ def test_a_model_whose_joints_do_not_move_its_tip_is_refused(
     assert main(["arm", "--from-urdf", str(tmp_path / "spin.urdf"), "--out", str(out)]) == 2
     assert "no joint moves its tip" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("kind", "joints"), [("feetech", 6), ("dynamixel", 7)])
+def test_an_arm_of_smart_servos_has_those_of_a_data_sheet_and_moves_on_the_mock(
+    kind: str, joints: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, file = new(tmp_path, "--joints", str(joints), "--boards", kind, "--yes")
+    assert status == 0
+    assert f"{kind}, by the data sheets: joint 1 " in capsys.readouterr().out
+    arm = load_arm(file)
+    sheets = {(servo.supply_V, servo.current_A) for servo in SERVOS[kind]}
+    assert {(drive.supply_V, drive.current_limit_A) for drive in arm.drives} <= sheets
+    assert arm.rest is not None
+    with open_cell(load_scenario("demo"), arm=arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        cell.client.enable()
+        target = [angle + 0.2 for angle in arm.rest.q_rad]
+        cell.run(cell.start_move(target) + 0.8)
+        assert cell.faults == []
+        assert np.abs(np.array(cell.rig.joint_rad()) - target).max() < 0.01  # six counts of a servo
+
+
+def chain(ranges: list[tuple[float, float] | None], effort: float, kg: float) -> str:
+    """A URDF of revolute joints with these limits, continuous where there is none, about y and z in turn."""
+    parts = ['<robot name="chain"><link name="l0"/>']
+    for number, limits in enumerate(ranges, start=1):
+        kind = "continuous" if limits is None else "revolute"
+        ends = "" if limits is None else f'lower="{limits[0]!r}" upper="{limits[1]!r}" '
+        parts.append(
+            f'<joint name="j{number}" type="{kind}"><origin xyz="0.02 0 0.15"/><parent link="l{number - 1}"/>'
+            f'<child link="l{number}"/><axis xyz="0 {number % 2} {(number + 1) % 2}"/>'
+            f'<limit {ends}effort="{effort}" velocity="2.5"/></joint><link name="l{number}"><inertial><mass value="{kg}"/>'
+            '<origin xyz="0 0 0.05"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        )
+    return "".join([*parts, "</robot>"])
+
+
+@pytest.mark.parametrize("kind", ["reference", *KINDS])
+def test_whatever_ranges_a_model_has_what_new_writes_is_read(kind: str, tmp_path: Path) -> None:
+    """Ranges from a few milliradians to many turns, on either side of zero; loads from a toy's to an industrial arm's."""
+    random = np.random.default_rng(2)
+    for number in range(5):
+        ranges: list[tuple[float, float] | None] = []
+        for _ in range(int(random.integers(2, 8))):
+            lower = float(random.uniform(-7.0, 1.0))
+            ranges.append(
+                None if random.random() < 0.2 else (lower, lower + float(10.0 ** random.uniform(-2.3, 1.0)))
+            )
+        model, kg = tmp_path / f"{number}.urdf", float(10.0 ** random.uniform(-2.0, 0.0))
+        model.write_text(chain(ranges, float(10.0 ** random.uniform(0.0, 2.0)), kg))
+        status, file = new(
+            tmp_path, "--from-urdf", str(model), "--boards", kind, "--yes", name=f"{number}.toml"
+        )
+        assert status == 0
+        arm = load_arm(file)
+        for drive, limits in zip(arm.drives, ranges, strict=True):
+            assert drive.joint_upper_rad - drive.joint_lower_rad <= arm.unique_rad(drive)
+            assert limits is None or limits[0] <= drive.joint_lower_rad < drive.joint_upper_rad <= limits[1]
