@@ -69,6 +69,20 @@ def test_by_default_the_counts_are_the_standards() -> None:
     }
 
 
+def test_posing_visits_lie_on_the_way_from_p2_to_p4_as_far_as_their_names_say() -> None:
+    start, end = (np.asarray(CUBE.poses()[name]) for name in ("P2", "P4"))
+    visits = [s for s in steps(CUBE, Extent(), 0.5) if isinstance(s, Visit) and s.setup == "posing"]
+    along = (end - start) / np.linalg.norm(end - start)
+    for visit in visits:
+        away = np.asarray(visit.tip_m) - start
+        assert float(visit.point.removesuffix(" mm")) == pytest.approx(1e3 * away @ along, abs=0.5)
+        assert np.linalg.norm(away - (away @ along) * along) < 1e-12
+    assert (
+        max(float(visit.point.removesuffix(" mm")) for visit in visits)
+        <= 1e3 * np.linalg.norm(end - start) + 0.5
+    )
+
+
 def test_no_two_visits_or_runs_have_the_same_name_so_that_a_recording_can_go_on() -> None:
     names = [
         (s.setup, s.point, s.repeat) if isinstance(s, Visit) else (s.programme, f"{s.speed_m_s}", s.cycle)

@@ -54,18 +54,21 @@ def sighting(
     rng: np.random.Generator,
     stand: Pose = HERE,
     noise_px: float = NOISE_px,
+    lens: Lens | None = None,
 ) -> Sighting:
     """What a camera finds, with noise, of the corners inside its picture."""
-    lens, corners = lens_of(), corners_of(target)
+    lens, corners = lens or lens_of(), corners_of(target)
     pixels = lens.project(stand.after(pose).of(corners))
     inside = ((pixels > 4.0) & (pixels < [lens.width_px - 4, lens.height_px - 4])).all(axis=1)
     seen = pixels[inside] + rng.normal(0.0, noise_px, (inside.sum(), 2))
     return Sighting(name, Corners(frozen(corners[inside]), frozen(seen)), 0.8, 200.0)
 
 
-def sightings(target: Target, poses: list[Pose], rng: np.random.Generator, stand: Pose = HERE) -> Sightings:
+def sightings(
+    target: Target, poses: list[Pose], rng: np.random.Generator, stand: Pose = HERE, lens: Lens | None = None
+) -> Sightings:
     """One picture a pose, called p00, p01, ..."""
-    seen = [sighting(f"p{k:02d}", target, pose, rng, stand) for k, pose in enumerate(poses)]
+    seen = [sighting(f"p{k:02d}", target, pose, rng, stand, lens=lens) for k, pose in enumerate(poses)]
     return Sightings(WEBCAM.width_px, WEBCAM.height_px, tuple(seen), ())
 
 

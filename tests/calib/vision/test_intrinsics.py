@@ -34,6 +34,17 @@ def test_the_lens_is_found_within_its_standard_deviations() -> None:
     assert fit.rms_px < fit.held_out_px < 1.6 * fit.rms_px
 
 
+def test_a_sixth_order_distortion_is_identified_where_there_is_one() -> None:
+    """The start has none, so it and all that leans on it must come from the refinement."""
+    true = dataclasses.replace(lens_of(), values=lens_of().values + np.eye(9)[8] * 0.6)
+    rng = np.random.default_rng(11)
+    poses = [drawn_pose(rng) for _ in range(15)]
+    fit = fit_lens(BOARD, sightings(BOARD, poses, rng, lens=true))
+    assert fit.lens.values[8] > 10.0 * fit.lens.sd[8]
+    assert np.sqrt(np.mean(((fit.lens.values - true.values) / fit.lens.sd) ** 2)) < 1.8
+    assert fit.lens.noise_px == pytest.approx(NOISE_px, rel=0.15)
+
+
 def test_a_corner_beside_its_place_is_left_out() -> None:
     rng = np.random.default_rng(3)
     pictures = sightings(BOARD, [drawn_pose(rng) for _ in range(15)], rng)

@@ -16,7 +16,7 @@ from control.kinematics.pose_kinematics import PoseKinematics
 from control.model.arm import Arm
 from control.motion.errors import PathError
 from control.motion.following.orientation import OrientationSpline, turns_rad
-from control.motion.following.sections import BOUND_M, BOUND_RAD
+from control.motion.following.sections import BOUND_M, BOUND_RAD, LONGEST_S
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath, plan_path
@@ -47,6 +47,17 @@ def test_the_tip_stays_within_a_micrometre_of_the_cubic_and_the_joints_within_th
     path.require_within(limits)
     assert planned.duration_s == path.duration_s
     assert planned.q_start_rad == pytest.approx(path.knots[0].q_rad, abs=1e-12)
+
+
+def test_a_path_that_its_joints_slow_down_is_still_few_sections_with_the_slowed_speeds() -> None:
+    slow = tuple(replace(drive, joint_speed_limit_rad_s=0.15) for drive in FOUR.drives)
+    arm = replace(FOUR, drives=slow)
+    planned = plan_path(arm, circle_in_place(arm), None)
+    path = joints_of(planned)
+    times_s, q, speed, _ = sampled(path)
+    assert abs(speed).max() == pytest.approx(0.15, rel=0.02)
+    assert np.gradient(q, times_s, axis=0)[1:-1] == pytest.approx(speed[1:-1], abs=2e-3)
+    assert len(path.knots) < 2 * planned.duration_s / LONGEST_S
 
 
 @pytest.mark.parametrize("arm", [SIX, SEVEN], ids=lambda arm: arm.name)
