@@ -52,6 +52,7 @@ class CellRuntime:
         self.runtimes = runtimes
         self.collisions = CollisionWatch(cell, runtimes)
         self._all: Sequence[Runtime] = tuple(runtimes.values())
+        self.together: Mapping[str, int] = {}  # arms that began a motion together, and their run then
         self._in_fault: set[str] = set()
         polled = [runtime.parts.hardware for runtime in self._all if runtime.parts.hardware.is_polled]
         self._attended = polled or [self._all[0].parts.hardware]
@@ -82,6 +83,7 @@ class CellRuntime:
         goes_on = [runtime.cycle(now_s, late_s, missed, missed_in_row) for runtime in self._all]
         self.collisions.look()
         self._stop_beside_a_fault()
+        self._end_together()
         return any(goes_on)
 
     def go_off(self, quits: bool) -> None:
@@ -130,6 +132,28 @@ class CellRuntime:
             ),
             "",
         )
+
+    def in_one_motion(self) -> tuple[str, ...]:
+        """The arms that are still in the motion that they began together."""
+        return tuple(
+            name
+            for name, run in self.together.items()
+            if self.runtimes[name].run_number == run
+            and self.runtimes[name].monitor.mode in (Mode.MOVING, Mode.PAUSED)
+        )
+
+    def _end_together(self) -> None:
+        """Whatever ends a joint motion for one arm before its end, ends it for all: each stops on its path."""
+        if not self.together:
+            return
+        going = self.in_one_motion()
+        for name, run in self.together.items():
+            if name not in going and (self.runtimes[name].run_number != run or self.runtimes[name].was_stopped):
+                for other in going:
+                    self.runtimes[other].stop(f"arm {name!r}, which moves with it, was stopped")
+                going = ()
+        if not going:
+            self.together = {}
 
     def _stop_beside_a_fault(self) -> None:
         """An arm that has gone to FAULT stops all others, each on its path; those that hold go on holding."""

@@ -32,7 +32,6 @@ class CellRequests:
 
     def __init__(self, name: str, runtime: CellRuntime, requests: Mapping[str, Requests]) -> None:
         self._name, self._runtime, self._requests = name, runtime, requests
-        self._together: dict[str, int] = {}  # arms that began a motion together, and their run then
 
     def handle(self, request: Asked, client: int) -> Message:
         """Serve one request of a client; never raises because of the request."""
@@ -107,8 +106,9 @@ class CellRequests:
                 if other != name
             ]
             self._requests[name].begin(motion, planned[name], client, others)
-        self._together = {name: self._runtime.runtimes[name].run_number for name in together}
-        return {"ok": True, "duration_s": duration_s, "runs": self._together}
+        runs = {name: self._runtime.runtimes[name].run_number for name in together}
+        self._runtime.together = runs
+        return {"ok": True, "duration_s": duration_s, "runs": runs}
 
     def _require_two(self, client: int) -> None:
         """ArmError if fewer than two arms may begin a motion: paths are not read before."""
@@ -130,13 +130,8 @@ class CellRequests:
 
     def _partners(self, arm: str) -> tuple[str, ...]:
         """The arms that are in one motion with this one."""
-        moving = [
-            name
-            for name, run in self._together.items()
-            if self._runtime.runtimes[name].run_number == run
-            and self._runtime.runtimes[name].monitor.mode in (Mode.MOVING, Mode.PAUSED)
-        ]
-        return tuple(moving) if arm in moving else (arm,)
+        moving = self._runtime.in_one_motion()
+        return moving if arm in moving else (arm,)
 
     def _off(self, request: Asked, arm: str, client: int) -> Message:
         """The drives of one arm; the end of the runtime is the end of all."""

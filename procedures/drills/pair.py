@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -34,6 +35,7 @@ FROM_rad, TO_rad = (0.0, -0.4, 0.4), (0.8, -0.3, 0.6)  # of both: they stay half
 ACROSS_rad = {"left": (-0.6, -0.8, 0.0), "right": (0.6, -0.8, 0.0)}  # both forearms in the middle
 WATCHED_S = 1.0  # after the fault
 CAUGHT_UP_S = 1.0
+SLOWLY, RUNS_ON_m = 0.2, 0.03  # speed of a joint motion that one arm ends; what a stop from it takes at most
 FOLLOWING_SPEED = 0.2  # of the leader, in its limits: jogs are slow
 FOLDED_rad = (0.0, -0.4, -1.6)  # the forearm of `thick_arm` on its shoulder
 INTO_SPEED = 0.2  # of the limits: a hand has the time to get into the way
@@ -116,6 +118,11 @@ def both_move(played: PairStage) -> None:
     played.move_both()
 
 
+def both_move_slowly(played: PairStage) -> None:
+    """Both are under way, and far from the end."""
+    played.move_both(SLOWLY)
+
+
 def right_in_the_middle(played: PairStage) -> None:
     """Both hold, the right arm across the table."""
     played.bench.clients["right"].move_joints(ACROSS_rad["right"], waits=True)
@@ -154,6 +161,23 @@ def fault_of(arm: str, kind: str, board: str) -> Callable[[PairStage], None]:
 def stop_pressed(played: PairStage) -> None:
     """By a client of the right arm."""
     played.bench.clients["right"].stop()
+
+
+def ended_at_one(**request: object) -> Callable[[PairStage], None]:
+    """Another client ends the motion at the right arm alone; the left one may not run on."""
+
+    def inject(played: PairStage) -> None:
+        if not (answer := played.bench.channels[1].request(request))["ok"]:
+            played.complaint = f"refused: {answer['error']}"
+        begun_m = played.bench.tip_m("left")
+
+        def look() -> None:
+            if (ran_m := math.dist(begun_m, played.bench.tip_m("left"))) > RUNS_ON_m:
+                played.complaint = f"the left arm ran on by {1e3 * ran_m:.0f} mm"
+
+        played.each_cycle.append(look)
+
+    return inject
 
 
 def client_gone(played: PairStage) -> None:
@@ -301,6 +325,10 @@ class PairDrill(Promise):
         yield PairDrill(
             "client-gone-pair", "the client of both dies", PAIR, frozenset(), most_mm=2.0, inject=client_gone
         )
+        yield PairDrill(
+            "revoke-pair", "control of the right arm revoked by another client", PAIR, frozenset(), most_mm=2.0,
+            begin=both_move_slowly, inject=ended_at_one(do="control", revoke=True), watched_s=JOGGED_S,
+        )  # fmt: skip
         yield PairDrill(
             "meeting-pair", "moves that would meet the other arm", REST, frozenset(),
             most_mm=2.0, begin=right_in_the_middle, inject=refused_ways,

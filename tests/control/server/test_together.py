@@ -113,3 +113,27 @@ def test_a_stop_ends_both_and_a_client_that_goes_stops_both() -> None:
         assert pair.mode("left") is pair.mode("right") is Mode.STOPPING
         pair.until(lambda: pair.mode("left") is pair.mode("right") is Mode.HOLDING, 0.6)
         assert pair.runtime("left").set_point.q_rad != APART
+
+
+@pytest.mark.parametrize("ends", [{"do": "control", "revoke": True}, {"do": "off"}], ids=["revoke", "off"])
+def test_what_ends_a_joint_motion_for_one_ends_it_for_all(ends: dict[str, object]) -> None:
+    with holding_pair() as pair:
+        moves = {"left": {"q_rad": NEAR, "speed": 0.2}, "right": {"q_rad": WIDE, "speed": 0.2}}
+        pair.clients["left"].ask("move_together", moves=moves)
+        pair.run(0.5)
+        pair.clients["right"].ask(**ends)
+        pair.until(lambda: pair.mode("left") is Mode.HOLDING, 0.5)
+        left = pair.runtime("left")
+        assert left.was_stopped
+        assert left.stop_reason == "arm 'right', which moves with it, was stopped"
+        assert left.set_point.q_rad != pytest.approx(NEAR, abs=0.05)
+
+
+def test_an_arm_that_moves_on_its_own_beside_another_is_not_stopped_with_it() -> None:
+    with holding_pair() as pair:
+        pair.clients["left"].move_joints(NEAR, 0.2, waits=False)
+        pair.clients["right"].move_joints(WIDE, 0.2, waits=False)
+        pair.run(0.3)
+        pair.clients["right"].ask("off")
+        pair.run(0.2)
+        assert pair.mode("left") is Mode.MOVING

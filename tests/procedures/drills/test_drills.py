@@ -41,6 +41,7 @@ USUAL = "rest, motion, session"
         "power-arm",
         "cut-recording",
         "over-temperature-pair",
+        "revoke-pair",
         "guided-into-pair",
     ],
 )
