@@ -148,7 +148,9 @@ class CellRuntime:
             return
         going = self.in_one_motion()
         for name, run in self.together.items():
-            if name not in going and (self.runtimes[name].run_number != run or self.runtimes[name].was_stopped):
+            if name not in going and (
+                self.runtimes[name].run_number != run or self.runtimes[name].was_stopped
+            ):
                 for other in going:
                     self.runtimes[other].stop(f"arm {name!r}, which moves with it, was stopped")
                 going = ()
