@@ -215,3 +215,26 @@ def test_a_part_of_the_poses_says_less_than_all() -> None:
     half = np.arange(len(points)) % 2 == 0
     some, every = (posterior_of(problem, at, Discrepancy(ARM), used) for used in (half, None))
     assert np.trace(some.covariance[:16, :16]) > np.trace(every.covariance[:16, :16])
+
+
+def test_a_hidden_play_is_what_its_cause_moves_the_tip_by_and_every_source_is_listed() -> None:
+    listed = {one.name: one for one in trusted(PLAY).importances}
+    for source in Discrepancy(ARM).sources:
+        assert listed[source.name].uncertain_m > 0.0, source.name
+    tips_m = [Kinematics(ARM).tips(q) for q in (unseen_q(), unseen_q() + np.array([0.0, 0.0, 1e-4]))]
+    lever_m = norms(tips_m[1] - tips_m[0]) / 1e-4
+    expected_m = 0.5 * PLAY.value * np.sqrt(np.mean(lever_m**2))
+    assert listed["joint 3: direction"].expected_m == pytest.approx(expected_m, rel=0.15)
+    others = [
+        one.expected_m
+        for name, one in listed.items()
+        if name.startswith("joint") and name != "joint 3: direction"
+    ]
+    assert max(others) < 0.1 * expected_m
+
+
+def test_draws_of_a_gear_scatter_about_the_place_that_is_expected_of_it() -> None:
+    poses = Conditions.of(unseen_q()[:40])
+    drawn = Discrepancy(ARM).strayed(poses, 4000, np.random.default_rng(7))
+    assert np.abs(drawn.mean(axis=0)).max() < 5.0 / np.sqrt(4000)
+    assert drawn.std(axis=0).max() > 0.5

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from control.safety.table import Mode
 from firmware_iface.errors import ConnectionFailed
 from firmware_iface.vesc import wire
 from hil_mocks.devices.vesc import VescMock, VescSetup
@@ -20,6 +21,15 @@ def test_a_vesc_that_would_turn_the_shorter_way_is_refused_when_it_is_connected(
         open_cell(scenario(), arm, period_s=0.005),
     ):
         pass
+
+
+def test_a_vesc_at_its_joint_and_within_half_a_turn_takes_angles() -> None:
+    arm = with_drives(
+        ON_VESCS, pid=replace(ON_VESCS.drives[0].pid, mode="position"), gear_ratio=1.0,
+        joint_lower_rad=-1.2, joint_upper_rad=1.2,
+    )  # fmt: skip
+    with open_cell(scenario(), arm, period_s=0.005) as cell:
+        assert cell.mode is Mode.OFF
 
 
 def test_a_roboclaw_is_not_told_a_current_beyond_its_peak() -> None:
