@@ -114,6 +114,13 @@ def points(what: str, *, is_required: bool = False) -> Option:
     )
 
 
+AS_GIVEN = option(
+    "--as-given",
+    action="store_true",
+    help="the points mean what they say: do not refuse them for what they look like (another unit, another arm)",
+)
+
+
 def payload(what: str, **details: Any) -> Option:
     """A mass at the tip."""
     return option("--payload", type=finite, metavar="KG", help=what, **details)

@@ -15,6 +15,8 @@ from control.files import read_bytes
 MOST_BYTES: Final = 16_000_000
 MOST_ELEMENTS: Final = 200_000
 DEEPEST: Final = 256
+IN_UTF_8: Final = 'save the file as UTF-8, and write encoding="utf-8" in its first line, or none'
+UNKNOWN_ENCODING: Final = expat.errors.codes[expat.errors.XML_ERROR_UNKNOWN_ENCODING]
 
 
 @dataclass(slots=True)
@@ -54,6 +56,15 @@ def read_xml(path: Path, form: str) -> Element:
     return _Reader(path, form).root_of(content)
 
 
+def _is_text(content: bytes) -> bool:
+    """Whether these bytes are UTF-8."""
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
 class _Reader:
     """Builds the tree from expat's events."""
 
@@ -71,9 +82,10 @@ class _Reader:
         try:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:
-            raise self._error(f"expected {self._form}, which is XML: {error}", error.lineno) from None
+            remedy = "" if _is_text(content) and error.code != UNKNOWN_ENCODING else f"; {IN_UTF_8}"
+            raise self._error(f"expected {self._form}, which is XML: {error}{remedy}", error.lineno) from None
         except (LookupError, ValueError) as error:
-            raise self._error(f"expected {self._form}, which is XML: {error}", 1) from None
+            raise self._error(f"expected {self._form}, which is XML: {error}; {IN_UTF_8}", 1) from None
         if self._root is None:
             raise self._error(f"expected {self._form}, got an empty file", 1)
         return self._root

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -35,21 +35,23 @@ class TreeJoint:
     rotor_kg_m2: float = 0.0
     follows: str = ""
     lacks_limits: bool = False  # the format wants limits here, and the file has none
+    where: str = ""  # in the file, for messages
 
 
 @dataclass(frozen=True, slots=True)
 class Mass:
-    """A rigid body: mass, centre, and inertia (3, 3) about the centre, in some frame."""
+    """A rigid body: mass, centre, and inertia (3, 3) about the centre, in some frame; `where` in its file, for messages."""
 
     mass_kg: float
     com_m: Array
     inertia_kg_m2: Array
+    where: str = ""
 
     def seen_from(self, frame: Array) -> Mass:
         """The same body in a frame in which its own is `frame` (4, 4)."""
         turn = frame[:3, :3]
         com = turn @ self.com_m + frame[:3, 3]
-        return Mass(self.mass_kg, com, turn @ self.inertia_kg_m2 @ turn.T)
+        return replace(self, com_m=com, inertia_kg_m2=turn @ self.inertia_kg_m2 @ turn.T)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,17 @@ class Tree:
         return path[::-1]
 
 
+def possible_inertia(inertia_kg_m2: Array) -> Array:
+    """The nearest inertia (3, 3) that a body can have: one whose mass nowhere lies at an imaginary distance.
+
+    J = tr(S) 1 - S with the second moments S = sum m r r', which have no negative eigenvalue; negative ones are made zero.
+    """
+    second = 0.5 * np.trace(inertia_kg_m2) * np.eye(3) - inertia_kg_m2
+    values, vectors = np.linalg.eigh(second)
+    second = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray(np.trace(second) * np.eye(3) - second)
+
+
 def together(masses: list[Mass]) -> Mass | None:
     """Several bodies of one frame as one; None if none weighs anything."""
     total = sum(mass.mass_kg for mass in masses)
@@ -103,4 +116,4 @@ def together(masses: list[Mass]) -> Mass | None:
     for one in masses:
         r = one.com_m - com
         inertia += one.inertia_kg_m2 + one.mass_kg * (float(r @ r) * np.eye(3) - np.outer(r, r))
-    return Mass(total, com, inertia)
+    return Mass(total, com, inertia, max(masses, key=lambda one: one.mass_kg).where)

@@ -13,9 +13,10 @@ from typing import Final
 import numpy as np
 
 from calib.arm_import.safe_xml import Element, read_xml
-from calib.arm_import.tree import Kind, Mass, Tree, TreeJoint, TreeLink
+from calib.arm_import.tree import Kind, Mass, Tree, TreeJoint, TreeLink, possible_inertia
 from calib.arrays import Array
 from calib.errors import ImportedModelError
+from control.model.rules import ANGLE, LENGTH, LIMIT, Rule
 
 KINDS: Final[dict[str, Kind]] = {
     "revolute": "revolute",
@@ -26,6 +27,7 @@ KINDS: Final[dict[str, Kind]] = {
     "planar": "other",
 }
 MOST_LINKS: Final = 1000
+ROUNDED_INERTIA: Final = 1e-3  # of the largest moment: what printing with few digits does
 GRAVITY: Final = (0.0, 0.0, -9.81)  # a URDF has none; z of its root points up by convention (REP 103)
 WORTH_SAYING_rad: Final = 1e-9  # below it nobody rounded but the computer that wrote the file
 QUARTER_DIGITS, EIGHTH_DIGITS = 2, 4  # decimals from which 1.57 is a quarter turn, 0.7854 an eighth
@@ -42,6 +44,7 @@ class _Urdf:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._rounded: set[str] = set()
+        self._notes: list[str] = []
 
     def tree(self) -> Tree:
         root = read_xml(self._path, "URDF")
@@ -59,7 +62,10 @@ class _Urdf:
             )
             for name in order
         }
-        notes = [f"a URDF has no gravity: {list(GRAVITY)} m/s^2 in the frame of link {order[0]}"]
+        notes = [
+            *self._notes,
+            f"a URDF has no gravity: {list(GRAVITY)} m/s^2 in the frame of link {order[0]}",
+        ]
         if self._rounded:
             few = ", ".join(sorted(self._rounded)[:3])
             notes.append(f"angles such as {few} were read as the parts of a turn of which they are roundings")
@@ -70,7 +76,8 @@ class _Urdf:
 
     def _require_plain(self, root: Element) -> None:
         for element in root.walk():
-            if element.tag.startswith("xacro:") or any("${" in v for v in element.attributes.values()):
+            macros = [v for v in element.attributes.values() if "${" in v or "$(" in v]
+            if element.tag.startswith("xacro:") or macros:
                 raise self._error(
                     element, f"this is xacro, not URDF: run `xacro {self._path.name} > robot.urdf` first"
                 )
@@ -162,40 +169,54 @@ class _Urdf:
             coulomb_Nm=self._number(dynamics, "friction", 0.0),
             follows=mimic.attributes.get("joint", "another") if mimic else "",
             lacks_limits=word == "revolute" and not math.isfinite(lower),
+            where=f"line {(limit or element).line}, joint {name}",
         )
 
     def _range(self, joint: Element, limit: Element | None, word: str, name: str) -> tuple[float, float]:
         """Both ends; none for a continuous joint, and where the file gives none or no width."""
         if word == "continuous" or limit is None or not {"lower", "upper"} & set(limit.attributes):
             return -math.inf, math.inf
-        lower, upper = self._number(limit, "lower", 0.0), self._number(limit, "upper", 0.0)
+        is_angle = word == "revolute"
+        lower, upper = (
+            self._number(limit, end, 0.0, LIMIT if is_angle else None) for end in ("lower", "upper")
+        )
         if lower > upper:
             raise self._error(joint, f"joint {name}: lower limit {lower:g} is above upper limit {upper:g}")
         return (lower, upper) if lower < upper else (-math.inf, math.inf)
 
     def _mass(self, link: Element) -> Mass | None:
         inertial = link.first("inertial")
-        mass = self._number(inertial.first("mass"), "value", 0.0) if inertial else 0.0
-        if inertial is None or mass <= 0.0:
+        weighed = inertial.first("mass") if inertial else None
+        mass = self._number(weighed, "value", 0.0)
+        if inertial is None or weighed is None or mass <= 0.0:
             return None
         given = inertial.first("inertia")
         xx, yy, zz, xy, xz, yz = (
             self._number(given, key, 0.0) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
         )
-        own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return Mass(mass, np.zeros(3), own).seen_from(self._pose(inertial))
+        own, name = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), link.attributes["name"]
+        possible = possible_inertia(own)
+        if np.abs(possible - own).max() > ROUNDED_INERTIA * np.abs(own).max():
+            line, moments = (given or inertial).line, ", ".join(f"{k:.3g}" for k in np.linalg.eigvalsh(own))
+            nearest = ", ".join(f"{k:.3g}" for k in np.linalg.eigvalsh(possible))
+            self._notes.append(
+                f"{self._path}, line {line}, link {name}: no body has the moments {moments} kg m^2, since each is at most the sum"
+                f" of the others: the nearest possible ones were taken ({nearest})"
+            )
+        where = f"line {weighed.line}, link {name}"
+        return Mass(mass, np.zeros(3), possible, where).seen_from(self._pose(inertial))
 
     def _pose(self, element: Element) -> Array:
         origin = element.first("origin")
         pose = np.eye(4)
         if origin is not None:
-            pose[:3, 3] = self._vector(origin, "xyz", (0.0, 0.0, 0.0))
+            pose[:3, 3] = self._vector(origin, "xyz", (0.0, 0.0, 0.0), LENGTH)
             pose[:3, :3] = _rotation(*self._angles(origin))
         return pose
 
     def _angles(self, origin: Element) -> list[float]:
         texts = origin.attributes.get("rpy", "0 0 0").split()
-        values = self._vector(origin, "rpy", (0.0, 0.0, 0.0)).tolist()
+        values = self._vector(origin, "rpy", (0.0, 0.0, 0.0), ANGLE).tolist()
         angles = []
         for text, value in zip(texts, values, strict=True):
             exact = unrounded(text, value)
@@ -204,36 +225,46 @@ class _Urdf:
             angles.append(exact)
         return angles
 
-    def _vector(self, element: Element, key: str, default: tuple[float, float, float]) -> Array:
+    def _vector(
+        self, element: Element, key: str, default: tuple[float, float, float], rule: Rule | None = None
+    ) -> Array:
         if key not in element.attributes:
             return np.array(default)
         parts = element.attributes[key].split()
         if len(parts) != 3:
             raise self._error(element, f"<{element.tag}> {key}: expected 3 numbers, got {len(parts)}")
-        return np.array([self._finite(element, key, part) for part in parts])
+        return np.array([self._finite(element, key, part, rule) for part in parts])
 
     def _attribute(self, element: Element, key: str, what: str) -> str:
         if not element.attributes.get(key):
             raise self._error(element, f"a {what} without {key}")
         return element.attributes[key]
 
-    def _number(self, element: Element | None, key: str, default: float) -> float:
+    def _number(self, element: Element | None, key: str, default: float, rule: Rule | None = None) -> float:
         if element is None or key not in element.attributes:
             return default
-        return self._finite(element, key, element.attributes[key])
+        return self._finite(element, key, element.attributes[key], rule)
 
     def _positive(self, element: Element | None, key: str) -> float:
         """Infinite where it is absent or 0, which files write for unknown."""
         value = self._number(element, key, math.inf) if element else math.inf
         return value if value > 0.0 else math.inf
 
-    def _finite(self, element: Element, key: str, text: str) -> float:
+    def _finite(self, element: Element, key: str, text: str, rule: Rule | None = None) -> float:
         try:
             value = float(text)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise self._error(element, f"<{element.tag}> {key}: expected a finite number, got {text[:40]!r}")
+            remedy = " (decimals have a point, and spaces part the numbers)" if "," in text else ""
+            raise self._error(
+                element, f"<{element.tag}> {key}: expected a finite number, got {text[:40]!r}{remedy}"
+            )
+        if rule is not None and not rule.holds(value):
+            raise self._error(
+                element,
+                f"<{element.tag}> {key}: expected {rule.expected}, got {text[:40]} ({rule.remedy(value)})",
+            )
         return value
 
 

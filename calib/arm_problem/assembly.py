@@ -62,10 +62,10 @@ class Choice:
         """The same choice, with the base frame freed if the tips' frame has no known relation to the arm's base.
 
         That is so if the arm's file has neither a `base_frame` nor a table of known pose; "base" in `fixed` prevents it.
-        Points of a camera free the camera's frame.
+        Points of a camera free the camera's frame. A choice that is completed already stays as it is.
         """
-        if points.in_camera_frame and CAMERA not in self.freed:
-            return replace(self, freed=(*self.freed, CAMERA))
+        if points.in_camera_frame:
+            return self if CAMERA in self.freed else replace(self, freed=(*self.freed, CAMERA))
         is_tied = _has_base_frame(arm) or _is_tied_by_table(arm)
         is_measured = bool(np.isfinite(points.tip_m).all(axis=1).any())
         is_asked_for = BASE in self.freed or BASE in self.fixed

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of, referenced
-from calib.arm_problem.misread.other_arm import require_own_arm
-from calib.arm_problem.misread.points import require_read_as_meant
-from calib.arm_problem.misread.turns import require_turns_meant
+from calib.arm_problem.misread.other_arm import doubts_of_arm
+from calib.arm_problem.misread.points import doubts_of_reading
+from calib.arm_problem.misread.turns import doubts_of_turns
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
+from calib.doubt import AS_GIVEN
 from calib.errors import UnusablePointsError
 from calib.points.points import Points, seen_again
 from control.model.arm import Arm
@@ -32,22 +33,22 @@ def require_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tu
     All users of points check them here: non-finite numbers, copies, degrees, counts, millimetres, swapped or rotated
     columns, another arm. Rows are named as poses, counted from 1, with the file's line in brackets (the header is line 1).
     """
-    warnings = _copies(points)
     wanted = (choice or Choice()).for_points(arm, points)
-    referenced_points = require_columns_meant(arm, points, wanted)
-    if len(referenced_points) >= POINTS_MINIMUM_COUNT:
-        warnings = (*warnings, *require_own_arm(arm, referenced_points, wanted))
-    return warnings
+    warnings = (*_copies(points), *require_columns_meant(arm, points, wanted))
+    known = referenced(arm, points, wanted)
+    if len(known) < POINTS_MINIMUM_COUNT:
+        return warnings
+    return (*warnings, *(one.in_words() for one in doubts_of_arm(arm, known, wanted)))
 
 
-def require_columns_meant(arm: Arm, points: Points, choice: Choice) -> Points:
-    """Return the poses with a known tip; UnusablePointsError for columns in other units, swapped, rotated, or not finite."""
+def require_columns_meant(arm: Arm, points: Points, choice: Choice) -> tuple[str, ...]:
+    """Warnings about columns that look like other units, swapped or rotated; UnusablePointsError where they cannot be right."""
     require_finite(points.q_rad, np.zeros((0, 3)))
-    referenced_points = referenced(arm, points, choice)
-    if len(referenced_points) >= POINTS_MINIMUM_COUNT:
-        require_read_as_meant(arm, problem_of(arm, referenced_points, choice))
+    known, doubts = referenced(arm, points, choice), ()
+    if len(known) >= POINTS_MINIMUM_COUNT:
+        doubts = doubts_of_reading(arm, problem_of(arm, known, choice), points.is_as_given)
     _require_radians(points.q_rad)
-    return referenced_points
+    return tuple(one.in_words() for one in doubts)
 
 
 def require_usable(
@@ -58,8 +59,8 @@ def require_usable(
     _require_count(problem.observed.q_rad, problem.references_m)
     warnings = require_of_arm(arm, points, choice)
     require_sound(problem)
-    require_turns_meant(problem)
-    return (*warnings, *_still_joints(points.q_rad))
+    turned = doubts_of_turns(problem, points.is_as_given)
+    return (*warnings, *(one.in_words() for one in turned), *_still_joints(points.q_rad))
 
 
 def require_sound(problem: ArmProblem) -> None:
@@ -139,8 +140,8 @@ def _copies(points: Points) -> tuple[str, ...]:
     )
     more = f" and {len(copies) - 3} more" if len(copies) > 3 else ""
     warning = f"poses {listed_rows}{more} are identical to the last digit: they are copies, not repeats, and add no information"
-    if len(copies) >= COPIES_SHARE * len(points):
-        raise UnusablePointsError(f"{warning}; remove the copies")
+    if len(copies) >= COPIES_SHARE * len(points) and not points.is_as_given:
+        raise UnusablePointsError(f"{warning}; remove the copies, or {AS_GIVEN}")
     return (warning,)
 
 

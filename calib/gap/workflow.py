@@ -79,11 +79,16 @@ class GapOutcome:
 
 
 def read_recordings(
-    arm: Arm, points: Sequence[str | Path], logs: Sequence[str | Path], current_unit: str = AMPERES
+    arm: Arm,
+    points: Sequence[str | Path],
+    logs: Sequence[str | Path],
+    current_unit: str = AMPERES,
+    is_as_given: bool = False,
 ) -> Recordings:
     """All files, read strictly; CalibrationError where one cannot be used, or where there is none.
 
-    `current_unit`: one of calib.gap.units.UNITS, in which the columns i1_A ... are written.
+    `current_unit`: one of calib.gap.units.UNITS, in which the columns i1_A ... are written. `is_as_given`: the points mean what
+    they say (`calib.doubt`).
     """
     motors = with_ideal_drives(arm) if current_unit == TORQUES else arm
     if current_unit != AMPERES:
@@ -93,7 +98,7 @@ def read_recordings(
             "gap: give --points for static poses, --log for time series, or both; --record records them"
         )
     point_files, log_files = tuple(map(Path, points)), tuple(map(Path, logs))
-    poses = [base_points_for(arm, point_files, "gap")] if point_files else []
+    poses = [base_points_for(arm, point_files, "gap", is_as_given)] if point_files else []
     runs = [read_log(path, arm.joint_count) for path in log_files]
     log = joined_logs(tuple(log for log, _ in runs)) if runs else None
     return Recordings(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from calib.errors import UnusablePointsError
@@ -14,9 +15,11 @@ from control.model.arm import Arm
 RECORDS = ("session.json", "plan.json", "programme.json")  # files that our recordings write beside points.csv
 
 
-def base_points_for(arm: Arm, files: Sequence[Path], what: str) -> tuple[Points, tuple[str, ...]]:
+def base_points_for(
+    arm: Arm, files: Sequence[Path], what: str, is_as_given: bool = False
+) -> tuple[Points, tuple[str, ...]]:
     """As `points_for`, but UnusablePointsError for points in a camera's frame, which `what` cannot use."""
-    points, warnings = points_for(arm, files)
+    points, warnings = points_for(arm, files, is_as_given)
     if points.in_camera_frame:
         raise UnusablePointsError(
             f"{what}: the points are in a camera's frame of unknown place: calibrate with them first, then give the calibrated"
@@ -25,8 +28,8 @@ def base_points_for(arm: Arm, files: Sequence[Path], what: str) -> tuple[Points,
     return points, warnings
 
 
-def points_for(arm: Arm, files: Sequence[Path]) -> tuple[Points, tuple[str, ...]]:
-    """Read and concatenate the points of all files; also returns warnings.
+def points_for(arm: Arm, files: Sequence[Path], is_as_given: bool = False) -> tuple[Points, tuple[str, ...]]:
+    """Read and concatenate the points of all files; also returns warnings. `is_as_given`: as of `Points`.
 
     PointsFileError names file, line and column; UnusablePointsError for a file of another arm. Users of the points
     check the values of the columns (`calib.arm_problem.checks.require_of_arm`).
@@ -35,9 +38,8 @@ def points_for(arm: Arm, files: Sequence[Path]) -> tuple[Points, tuple[str, ...]
         require_recorded_of(arm, file)
     read = [read_points(file, arm.joint_count) for file in files]
     _require_one_frame(files, [part for part, _ in read])
-    return joined([part for part, _ in read]), tuple(
-        sentence for _, warnings in read for sentence in warnings
-    )
+    whole = replace(joined([part for part, _ in read]), is_as_given=is_as_given)
+    return whole, tuple(sentence for _, warnings in read for sentence in warnings)
 
 
 def _require_one_frame(files: Sequence[Path], parts: Sequence[Points]) -> None:

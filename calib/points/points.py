@@ -9,7 +9,7 @@ Comma-separated, .csv or .csv.gz.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -34,7 +34,8 @@ class Points:
     sign of each joint's last motion, 0 unknown; current_A (m, n), t_s (m,), payload_kg (m,): NaN where
     unknown. orientation (m, 4): unit quaternion w, x, y, z of the measured target in the same frame as tip_m, NaN where not
     measured. covariance (m, 12): of the position and of the orientation, upper triangles as in calib.points.covariance, NaN where
-    unknown. `extra` holds columns beyond the format, as text.
+    unknown. `extra` holds columns beyond the format, as text. is_as_given: the user said that the file means what it says,
+    whatever it looks like (`calib.doubt`).
     """
 
     setup: tuple[str, ...]
@@ -49,6 +50,7 @@ class Points:
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
     orientation: Array = field(default_factory=lambda: frozen(np.zeros((0, 4))))  # empty: none was measured
     covariance: Array = field(default_factory=lambda: frozen(np.zeros((0, 12))))  # empty: none is known
+    is_as_given: bool = False
 
     def __post_init__(self) -> None:
         """Without any orientation or covariance, a row of NaN for each pose."""
@@ -73,7 +75,7 @@ class Points:
     def chosen(self, rows: Sequence[int] | npt.NDArray[np.intp]) -> Points:
         """The poses of these rows, in this order."""
         k = [int(row) for row in rows]
-        return make_points(
+        some = make_points(
             [self.setup[i] for i in k],
             [self.point[i] for i in k],
             [self.repeat[i] for i in k],
@@ -87,6 +89,7 @@ class Points:
             self.orientation[k],
             self.covariance[k],
         )
+        return replace(some, is_as_given=self.is_as_given)
 
 
 def make_points(
@@ -140,7 +143,7 @@ def joined(parts: Sequence[Points]) -> Points:
     if not others:
         return first
     shared = [name for name in first.extra if all(name in part.extra for part in others)]
-    return make_points(
+    whole = make_points(
         [name for part in parts for name in part.setup],
         [name for part in parts for name in part.point],
         [number for part in parts for number in part.repeat],
@@ -154,3 +157,4 @@ def joined(parts: Sequence[Points]) -> Points:
         np.concatenate([part.orientation for part in parts]),
         np.concatenate([part.covariance for part in parts]),
     )
+    return replace(whole, is_as_given=all(part.is_as_given for part in parts))

@@ -1,16 +1,19 @@
 """`armwright new` writes a first arm.toml from a few answers; `armwright arm --from-urdf` from a model, without questions."""
 
 import argparse
+import dataclasses
+import re
 import sys
 from pathlib import Path
 from typing import Final
 
 from calib.arm_import import SerialArm, read_arm
-from control.errors import ArmError
+from control.errors import ArmError, ArmFileError
 from control.files import NotWritten, write_new
 from control.model.description import parse_arm
+from control.model.plausible import OVERRIDE
 from control.model.rules import LONGEST_NAME, is_file_name
-from procedures.new_arm.composing import compose
+from procedures.new_arm.composing import NewArm, compose
 from procedures.new_arm.questions import Asker, Given, answers_for, ask_shape
 from procedures.new_arm.stretched import stretched_arm
 from procedures.new_arm.writing import commented_text
@@ -62,8 +65,10 @@ def run(given: argparse.Namespace) -> int:
     new = compose(serial, answers)
     source = given.from_urdf or given.from_mjcf
     origin = f"from {Path(source).name}" if source else "from the answers to `armwright new`"
+    if given.as_given:
+        new = dataclasses.replace(new, arm=dataclasses.replace(new.arm, as_given=True))
     text = commented_text(new, origin)
-    parse_arm(text, out)
+    _require_readable(text, out, new, source)
     _write(out, text)
     sys.stdout.write(f"\n{out}: arm {name}, {len(serial.joints)} joints, tip {serial.tip}\n")
     for note in new.notes:
@@ -81,6 +86,20 @@ def _model(given: argparse.Namespace) -> SerialArm | None:
     if given.base or given.tip:
         raise ArmError("--base and --tip name links of a model: give --from-urdf or --from-mjcf, too")
     return None
+
+
+def _require_readable(text: str, out: Path, new: NewArm, source: str | None) -> None:
+    """What is written is read back. An error about what a model says names its place there: the arm.toml is not written."""
+    try:
+        parse_arm(text, out)
+    except ArmFileError as error:
+        found = re.fullmatch(r"(\w+)(?:\[\d+\])? of \[\[(\w+)\]\] (\d+)", error.key)
+        place = new.place_of(found[2], int(found[3]) - 1, found[1]) if found and source else ""
+        if not source:
+            raise
+        where = f"{source}, {place}" if place else source
+        hint = error.hint.replace(OVERRIDE, "give --as-given")
+        raise ArmFileError(where, None, error.key, error.expected, error.got, hint) from None
 
 
 def _name_of(out: Path) -> str:

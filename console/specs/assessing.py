@@ -2,6 +2,7 @@
 
 from console.options import (
     ARM,
+    AS_GIVEN,
     BOARDS,
     FREE_ZERO,
     JSON,
@@ -35,6 +36,7 @@ ASSESSING = (
                 metavar="P",
                 help="use recorded poses with measured tips, or lengths; nothing moves",
             ),
+            AS_GIVEN,
             WIRE_AT,
             FREE_ZERO,
             option("--mock", action="store_true", help="use a mock of the nominal arm in this process"),
@@ -78,6 +80,7 @@ ASSESSING = (
                 required=True,
                 help="points.csv of the calibration: what the arm did before; may be repeated",
             ),
+            AS_GIVEN,
             option("--out", metavar="DIR", required=True, help="folder for the recording and check-up.json"),
             option("--poses", type=int, metavar="N", help="how many, each from two sides (default: 8)"),
             option(
@@ -128,6 +131,7 @@ ASSESSING = (
             points(
                 "points.csv or .csv.gz of the real arm; with --design: only their poses, as those of the calibration"
             ),
+            AS_GIVEN,
             OUT,
             option("--tolerance", metavar="LENGTH", help="the accuracy that is wanted, e.g. 0.5mm"),
             option(
@@ -173,6 +177,7 @@ ASSESSING = (
         (
             ARM,
             option("--points", metavar="P", help="evaluate recorded poses: points.csv with P1 to P5"),
+            AS_GIVEN,
             option(
                 "--log",
                 metavar="L",

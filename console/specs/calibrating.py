@@ -1,6 +1,18 @@
 """Commands that identify arms and cameras from measurements."""
 
-from console.options import ARM, BOARDS, FREE_ZERO, JSON, OUT, WIRE_AT, CommandSpec, finite, option, points
+from console.options import (
+    ARM,
+    AS_GIVEN,
+    BOARDS,
+    FREE_ZERO,
+    JSON,
+    OUT,
+    WIRE_AT,
+    CommandSpec,
+    finite,
+    option,
+    points,
+)
 
 HISTORY = (
     option(
@@ -20,6 +32,7 @@ CALIBRATING = (
         (
             ARM,
             points("points.csv or .csv.gz", is_required=True),
+            AS_GIVEN,
             OUT,
             option(
                 "--objective",

@@ -8,6 +8,11 @@ MODEL = (
     option("--base", metavar="LINK", help="first link of the arm in the model (default: its root)"),
     option("--tip", metavar="LINK", help="last link of the arm in the model (default: its only end)"),
     option(
+        "--as-given",
+        action="store_true",
+        help="the model means what it says: do not refuse it for what it looks like, such as grams",
+    ),
+    option(
         "--convention",
         choices=("standard", "modified"),
         default="standard",

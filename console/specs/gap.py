@@ -1,6 +1,18 @@
 """The command that names the effects that the model lacks."""
 
-from console.options import ARM, JSON, OUT, SOCKET, CommandSpec, finite, option, payload, points, scenario
+from console.options import (
+    ARM,
+    AS_GIVEN,
+    JSON,
+    OUT,
+    SOCKET,
+    CommandSpec,
+    finite,
+    option,
+    payload,
+    points,
+    scenario,
+)
 from console.specs.calibrating import HISTORY
 
 GAP = (
@@ -10,6 +22,7 @@ GAP = (
         (
             ARM,
             points("static poses, points.csv or .csv.gz"),
+            AS_GIVEN,
             option(
                 "--log",
                 metavar="L",

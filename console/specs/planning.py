@@ -1,6 +1,6 @@
 """Commands that plan with what is known of an arm's error."""
 
-from console.options import ARM, BOARDS, JSON, CommandSpec, finite, option, payload, points
+from console.options import ARM, AS_GIVEN, BOARDS, JSON, CommandSpec, finite, option, payload, points
 
 PLANNING = (
     CommandSpec(
@@ -10,6 +10,7 @@ PLANNING = (
             ARM,
             option("file", metavar="FILE", help="way-points as for `armwright run`"),
             points("points.csv or .csv.gz of the real arm: what is known of its error", is_required=True),
+            AS_GIVEN,
             option("--out", metavar="DIR", required=True, help="folder for the results; created if missing"),
             option(
                 "--stops",

@@ -1,6 +1,18 @@
 """Commands that measure the arm on the calibration table."""
 
-from console.options import ARM, BOARDS, JSON, OUT, SOCKET, CommandSpec, finite, option, payload, scenario
+from console.options import (
+    ARM,
+    AS_GIVEN,
+    BOARDS,
+    JSON,
+    OUT,
+    SOCKET,
+    CommandSpec,
+    finite,
+    option,
+    payload,
+    scenario,
+)
 
 RECORDING = (
     CommandSpec(
@@ -77,6 +89,7 @@ RECORDING = (
         (
             ARM,
             option("--points", metavar="P", help="points.csv of the points recorded so far"),
+            AS_GIVEN,
             BOARDS,
             option("--count", type=int, metavar="N", help="poses to plan (default: 12)"),
             option(

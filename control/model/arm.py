@@ -168,6 +168,10 @@ class Arm:
     name: Annotated[str, NAME, "sockets and recordings carry it"]
     links: Annotated[tuple[Link, ...], "base to tip"] = field(metadata={"key": "link"})
     gravity_m_s2: Annotated[Vector3, GRAVITY, "in the base frame"] = (0.0, 0.0, -9.81)
+    as_given: Annotated[
+        bool,
+        "all values are meant as they stand, whatever unit they look like: overrides guesses that refuse the file",
+    ] = False
     dh_convention: Annotated[
         Convention,
         '"standard": Tz(d) Rz(theta) Tx(L) Rx(alpha); "modified": Rx(alpha) Tx(L) Rz(theta) Tz(d)',

@@ -14,7 +14,6 @@ from control.model.rules import (
     NOT_NEGATIVE,
     ONE_OR_MORE,
     POSITIVE,
-    ROTOR,
     ZERO_OR_MORE,
 )
 
@@ -67,13 +66,11 @@ class Drive:
     supply_V: Annotated[Positive, "of the motor board"]
     encoder_bits: Annotated[int, ENCODER_BITS, "width of the counter"] = 32
     inductance_H: Annotated[NonNegative, "of the winding"] = 0.0
-    rotor_inertia_kg_m2: Annotated[
-        NonNegative, ROTOR, "of the rotor; counts gear_ratio^2 times at the joint"
-    ] = 0.0
+    rotor_inertia_kg_m2: Annotated[NonNegative, "of the rotor; counts gear_ratio^2 times at the joint"] = 0.0
     current_limit_A: Annotated[Positive, "largest motor current"] = math.inf
     joint_lower_rad: Annotated[float, LIMIT, "lower end of the joint's range"] = -math.inf
     joint_upper_rad: Annotated[float, LIMIT, "upper end"] = math.inf
-    joint_speed_limit_rad_s: Annotated[Positive, JOINT_SPEED, "of plans and set-points"] = math.inf
+    joint_speed_limit_rad_s: Annotated[Positive, "of plans and set-points"] = math.inf
     joint_acceleration_limit_rad_s2: Annotated[Positive, "of plans and set-points"] = math.inf
     joint_jerk_limit_rad_s3: Annotated[Positive, "of plans"] = math.inf
     encoder_board: Annotated[

@@ -2,6 +2,7 @@
 
 import datetime
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -25,17 +26,18 @@ def evaluate_files(
     band_m: float | None,
     out: Path,
     notes: Sequence[str] = (),
+    is_as_given: bool = False,
 ) -> tuple[Evaluation, tuple[str, ...]]:
     """Evaluate, write iso9283.json and iso9283.html into `out`; returns the evaluation and warnings about the files."""
     require_recorded_of(arm, points)
-    groups, point_notes, warnings = _poses(points, arm)
+    groups, point_notes, warnings = _poses(points, arm, is_as_given)
     for log in logs:
         if log.suffix == ".armlog":
             raise Iso9283Error(
                 f"{log}: a recording, expected log.csv: `armwright export {log} --out DIR` makes one"
             )
     runs: list[Run] = [run for log in logs for run in read_runs(log, arm)]
-    visited = {str(other): _poses(other, arm)[0] for other in others}
+    visited = {str(other): _poses(other, arm, is_as_given)[0] for other in others}
     corners = read_rectangle(programme) if programme is not None else None
     found = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*point_notes, *notes))
     inputs = [
@@ -48,11 +50,13 @@ def evaluate_files(
     return found, warnings
 
 
-def _poses(path: Path, arm: Arm) -> tuple[list[PoseGroup], tuple[str, ...], tuple[str, ...]]:
+def _poses(
+    path: Path, arm: Arm, is_as_given: bool
+) -> tuple[list[PoseGroup], tuple[str, ...], tuple[str, ...]]:
     if path.suffix == ".armlog":
         raise Iso9283Error(f"{path}: a recording, expected points.csv")
     points, warnings = read_points(path)
-    groups, notes = pose_groups(points, arm, str(path))
+    groups, notes = pose_groups(replace(points, is_as_given=is_as_given), arm, str(path))
     own = ("_set_m", "_set_rad", "a_rad", "b_rad", "c_rad", "_N")
     unknown = [n for n in points.extra if not n.endswith(own) and not n.endswith("_sd_rad")]
     return groups, notes, warnings if unknown else ()

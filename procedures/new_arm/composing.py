@@ -25,11 +25,24 @@ SLOWER = 0.95  # of the model's speed; limits are rounded down to two digits
 
 @dataclass(frozen=True, slots=True)
 class NewArm:
-    """An arm, what each of its joints is called in the model it came from, and what there is to say about it."""
+    """An arm, what each of its joints is called in the model it came from, and what there is to say about it.
+
+    places: in that model, of each joint and of the heaviest body that it carries, "" where there is none.
+    """
 
     arm: Arm
     joint_names: tuple[str, ...]
     notes: tuple[str, ...]
+    places: tuple[tuple[str, str], ...] = ()
+
+    def place_of(self, table: str, index: int, key: str) -> str:
+        """Where in the model a value of a [[link]] or [[drive]] (0-based) came from; "" if it did not."""
+        if table == "drive":
+            return self.places[self.arm.drives[index].joint - 1][0]
+        joint = sum(link.joint == "revolute" for link in self.arm.links[: index + 1])
+        if table != "link" or not 1 <= joint <= len(self.places):
+            return ""
+        return self.places[joint - 1][key in ("mass_kg", "com_m", "inertia_kg_m2")]
 
 
 def compose(serial: SerialArm, answers: Answers) -> NewArm:
@@ -66,6 +79,10 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
             *_weak(arm, needed),
             *_slow(arm, serial),
             *_on(arm),
+        ),
+        tuple(
+            (joint.where, "" if mass is None else mass.where)
+            for joint, mass in zip(serial.joints, serial.masses, strict=True)
         ),
     )
 

@@ -52,7 +52,9 @@ def commented_text(new: NewArm, origin: str) -> str:
     arm = new.arm
     lines = [f"# Arm {arm.name}, {origin}. SI units, radians; every key: docs/arm_toml.md."]
     lines += [f"# {_plain(note)}." for note in new.notes]
-    lines += _keys(arm, Arm, ("name", "gravity_m_s2", "dh_convention"))
+    lines += _keys(
+        arm, Arm, ("name", *(("as_given",) if arm.as_given else ()), "gravity_m_s2", "dh_convention")
+    )
     lines += _links(arm, new.joint_names)
     if arm.tool != Tool():
         lines += ["", "[tool]", *_keys(arm.tool, Tool, ("position_m",))]

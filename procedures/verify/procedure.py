@@ -108,14 +108,18 @@ def driven(
 
 
 def on_recorded(
-    pair: Pair, file: Path, free_zero: bool = False, known_m: Mapping[str, Vector] = MappingProxyType({})
+    pair: Pair,
+    file: Path,
+    free_zero: bool = False,
+    known_m: Mapping[str, Vector] = MappingProxyType({}),
+    is_as_given: bool = False,
 ) -> Verification:
     """The verification on static poses with measured tips, or lengths: each model's prediction from the encoders.
 
     free_zero, known_m: of lengths, as in a calibration by them.
     """
     nominal, calibrated = pair.nominal.arm, pair.calibrated.arm
-    points, warnings = points_for(calibrated, [file])
+    points, warnings = points_for(calibrated, [file], is_as_given)
     if has_readings(points):
         comparison = compare_lengths(nominal, calibrated, points, file, free_zero, known_m)
         what = f"{len(comparison.setup)} lengths"

@@ -21,8 +21,9 @@ from itertools import chain, combinations
 import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.parameters import Bounds, dh_parameters
 from calib.arrays import Array, norms
-from calib.errors import UnusablePointsError
+from calib.doubt import Doubt
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.description import arm_names, load_arm
@@ -35,8 +36,10 @@ UNBOUNDED = 1e-6  # precision of an unknown without a bound: all board poses are
 STILL = 1e-4  # converged if no deviation changes by more
 STEPS = 12  # longest step; the quadratic model is valid for half a bound
 SURE = 20.0  # twice the logarithm of the odds: 1 to 20,000 against a mistake; points of the arm itself stayed below 6
-LIKELY = 8.0  # odds of 55 to 1: a warning, no refusal
+LIKELY = 8.0  # odds of 55 to 1: a doubt
+NEARER = 4.0  # factor by which the other arm, as drawn, must leave less of the points' spread for a refusal
 ROWS_LIMIT = 300  # this many suffice
+AS_GOOD = 1.5  # what another arm may leave, in what this one leaves: explaining less with smaller deviations is no better
 FEWEST = 8  # poses; with fewer, deviations can explain anything
 MIRRORED_LIMIT = 4  # number of offsets up to which all combinations of signs are tried
 
@@ -54,14 +57,25 @@ class _Candidate:
 class _Fit:
     """Fit of a candidate to the points: residual lengths (m,), and the required deviations.
 
-    `nominal_m`: median distance before any; `square`: sum of the squared deviations in their bounds; `size`: their standard
-    deviation, of the determined ones.
+    `nominal_m`: median distance before any; `spread_m`: of the references, root mean square; `square`: sum of the squared
+    deviations in their bounds; `size`: their standard deviation, of the determined ones.
     """
 
     nominal_m: float
+    spread_m: float
     distance_m: Array
     square: float
     size: float
+
+    @property
+    def left(self) -> float:
+        """Share of the points' spread that deviations leave."""
+        return float(np.median(self.distance_m)) / self.spread_m
+
+    def in_words(self) -> str:
+        """Before any deviation."""
+        share = 100.0 * self.nominal_m / self.spread_m
+        return f"{1e3 * self.nominal_m:.3g} mm from them (median), {share:.3g} % of their spread"
 
     def cost(self, scale_m: float, size: float) -> float:
         """At errors and deviations of these sizes."""
@@ -70,33 +84,45 @@ class _Fit:
         return counts * (NU + 3.0) * float(np.sum(errors)) + self.square / size**2
 
 
-def require_own_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tuple[str, ...]:
-    """UnusablePointsError that names the arm which the points fit far better than `arm`; a warning where they fit one better."""
+def doubts_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tuple[Doubt, ...]:
+    """The arm that the points fit with smaller deviations than `arm`, and that leaves no more of the points' spread.
+
+    UnusablePointsError where that arm, as drawn, explains nearly all of it and this one does not, unless the points are to be
+    taken at their word.
+    """
     if len(points) < FEWEST:
         return ()
     some = points.chosen(range(0, len(points), -(-len(points) // ROWS_LIMIT)))
-    candidates = [_Candidate(arm, "", ""), *_alternatives(arm)]
+    candidates = [_Candidate(arm, "", ""), *_alternatives(arm, (choice or Choice()).bounds)]
     size = min(_fitted(one.arm, some, choice, LARGEST).size for one in candidates)
     own, *others = [_fitted(one.arm, some, choice, size) for one in candidates]
-    if not others:
+    rivals = [
+        (c, fit) for c, fit in zip(candidates[1:], others, strict=True) if fit.left <= AS_GOOD * own.left
+    ]
+    if not rivals:
         return ()
     scale_m = max(SCALE_m, min(_scale_m(fit) for fit in (own, *others)))
-    costs = [fit.cost(scale_m, size) for fit in others]
-    best = int(np.argmin(costs))
-    excess, other = own.cost(scale_m, size) - costs[best], candidates[1 + best]
+    other, fit = min(rivals, key=lambda rival: rival[1].cost(scale_m, size))
+    excess = own.cost(scale_m, size) - fit.cost(scale_m, size)
     if excess <= LIKELY:
         return ()
-    distances = (
-        f"(nominal distance {1e3 * others[best].nominal_m:.1f} mm against {1e3 * own.nominal_m:.1f} mm, and"
-        f" smaller deviations from nominal); {other.advice}"
+    is_sure = excess > SURE and fit.nominal_m < own.nominal_m / NEARER
+    found = Doubt(
+        f"these points fit {other.name} {'far ' if is_sure else ''}better than arm {arm.name}",
+        f"as drawn it is {fit.in_words()}, and smaller deviations explain them",
+        f"{arm.name} is {own.in_words()}",
+        other.advice,
     )
-    if excess > SURE:
-        raise UnusablePointsError(f"these points fit {other.name} far better than arm {arm.name} {distances}")
-    return (f"these points fit {other.name} better than arm {arm.name} {distances}",)
+    if is_sure and not points.is_as_given:
+        raise found.refusal()
+    return (found,)
 
 
-def _alternatives(arm: Arm) -> Iterator[_Candidate]:
-    """Arms of the same kind with another geometry: the supplied ones, and this one with offsets of opposite sign."""
+def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
+    """Arms of the same kind with another geometry: the supplied ones, and this one with offsets of opposite sign.
+
+    An offset that a deviation within its bound turns round makes no other arm.
+    """
     for name in arm_names():
         other = load_arm(name)
         if _is_of_kind(other, arm) and not np.allclose(other.dh, arm.dh):
@@ -105,7 +131,8 @@ def _alternatives(arm: Arm) -> Iterator[_Candidate]:
                 f"the arm {name}",
                 f"if they are of {name}, give its file with --arm",
             )
-    for links in _subsets([k for k in range(len(arm.dh)) if arm.dh[k, 0] != 0.0]):
+    within_m = [one.bound for one in dh_parameters(arm.dh, bounds)[::4]]
+    for links in _subsets([k for k, d in enumerate(arm.dh[:, 0]) if 2.0 * abs(d) > within_m[k]]):
         dh = arm.dh.copy()
         dh[list(links), 0] *= -1.0
         wrong = " and ".join(f"d{k + 1} = {1e3 * dh[k, 0]:+.4g} mm" for k in links)
@@ -149,6 +176,7 @@ def _fitted(arm: Arm, points: Points, choice: Choice | None, size: float) -> _Fi
     square = float(np.sum(x[has_bound] ** 2))
     return _Fit(
         float(np.median(norms(own.residuals(np.zeros(len(x)))))),
+        float(np.sqrt(np.mean(norms(own.references_m - own.references_m.mean(axis=0)) ** 2))),
         norms(own.residuals(x)),
         square,
         float(np.clip(np.sqrt(square / max(shown, 1.0)), SMALLEST, LARGEST)),

@@ -1,8 +1,9 @@
 """Detects misread points: degrees, counts, millimetres, swapped or rotated columns.
 
-At nominal parameters a calibration starts some millimetres to some centimetres from the points. If it starts more than
-about 10 cm away, and another reading of the columns starts close, that reading is the intended one. If there is none,
-the points are not of this arm.
+A reading of the columns is judged by the share of the tips' spread that the nominal arm leaves unexplained in it: tips in
+metres that are taken for millimetres lie in a thousandth of the room, and a distance of 2 mm then explains nothing. A reading
+that leaves far less than the file as it stands is a doubt. It refuses only points that no deviation within its bound explains,
+or of which this arm explains nothing and the other reading nearly all.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,11 +20,11 @@ from calib.arm_problem.observations import Observations
 from calib.arm_problem.problem import ArmProblem
 from calib.arm_problem.starts import started_tool, with_started_frames
 from calib.arrays import Array, norms
-from calib.errors import UnusablePointsError
+from calib.doubt import Doubt
 from control.model.arm import Arm
 
-ODD_m = 0.01  # median distance at nominal below which no check is made
-NEARER = 4.0  # factor by which another reading must reduce the distance
+ODD = 0.05  # of the spread, unexplained at nominal: below it no check is made
+NEARER = 4.0  # factor by which another reading must leave less of the spread
 FAR_TIMES = 1.5  # the reach of all bounds together, some 0.1 m: no deviation explains a distance beyond
 WHOLE_PERMUTATIONS_JOINTS = (
     4  # up to this count all orders of the joints are tried, beyond only swapped pairs
@@ -34,29 +36,60 @@ ROWS_LIMIT = 300  # this many rows suffice
 Reading = tuple[str, Array, Array]
 
 
-def require_read_as_meant(arm: Arm, problem: ArmProblem) -> None:
-    """UnusablePointsError says how the columns should be read, or that the points are of another arm."""
+@dataclass(frozen=True, slots=True)
+class _Misfit:
+    """Of a reading: what the nominal arm leaves of the tips' spread, median distance over the references' (both in m)."""
+
+    distance_m: float
+    spread_m: float
+
+    @property
+    def left(self) -> float:
+        """The share; infinite where all references are in one place."""
+        return self.distance_m / self.spread_m if self.spread_m > 0.0 else math.inf
+
+    def in_words(self) -> str:
+        return f"{_length(self.distance_m)} from the points (median), {100 * self.left:.3g} % of their spread"
+
+
+def doubts_of_reading(arm: Arm, problem: ArmProblem, is_as_given: bool = False) -> tuple[Doubt, ...]:
+    """Other readings of the columns that explain more of the spread than the file as it stands.
+
+    UnusablePointsError if no deviation within its bound explains the file as it stands, unless it is to be taken at its word.
+    """
     observed = _some(problem.observed)
-    as_read = _distance_m(problem, observed)
-    if as_read < ODD_m:
-        return
+    as_read = _misfit(problem, observed)
+    if as_read.left < ODD:
+        return ()
     tried = [
-        (_distance_m(problem, dataclasses.replace(observed, q_rad=q, position_m=position)), description)
+        (_misfit(problem, dataclasses.replace(observed, q_rad=q, position_m=position)), description)
         for description, q, position in _readings(arm, observed)
     ]
-    best = min(distance for distance, _ in tried)
-    if best < as_read / NEARER:
-        alike = [description for distance, description in tried if distance < AS_GOOD * best]
-        raise UnusablePointsError(
-            f"{', or '.join(alike[:REPORTED_LIMIT])}: the nominal arm would then be {1e3 * best:.1f} mm from the points (median);"
-            f" with the file as given it is {_length(as_read)}; correct the file"
+    best = min((misfit for misfit, _ in tried), key=lambda misfit: misfit.left)
+    reach_m = _reach_m(problem)
+    if best.left < as_read.left / NEARER:
+        alike = [description for misfit, description in tried if misfit.left < AS_GOOD * best.left]
+        found = Doubt(
+            ", or ".join(alike[:REPORTED_LIMIT]),
+            f"the nominal arm would then be {best.in_words()}",
+            f"it is {as_read.in_words()}",
+            "correct the file",
         )
-    reach = _reach_m(problem)
-    if as_read > FAR_TIMES * reach:
-        raise UnusablePointsError(
-            f"the nominal arm is {_length(as_read)} from the points (median), expected at most {1e3 * reach:.0f} mm, which all"
-            " deviations within their bounds explain: check that the points are of this arm and use its zeros"
+        explains_nothing = as_read.left >= 1.0 and best.left < ODD
+        if (as_read.distance_m > reach_m or explains_nothing) and not is_as_given:
+            raise found.refusal()
+        return (found,)
+    if as_read.distance_m > FAR_TIMES * reach_m:
+        far = Doubt(
+            "the points may be of another arm, or of one with other zeros",
+            f"expected at most {1e3 * reach_m:.0f} mm, which all deviations within their bounds explain",
+            f"the nominal arm is {as_read.in_words()}",
+            "check that the points are of this arm and use its zeros",
         )
+        if not is_as_given:
+            raise far.refusal()
+        return (far,)
+    return ()
 
 
 def _some(observed: Observations) -> Observations:
@@ -71,8 +104,8 @@ def _spread(count: int) -> slice:
     return slice(None, None, max(1, -(-count // ROWS_LIMIT)))
 
 
-def _distance_m(problem: ArmProblem, observed: Observations) -> float:
-    """Median distance at nominal, unknown tool and boards where they fit best."""
+def _misfit(problem: ArmProblem, observed: Observations) -> _Misfit:
+    """Of the nominal arm, unknown tool and boards where they fit best."""
     model = problem.model
     is_tool_free = any(parameter.name.startswith("tool_") for parameter in problem.parameters)
     tool = started_tool(model, observed) if is_tool_free else model.nominal_tool_m
@@ -81,7 +114,9 @@ def _distance_m(problem: ArmProblem, observed: Observations) -> float:
     for k, frame in enumerate(placed.frames):
         rows = placed.rows_of(k)
         references[rows] = frame.to_base(observed.position_m[rows])
-    return float(np.median(norms(references - model.tips(model.nominal_dh, observed.q_rad, tool))))
+    distances_m = norms(references - model.tips(model.nominal_dh, observed.q_rad, tool))
+    spread_m = norms(references - references.mean(axis=0))
+    return _Misfit(float(np.median(distances_m)), float(np.sqrt(np.mean(spread_m**2))))
 
 
 def _reach_m(problem: ArmProblem) -> float:
@@ -155,7 +190,7 @@ def _orders(n: int) -> Iterator[list[int]]:
 
 
 def _length(distance_m: float) -> str:
-    return f"{1e3 * distance_m:.0f} mm" if distance_m < 1.0 else f"{distance_m:.3g} m"
+    return f"{1e3 * distance_m:.3g} mm" if distance_m < 1.0 else f"{distance_m:.3g} m"
 
 
 def _listed(names: list[str]) -> str:

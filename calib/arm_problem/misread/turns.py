@@ -12,7 +12,7 @@ import numpy.typing as npt
 from calib.arm_problem.posed import PosedProblem
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen, norms
-from calib.errors import UnusablePointsError
+from calib.doubt import Doubt
 from control.kinematics.rotation import matrices, quaternions
 
 OFF_rad = (
@@ -21,31 +21,50 @@ OFF_rad = (
 CLOSER = 0.3  # share of that angle below which another reading explains it
 
 
-def require_turns_meant(problem: ArmProblem) -> None:
-    """UnusablePointsError if the orientations disagree with the nominal arm, with the reading that would agree."""
-    rows = problem.observed.turned_rows
-    if not len(rows):
-        return
+def doubts_of_turns(problem: ArmProblem, is_as_given: bool = False) -> tuple[Doubt, ...]:
+    """What the orientations look like if they disagree with the nominal arm, which deviations within their bounds cannot do.
+
+    UnusablePointsError, unless they are to be taken at their word.
+    """
+    if not len(problem.observed.turned_rows):
+        return ()
     off = _angle_rad(problem)
     if off <= OFF_rad:
-        return
-    what = f"the measured orientations are {np.degrees(off):.0f} deg off the arm's in the mean"
+        return ()
+    looks, then_rad, remedy = _explained(problem, off)
+    found = Doubt(
+        looks,
+        f"they would then be {_deg(then_rad)} off the arm's in the mean",
+        f"they are {_deg(off)} off",
+        remedy,
+    )
+    if not is_as_given:
+        raise found.refusal()
+    return (found,)
+
+
+def _explained(problem: ArmProblem, off: float) -> tuple[str, float, str]:
+    """The reading that agrees best, its mean angle, and what to do."""
+    expected = "expected qw, qx, qy, qz of the target in the frame of x_m"
     for reading, rotation in _readings(problem):
-        if _angle_rad(_with(problem, rotation)) < CLOSER * off:
-            raise UnusablePointsError(
-                f"{what}: {reading}; expected qw, qx, qy, qz of the target in the frame of x_m"
-            )
+        angle = _angle_rad(_with(problem, rotation))
+        if angle < CLOSER * off:
+            return reading, angle, expected
     if problem.observed.is_target_known:
         free = copy.copy(problem)
         free.observed = dataclasses.replace(problem.observed, is_target_known=False)
-        if _angle_rad(free) < CLOSER * off:
-            raise UnusablePointsError(
-                f"{what}, always by the same turn: the target's axes are not the last link's; leave out --fix target"
-            )
-    raise UnusablePointsError(
-        f"{what}: expected the orientation of a target on the last link, in the frame of x_m, y_m, z_m; remove qw to qz if they"
-        " are something else"
+        angle = _angle_rad(free)
+        if angle < CLOSER * off:
+            return "the target's axes do not look like the last link's", angle, "leave out --fix target"
+    return (
+        "the measured orientations look like those of something else",
+        0.0,
+        f"{expected}; remove qw to qz if they are something else",
     )
+
+
+def _deg(angle_rad: float) -> str:
+    return f"{np.degrees(angle_rad):.2g} deg"
 
 
 def _angle_rad(problem: ArmProblem) -> float:

@@ -84,7 +84,7 @@ def prepare(arm: Arm, log: Log) -> Recording:
     """Return the recording of this arm; UnusableLogError if it cannot be one."""
     _check(arm, log)
     kept, warnings = _long_enough(log)
-    warnings += _about_inertia(arm)
+    warnings += [*_about_angles(arm, log), *_about_inertia(arm)]
     kept, copies = _without_copies(kept)
     warnings += copies
     given, said, averaged_count = _as_sampled([_from_its_beginning(run) for run in kept])
@@ -187,26 +187,35 @@ def _check(arm: Arm, log: Log) -> None:
             f"arm {arm.name}: no [[drive]] of joint {missing[0]}: currents and voltages say nothing without motor and gear;"
             " torques of the joints do (--current-unit Nm)"
         )
+
+
+def _about_angles(arm: Arm, log: Log) -> Iterator[str]:
+    """Angles beyond the limits. Joints that turn on and on have none, and a servo may leave its limits a little.
+
+    UnusableLogError for what looks like degrees and spans more than the joint can turn.
+    """
     for drive in arm.drives:
         angles = np.concatenate([run.q_rad[:, drive.joint - 1] for run in log.runs])
-        _check_angles(drive.joint, angles, drive.joint_lower_rad, drive.joint_upper_rad)
+        if np.isfinite([drive.joint_lower_rad, drive.joint_upper_rad]).all():
+            yield from _beyond(drive.joint, angles, drive.joint_lower_rad, drive.joint_upper_rad)
 
 
-def _check_angles(joint: int, q: Array, lower: float, upper: float) -> None:
-    """Refuse degrees. Joints that turn on and on have no limits, and a servo may leave its limits a little."""
-    if not np.isfinite([lower, upper]).all():
-        return
+def _beyond(joint: int, q: Array, lower: float, upper: float) -> Iterator[str]:
     margin = 0.5 + 0.1 * (upper - lower)
     low, high = float(q.min()), float(q.max())
     if low >= lower - margin and high <= upper + margin:
         return
     in_degrees = np.deg2rad(low) >= lower - margin and np.deg2rad(high) <= upper + margin
-    what = (
-        "these look like degrees" if in_degrees and max(abs(low), abs(high)) > 4.0 else "another arm's log?"
+    goes = (
+        f"q{joint}_rad goes from {low:.3g} to {high:.3g}, joint {joint} from {lower:.3g} to {upper:.3g} rad"
     )
-    raise UnusableLogError(
-        f"log: q{joint}_rad goes from {low:.3g} to {high:.3g}, joint {joint} from {lower:.3g} to {upper:.3g} rad: {what}"
-    )
+    remedy = "if the joint turns that far, correct joint_lower_rad and joint_upper_rad in arm.toml"
+    if in_degrees and max(abs(low), abs(high)) > 4.0:
+        if high - low > upper - lower:
+            raise UnusableLogError(f"log: {goes}: these look like degrees; {remedy}")
+        yield f"{goes}: degrees? {remedy}"
+    else:
+        yield f"{goes}: another arm's log? {remedy}"
 
 
 def _motion(arm: Arm, run: Run, filters: Filters, period: float) -> Motion:

@@ -77,7 +77,7 @@ def _require_no_results(out: Path, forms: list[str]) -> None:
 
 def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
     """The points of all files, without those that the operator omits."""
-    points, warnings = points_for(arm, [Path(name) for name in given.points])
+    points, warnings = points_for(arm, [Path(name) for name in given.points], given.as_given)
     if "distance_of" in points.extra:
         raise CalibrationError(
             "the points have lengths (column distance_of): calibrate with `armwright calibrate-distances`, which uses measured"

@@ -32,16 +32,16 @@ def run(given: argparse.Namespace) -> int:
     _require_consistent(given)
     arm, out = load_arm(given.arm), Path(given.out)
     require_new(out, (RESULT,))
-    earlier = _measured(arm, given.points, LEAST_EARLIER)
+    earlier = _measured(arm, given.points, LEAST_EARLIER, given.as_given)
     if given.recorded is not None:
-        new = _measured(arm, [given.recorded], POSES_LEAST)
+        new = _measured(arm, [given.recorded], POSES_LEAST, given.as_given)
     else:
         plan = checkup_plan(arm, earlier, given.poses or POSES, 1.0 if given.mock else REAL_SPEED)
         if given.plan_only:
             sys.stdout.write(_plan_text(plan))
             return 0
         _record(given, arm, plan, out)
-        new = _measured(arm, [str(out / "points.csv")], POSES_LEAST)
+        new = _measured(arm, [str(out / "points.csv")], POSES_LEAST, given.as_given)
     found = decide(expectation_of(arm, earlier, new))
     replace_file(out / RESULT, (_json(found) + "\n").encode())
     sys.stdout.write(_json(found) + "\n" if given.json else "".join(f"{one}\n" for one in sentences(found)))
@@ -57,9 +57,9 @@ def _require_consistent(given: argparse.Namespace) -> None:
         raise CalibrationError("--scenario and --seed need --mock")
 
 
-def _measured(arm: Arm, files: list[str], least: int) -> Points:
+def _measured(arm: Arm, files: list[str], least: int, is_as_given: bool) -> Points:
     """Points whose tip was measured; CalibrationError if they are too few."""
-    points, warnings = points_for(arm, [Path(name) for name in files])
+    points, warnings = points_for(arm, [Path(name) for name in files], is_as_given)
     for warning in warnings:
         sys.stderr.write(f"armwright: warning: {warning}\n")
     rows = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)).tolist()

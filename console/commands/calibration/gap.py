@@ -73,7 +73,7 @@ def _look(
     out: Path,
 ) -> int:
     record = record_of(given, "gap", arm.name)
-    recordings = read_recordings(arm, points, logs, given.current_unit)
+    recordings = read_recordings(arm, points, logs, given.current_unit, given.as_given)
     with Bar("gap") as bar:
         outcome = find_gap_in(arm, recordings, without, bar.advance, given.map)
     model = write_gap(outcome, arm, recordings, out)

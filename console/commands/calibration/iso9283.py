@@ -85,7 +85,9 @@ def _evaluate(
     out = Path(given.out)
     has_runs = [log for log in logs if not _is_only_header(log)]
     others = [Path(other) for other in given.other or ()]
-    found, warnings = evaluate_files(arm, points, has_runs, others, programme, given.band_m, out, notes)
+    found, warnings = evaluate_files(
+        arm, points, has_runs, others, programme, given.band_m, out, notes, given.as_given
+    )
     for warning in warnings:
         sys.stderr.write(f"armwright: {warning}\n")
     if given.json:

@@ -38,7 +38,9 @@ def run(given: argparse.Namespace) -> int:
     require_new(out, RESULTS)
     freedom, wanted_m = _freedom(given), tolerance_m(given.tolerance)
     waypoints = read_waypoints(given.file)
-    points, warnings = base_points_for(arm, [Path(name) for name in given.points], "plan-path")
+    points, warnings = base_points_for(
+        arm, [Path(name) for name in given.points], "plan-path", given.as_given
+    )
     request = MapRequest(
         (freedom.payload_kg,), is_checked=False, choice=Choice(boards=board_frames(given.boards))
     )

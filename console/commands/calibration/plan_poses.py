@@ -83,7 +83,7 @@ def _view(corners_m: list[float] | None) -> View | None:
 def _points(given: argparse.Namespace, arm: Arm) -> Points | None:
     if given.points is None:
         return None
-    points, warnings = base_points_for(arm, [Path(given.points)], "plan-poses")
+    points, warnings = base_points_for(arm, [Path(given.points)], "plan-poses", given.as_given)
     for warning in warnings:
         sys.stderr.write(f"armwright: warning: {warning}\n")
     return points

@@ -39,9 +39,9 @@ def run(given: argparse.Namespace) -> int:
     arm, out = load_arm(given.arm), Path(given.out)
     require_new(out, RESULTS)
     request = _request(given)
-    points, warnings = base_points_for(arm, [Path(name) for name in given.points], "trust")
+    points, warnings = base_points_for(arm, [Path(name) for name in given.points], "trust", given.as_given)
     paths = [planned(arm, read_waypoints(file), request.payloads_kg[0]) for file in given.task or []]
-    programmes = [(name, points_for(arm, [Path(name)])[0]) for name in given.visits or []]
+    programmes = [(name, points_for(arm, [Path(name)], given.as_given)[0]) for name in given.visits or []]
     with Bar("trust") as bar:
         trust = trust_in(arm, points, request, bar.advance)
     for warning in (*warnings, *trust.warnings):

@@ -46,7 +46,9 @@ def run(given: argparse.Namespace) -> int:
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     require_writable(Path(given.out))
     if given.points is not None:
-        recorded = on_recorded(pair, Path(given.points), given.free_zero, wires_at(given.wire_at or []))
+        recorded = on_recorded(
+            pair, Path(given.points), given.free_zero, wires_at(given.wire_at or []), given.as_given
+        )
         return _finish(given, recorded, free_folder(Path(given.out)))
     if given.free_zero or given.wire_at:
         raise ArmError("--wire-at and --free-zero are for lengths: give them with --points")

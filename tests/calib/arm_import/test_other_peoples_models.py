@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,8 @@ def joint(
 
 
 def robot(*joints: str, links: str = "abcd", head: str = "") -> str:
-    return f'<?xml version="1.0"?>{head}<robot name="r">{"".join(map(LINK.format, links))}{"".join(joints)}</robot>'
+    lines = "\n".join("".join(map(LINK.format, line)) for line in links.splitlines())
+    return f'<?xml version="1.0"?>{head}<robot name="r">{lines}{"".join(joints)}</robot>'
 
 
 PLAIN = (joint("j1", "a", "b"), joint("j2", "b", "c"), joint("f", "c", "d", "fixed", xyz="0 0 0.3"))
@@ -161,3 +163,46 @@ def test_mjcf_without_its_meshes_is_read_and_said(tmp_path: Path) -> None:
     assert serial.masses[0] is not None
     assert serial.masses[0].mass_kg == pytest.approx(2.0)
     assert any("without its shapes" in note for note in serial.notes)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('rpy="0 0 0"', 'rpy="0 90 0"', r"<origin> rpy: .* got 90 \(this looks like degrees: write 1.5708"),
+        ('xyz="0 0 0.2"', 'xyz="0 0 200"', r"<origin> xyz: .* looks like millimetres: write 0.2"),
+        ('lower="-1"', 'lower="-60"', r"<limit> lower: .* looks like degrees: write -1.0472"),
+        ('xyz="0 0 0.2"', 'xyz="0 0 0,2"', "decimals have a point"),
+        ('xyz="0 0 0.2"', 'xyz="$(arg lift)"', "this is xacro"),
+    ],
+)  # fmt: skip
+def test_a_value_in_another_unit_is_named_by_its_element_and_line(
+    old: str, new: str, says: str, tmp_path: Path
+) -> None:
+    text = robot(*PLAIN).replace("<joint", "\n<joint")
+    with pytest.raises(ImportedModelError, match=rf"robot\.xml, line 2: {says}|robot\.xml, line 2: .*{says}"):
+        read(text.replace(old, new, 1), tmp_path)
+
+
+@pytest.mark.parametrize("encoding", ["gb2312", "shift_jis", "no-such"])
+def test_an_encoding_that_is_not_read_gets_a_remedy(encoding: str, tmp_path: Path) -> None:
+    file = tmp_path / "robot.xml"
+    head = f'<?xml version="1.0" encoding="{encoding}"?>'
+    file.write_bytes(robot(*PLAIN).replace('<?xml version="1.0"?>', head).encode("ascii"))
+    with pytest.raises(ImportedModelError, match="save the file as UTF-8"):
+        read_arm(file, "urdf")
+    file.write_bytes(robot(*PLAIN, head="<!-- \u673a -->").encode("gb2312"))  # and the file does not say so
+    with pytest.raises(ImportedModelError, match="save the file as UTF-8"):
+        read_arm(file, "urdf")
+
+
+def test_moments_that_no_body_has_become_the_nearest_possible_ones_and_are_said(tmp_path: Path) -> None:
+    narrow = INERTIA.replace('iyy="0.01"', 'iyy="0.05"')
+    serial = read(robot(*PLAIN, links="a\nbcd").replace(INERTIA, narrow, 2), tmp_path)
+    said = [note for note in serial.notes if "no body has the moments 0.01, 0.01, 0.05" in note]
+    assert [re.findall(r"line \d, link \w", note) for note in said] == [
+        ["line 1, link a"],
+        ["line 2, link b"],
+    ]
+    mass = serial.masses[0]
+    assert mass is not None
+    assert np.linalg.eigvalsh(mass.inertia_kg_m2) == pytest.approx([0.025, 0.025, 0.05])

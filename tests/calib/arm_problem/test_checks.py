@@ -1,12 +1,15 @@
 """Points of which no calibration can be made are recognised, and the message says what to do; legitimate ones pass."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from calib.arm_problem.checks import require_sound, require_usable
+from calib.arm_problem.checks import require_columns_meant, require_sound, require_usable
+from calib.arm_problem.misread.other_arm import doubts_of_arm
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify import ArmModel, ArmProblem, Choice, LeastSquares, Observations, identify, problem_of
-from calib.points.points import make_points
+from calib.points.points import Points, make_points
 from control.model.arm import Arm, Link, Table, Tool
 from control.model.description import load_arm
 from tests.calib.simulated import RIGHT, board_points, seated, true_dh, with_rows
@@ -87,6 +90,59 @@ def test_points_that_fit_another_arm_better_are_told_of(seed) -> None:
     (said,) = checked(points, load_arm("left"))
     assert said.startswith("these points fit the arm right better than arm left")
     assert checked(points) == ()
+
+
+def six_joints(seed: int, count: int, zeros_deg: float) -> tuple[Arm, Points]:
+    """A six-joint arm whose zeros are off, and poses within a small box, in a tracker's frame five metres away."""
+    arm, rng = arm_with(6), np.random.default_rng(seed)
+    model, q = ArmModel(arm), rng.uniform(-1.3, 1.3, (200 * count, 6))
+    tips = model.tips(arm.dh, q)
+    near = np.argsort(np.linalg.norm(tips - np.median(tips, axis=0), axis=1))[:count]
+    off = np.zeros_like(arm.dh)
+    off[:, 1] = np.radians(zeros_deg) * rng.choice([-1.0, 1.0], 6)
+    seen = model.tips(arm.dh + off, q[near]) + np.array([5.0, -0.4, 0.3]) + rng.normal(0.0, 2e-4, (count, 3))
+    names = [str(k) for k in range(count)]
+    return arm, make_points(["free"] * count, names, [1] * count, q[near], seen)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_radians_and_metres_in_a_small_box_far_away_pass_although_zeros_are_off(seed) -> None:
+    arm, points = six_joints(seed, 40, 1.8)
+    choice = Choice(freed=("tool",)).for_points(arm, points)
+    assert require_usable(arm, points, problem_of(arm, points, choice), choice) == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_arm_that_leaves_more_of_the_spread_is_no_rival_on_few_poses(seed) -> None:
+    arm, points = six_joints(seed, 16, 1.8)
+    choice = Choice(freed=("tool",)).for_points(arm, points)
+    assert doubts_of_arm(arm, points, choice) == ()
+
+
+def test_an_offset_that_its_bound_turns_round_makes_no_other_arm() -> None:
+    dh = RIGHT.dh.copy()
+    dh[2, 0] = -25e-6
+    arm = RIGHT.with_dh(dh)
+    dh[2, 0] = 0.004
+    points = board_points(np.random.default_rng(3), dh)
+    assert not any("d3" in said for said in checked(points, arm))
+
+
+def test_a_file_is_taken_at_its_word_on_request_and_the_doubt_stays_aloud() -> None:
+    wrong = WRONG_TIPS["x and y"][0](POINTS)
+    with pytest.raises(UnusablePointsError, match="--as-given"):
+        checked(wrong)
+    (said,) = require_columns_meant(RIGHT, dataclasses.replace(wrong, is_as_given=True), Choice())
+    assert "columns x_m and y_m look swapped" in said
+    assert said.count("% of their spread") == 2
+
+
+def test_a_choice_is_completed_once_and_then_stays() -> None:
+    arm, points = six_joints(1, 20, 0.5)
+    seen = dataclasses.replace(points, extra={"frame": ("camera",) * 20})
+    for given in (points, seen):
+        once = Choice(freed=("tool",)).for_points(arm, given)
+        assert once.for_points(arm, given) == once
 
 
 def test_what_a_new_arm_looks_like_passes_without_a_word() -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.assembly import Choice, lever_m, problem_of
-from calib.arm_problem.misread.turns import require_turns_meant
+from calib.arm_problem.misread.turns import doubts_of_turns
 from calib.arm_problem.weighted import whole_problem
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.design.information import experiment_of, uncertainty_of
@@ -156,7 +156,7 @@ def test_misread_orientations_are_refused_with_the_reading(wrong, choice: Choice
     arm, _, points = session(6)
     problem = problem_of(arm, dataclasses.replace(points, orientation=wrong(points)), choice)
     with pytest.raises(UnusablePointsError, match=says):
-        require_turns_meant(problem)
+        doubts_of_turns(problem)
 
 
 def test_a_required_accuracy_is_one_of_positions() -> None:

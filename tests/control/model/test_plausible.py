@@ -84,6 +84,9 @@ QUICK = Drive(
 )  # fmt: skip
 DIRECT = Drive(1, 1.0, 65536, 8.0, 2.0, 48.0, current_limit_A=10.0, joint_speed_limit_rad_s=6.0)
 
+ON_JOINT = Drive(1, 1.0, 6283185, 35.2, 1.0, 1000.0, rotor_inertia_kg_m2=47.6, current_limit_A=10.0)
+BENCH = Drive(1, 1.0, 20000, 0.025, 0.3, 24.0, rotor_inertia_kg_m2=1.2e-5, joint_speed_limit_rad_s=600.0)
+
 
 @pytest.mark.parametrize(
     "arm",
@@ -95,6 +98,8 @@ DIRECT = Drive(1, 1.0, 65536, 8.0, 2.0, 48.0, current_limit_A=10.0, joint_speed_
         pytest.param(a_robot((0.3, 7.0, 7.0, 0.5), (100, 300, 300, 100), None), id="space station"),
         pytest.param(a_robot((0.0, 0.1, 0.1, 0.05), (1.5, 1.2, 0.8, 0.5), QUICK), id="small and quick"),
         pytest.param(a_robot((0.1, 0.3, 0.3), (5.0, 4.0, 2.0), DIRECT), id="direct drive"),
+        pytest.param(a_robot((0.1, 0.3), (50.0, 20.0), ON_JOINT), id="constants on the joint's side"),
+        pytest.param(a_robot((0.05,), (0.2,), BENCH), id="a motor on a bench"),
         pytest.param(a_robot((0.0, 0.0), (20.0, 8.0), None), id="pan and tilt"),
     ],
 )  # fmt: skip
@@ -110,6 +115,25 @@ IN_GRAMS = a_robot((0.1, 0.1, 0.1), (300, 200, 100), None)
 def test_a_whole_small_arm_in_millimetres_or_grams_is_refused_without_drives(arm: Arm) -> None:
     with pytest.raises(ArmFileError, match=r"this looks like (millimetres|grams)"):
         parse_arm(arm_text(arm), FILE)
+
+
+def test_a_refusal_that_rests_on_other_values_names_the_key_that_overrides_it() -> None:
+    text = RIGHT.replace("mass_kg = 1.1", "mass_kg = 1100", 1)
+    with pytest.raises(ArmFileError, match="write as_given = true"):
+        parse_arm(text, FILE)
+    arm = parse_arm(f"as_given = true\n{text}", FILE)
+    assert arm.links[1].mass_kg == 1100.0
+    assert parse_arm(arm_text(arm), FILE) == arm
+    with pytest.raises(ArmFileError, match="millimetres"):  # which no arm has
+        parse_arm(f"as_given = true\n{text.replace('L_m = 0.4', 'L_m = 400.0', 1)}", FILE)
+
+
+@pytest.mark.parametrize("place_m", [1.2, 4.07, -60.0])
+def test_a_tracker_may_stand_metres_away(place_m: float) -> None:
+    text = f'{RIGHT}\n[[effect]]\neffect = "base_frame"\nparameters = {{ y_m = {place_m} }}\n'
+    assert parse_arm(text, FILE).effects[-1].parameters["y_m"] == place_m
+    with pytest.raises(ArmFileError, match="millimetres"):
+        parse_arm(text.replace(f"y_m = {place_m}", "y_m = 4070.0"), FILE)
 
 
 def test_the_arms_that_ship_are_plausible() -> None:

@@ -285,3 +285,20 @@ def test_whatever_ranges_a_model_has_what_new_writes_is_read(kind: str, tmp_path
         for drive, limits in zip(arm.drives, ranges, strict=True):
             assert drive.joint_upper_rad - drive.joint_lower_rad <= arm.unique_rad(drive)
             assert limits is None or limits[0] <= drive.joint_lower_rad < drive.joint_upper_rad <= limits[1]
+
+
+def test_a_message_about_a_model_names_its_element_and_not_the_file_that_was_not_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "heavy.urdf"
+    text, _ = export_text(RIGHT, "urdf")
+    model.write_text(re.sub(r'<mass value="([^"]+)"', lambda m: f'<mass value="{1e4 * float(m[1])}"', text))
+    assert main(["arm", "--from-urdf", str(model), "--out", str(tmp_path / "arm.toml")]) == 2
+    said = capsys.readouterr().err
+    assert re.search(
+        r"heavy\.urdf, line \d+, link \w+: mass_kg of \[\[link\]\] \d: .* grams.* give --as-given", said
+    )
+    assert "arm.toml," not in said
+    assert not (tmp_path / "arm.toml").exists()
+    assert main(["arm", "--from-urdf", str(model), "--as-given", "--out", str(tmp_path / "arm.toml")]) == 0
+    assert load_arm(tmp_path / "arm.toml").as_given
