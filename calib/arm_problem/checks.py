@@ -13,7 +13,7 @@ from calib.arm_problem.misread.points import doubts_of_reading
 from calib.arm_problem.misread.turns import doubts_of_turns
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
-from calib.doubt import AS_GIVEN
+from calib.doubt import AS_GIVEN, Doubt
 from calib.errors import UnusablePointsError
 from calib.points.points import Points, seen_again
 from control.model.arm import Arm
@@ -44,7 +44,8 @@ def require_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tu
 def require_columns_meant(arm: Arm, points: Points, choice: Choice) -> tuple[str, ...]:
     """Warnings about columns that look like other units, swapped or rotated; UnusablePointsError where they cannot be right."""
     require_finite(points.q_rad, np.zeros((0, 3)))
-    known, doubts = referenced(arm, points, choice), ()
+    known = referenced(arm, points, choice)
+    doubts: tuple[Doubt, ...] = ()
     if len(known) >= POINTS_MINIMUM_COUNT:
         doubts = doubts_of_reading(arm, problem_of(arm, known, choice), points.is_as_given)
     _require_radians(points.q_rad)

@@ -22,7 +22,8 @@ HEAD = """# arm.toml: every key
 One file describes one arm. `armwright new` writes one with comments ([new_arm.md](new_arm.md)); `control/arms/right.toml` is a
 complete example; `armwright arm FILE` checks a file.
 
-- SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused.
+- SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused;
+  `as_given = true` overrides what rests on the other values of the file.
 - Unknown keys are errors. A section without required keys may be absent; a command that needs it says so.
 - Keys in bold are required. A range without a type is of a number.
 - A name has 1 to 64 characters without / and \\, and does not begin with . or -. A word has 1 to 32 letters, digits, - and _,

@@ -291,7 +291,7 @@ def test_a_message_about_a_model_names_its_element_and_not_the_file_that_was_not
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model = tmp_path / "heavy.urdf"
-    text, _ = export_text(RIGHT, "urdf")
+    text = export_text(RIGHT, "urdf")
     model.write_text(re.sub(r'<mass value="([^"]+)"', lambda m: f'<mass value="{1e4 * float(m[1])}"', text))
     assert main(["arm", "--from-urdf", str(model), "--out", str(tmp_path / "arm.toml")]) == 2
     said = capsys.readouterr().err
