@@ -3,11 +3,12 @@
 At every moment there is a stop that meets nothing. Whole motions are checked before they begin, and the loop looks at their
 poses before the arm can no longer rest ahead of them (control.motion.lookout). A jog takes no set-point whose stop meets
 something. Where joints must stop for themselves, they brake as hard as that takes. An arm that is inside already may move out,
-but no deeper.
+but at no moment deeper than it was before.
 """
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from typing import Protocol
 
 import numpy as np
@@ -33,6 +34,10 @@ _HARDNESSES = (0, 2, HARDEST)  # of the stops that are tried: one cycle must be 
 _POSES_MOST = 500
 _SECTION_SHARES = np.array([0.0, 0.25, 0.5, 0.75])  # of a path's section, where the tip is checked
 _DEEPER_m = 1e-6  # rounding
+_CLOSE_STEP_s, _CLOSE_POSES = (
+    0.01,
+    150,
+)  # of a motion that begins inside of something: as close as the loop looks
 _TIP_ALONE = Body((0.0,))
 _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_radius_m, and [table], say where they are"
 
@@ -153,6 +158,23 @@ class Guard:
         here = self.clearance(path.q_start_rad)
         self._require_clear([tips.transpose(1, 0, 2).reshape(3, -1)], at_s, here, _TIP_ALONE)
 
+    def require_rising(self, motion: Motion) -> None:
+        """MotionError if a motion that begins inside of something gets deeper again before it is out: looked at closely."""
+        start_rad = motion.at(0.0).q_rad
+        if self.clearance(start_rad).distance_m >= 0.0:
+            return
+        sampled, close_s = copy(motion), min(motion.duration_s, _CLOSE_POSES * _CLOSE_STEP_s)
+        times_s = np.unique(
+            [
+                *np.arange(0.0, close_s, _CLOSE_STEP_s),
+                *np.linspace(close_s, motion.duration_s, _CLOSE_POSES),
+            ]
+        ).tolist()
+        try:
+            self._require([sampled.at(time_s).q_rad for time_s in times_s], times_s, start_rad)
+        except MotionError as error:
+            raise MotionError(f"{error}. The arm begins inside: jog it out first") from None
+
     def _require(self, poses: ArrayLike, times_s: ArrayLike, here_rad: Sequence[float]) -> None:
         try:
             corners = self._corners.batch(poses)
@@ -163,14 +185,20 @@ class Guard:
     def _require_clear(
         self, corners: list[NDArray[np.float64]], times_s: NDArray[np.float64], here: Clearance, body: Body
     ) -> None:
-        allowed_m = min(0.0, here.distance_m - _DEEPER_m)
-        worst_m, what, at_s = math.inf, "", 0.0
-        for distances, name in self._workspace.clearances(corners, body):
-            k = int(np.argmin(distances))
-            if distances[k] < min(worst_m, allowed_m):
-                worst_m, what, at_s = float(distances[k]), name, float(times_s[k])
-        if what:
-            raise MotionError(f"{what}, {-worst_m:.3f} m deeper than allowed, after {at_s:.2f} s; {_REMEDY}")
+        found = list(self._workspace.clearances(corners, body))
+        if not found:
+            return
+        distances_m = np.stack([np.broadcast_to(distances, times_s.shape) for distances, _ in found])
+        least_m = distances_m.min(axis=0)
+        # As high as the arm has been before each pose: there it may be, and no deeper.
+        highest_m = np.maximum.accumulate([here.distance_m, *least_m[:-1]])
+        deeper = np.where(least_m < np.minimum(0.0, highest_m - _DEEPER_m), least_m, math.inf)
+        k = int(np.argmin(deeper))
+        if deeper[k] < math.inf:
+            what = found[int(np.argmin(distances_m[:, k]))][1]
+            raise MotionError(
+                f"{what}, {-least_m[k]:.3f} m deeper than allowed, after {float(times_s[k]):.2f} s; {_REMEDY}"
+            )
 
 
 def _step(count: int) -> int:

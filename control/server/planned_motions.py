@@ -26,11 +26,13 @@ class PlannedMotions:
         """The motion that a request describes, checked; nothing has begun. ArmError."""
         match request:
             case messages.MoveJoints():
-                return self._joint_move(request)
+                motion = self._joint_move(request)
             case messages.RunPath():
-                return self._path(request)
+                motion = self._path(request)
             case _:
-                return self._joint_path(request)
+                motion = self._joint_path(request)
+        self._runtime.parts.tool.guard.require_rising(motion)
+        return motion
 
     def _joint_move(self, request: messages.MoveJoints) -> Motion:
         target = numbers("q_rad", request.q_rad, len(self._runtime.parts.joint_names))

@@ -97,6 +97,27 @@ def test_a_jog_step_into_the_table_does_not_get_there(low: Cell) -> None:
     assert low.mode is Mode.HOLDING
 
 
+def test_a_motion_that_begins_below_the_floor_is_refused_or_comes_to_its_end() -> None:
+    """As when the floor of arm.toml was raised, or an arm has sunk: none is accepted and stopped midway."""
+    raised = replace(RIGHT, table=None, limits=replace(RIGHT.limits, floor_z_m=0.3))
+    source, served, refused = random.Random(4), 0, 0
+    with holding_cell(scenario(LOW), believed=raised) as cell:
+        guard = cell.runtime.parts.tool.guard
+        for _ in range(40):
+            pose = cell.runtime.set_point.q_rad
+            if guard.clearance(pose).distance_m >= 0.0:
+                break
+            target = [q + source.uniform(-0.2, 0.2) for q in pose]
+            answer = cell.channel.request({"do": "move_joints", "q_rad": target, "speed": 0.5})
+            refused += not answer["ok"]
+            if answer["ok"]:
+                served += 1
+                cell.run(answer["duration_s"] + 0.1)
+                assert (cell.mode, cell.faults) == (Mode.HOLDING, [])
+    assert served > 1
+    assert refused > 1
+
+
 def test_a_motion_that_no_check_saw_is_stopped_above_the_floor_at_full_speed(low: Cell) -> None:
     """As a plan that dips between two checked poses would be."""
     heights = lowest_tip_m(low)

@@ -16,6 +16,7 @@ from control.motion.errors import MotionError
 from control.motion.guard import Guard, stopping_distance
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove, Stop
+from control.motion.joint_path import JointPath
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.workspace import Body, Workspace
 from tests.cell import RIGHT
@@ -168,6 +169,11 @@ def test_the_radius_of_a_link_comes_from_its_arm_toml_and_stops_what_a_line_woul
 # ---- motions
 
 
+def there_and_back(*poses_rad: tuple[float, ...]) -> JointPath:
+    still = (0.0,) * len(poses_rad[0])
+    return JointPath([2.0 * k for k in range(len(poses_rad))], [SetPoint(q, still, still) for q in poses_rad])
+
+
 def moved(guard: Guard, start: tuple[float, ...], end: tuple[float, ...]) -> None:
     guard.require_move(JointMove(start, end, LIMITS), at_rest(start), end)
 
@@ -192,8 +198,29 @@ def test_an_arm_that_is_too_low_may_come_up_but_goes_no_deeper() -> None:
     moved(guard, low, high)
     with pytest.raises(MotionError, match="below the floor"):
         moved(guard, low, lower)
+    for start, over, end in ((low, high, low), (lower, low, lower)):  # up, and down again to where it was
+        with pytest.raises(MotionError, match="below the floor"):
+            guard.require_joint_path(there_and_back(start, over, end))
     assert guard.objection(high, low) == ""
     assert "below the floor" in guard.objection(lower, low)
+
+
+def test_a_motion_that_begins_inside_is_refused_for_a_dip_between_the_poses_that_others_are_checked_at() -> (
+    None
+):
+    """A joint move whose tip first sinks by half a millimetre, and comes out later."""
+    guard = Guard(replace(with_limits(floor_z_m=0.5), table=None), LIMITS)
+    start, end = (0.0, -0.6, 0.2), (0.0, -0.2, -0.4)
+    move = JointMove(start, end, LIMITS)
+    heights = [guard.clearance(move.at(t).q_rad).distance_m for t in np.linspace(0.0, move.duration_s, 400)]
+    assert heights[0] < 0.0
+    assert -2e-3 < min(heights) - heights[0] < -1e-4
+    with pytest.raises(MotionError, match="The arm begins inside: jog it out first"):
+        guard.require_rising(move)
+    guard.require_rising(JointMove(start, (0.0, -0.2, 0.2), LIMITS))
+    Guard(RIGHT, LIMITS).require_rising(
+        JointMove((0.0, 0.15, 0.75), (0.0, -1.9, -0.6), LIMITS)
+    )  # begins outside
 
 
 def test_a_stop_takes_as_far_as_its_closed_form_says() -> None:
