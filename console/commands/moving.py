@@ -15,11 +15,17 @@ from control.errors import ArmError
 from control.files import read_text, write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import JointMove
 from control.motion.plan import PlannedPath, plan_path
+from control.motion.setpoint import at_rest
 from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, read_waypoints
+from control.server.channel import RuntimeGone
+from control.server.client import ArmClient
 
 HEADER = ",".join(POSITION_COLUMNS)
 FULL_HEADER = ",".join((*POSITION_COLUMNS, *ORIENTATION_COLUMNS))
+TO_START_SPEED = 0.5  # of the joints' limits, to where a path begins
 SAME_m = 1e-4  # closer way-points are duplicates
 SAME_TURN = 1e-3  # of a quaternion's numbers: 2 mrad
 
@@ -72,19 +78,53 @@ def _run(given: argparse.Namespace) -> int:
     waypoints = read_waypoints(given.file)
     if given.relative_to is not None:
         waypoints = beside(given, arm, waypoints)
-    if given.plan_only:
-        sys.stdout.write(described(plan_path(arm, waypoints, given.speed)))
-        return 0
-    client = connected(given)
-    arm = with_present_tool(arm, client)
-    path = plan_path(arm, waypoints, given.speed, q_near_rad=client.status()["joint_rad"])
+    client, near_rad, whence = _whence(given, arm)
+    arm = arm if client is None else with_present_tool(arm, client)
+    path = plan_path(arm, waypoints, given.speed, q_near_rad=near_rad)
     sys.stdout.write(described(path))
+    if near_rad is not None:
+        _require_clear(arm, path, near_rad)
+    if client is None or given.plan_only:
+        sys.stdout.write(f"planned from {whence}\n")
+        return 0
     sys.stdout.flush()
     with shown(client, given, "run: to the first way-point"):
-        client.move_joints(path.q_start_rad, 0.5)
+        client.move_joints(path.q_start_rad, TO_START_SPEED)
     with shown(client, given):
         client.run_path(path.to_message(), waits=_waits(given), tool=arm.tool.name)
     return 0
+
+
+def _whence(given: argparse.Namespace, arm: Arm) -> tuple[ArmClient | None, Sequence[float] | None, str]:
+    """The runtime, the pose that the motion begins at, and both in words; a plan alone needs neither."""
+    try:
+        client = connected(given)
+        status = client.status()
+        if status["is_homed"] or not given.plan_only:
+            return client, status["joint_rad"], "where the arm is now"
+        why = "the arm is not homed"
+    except RuntimeGone:
+        if not given.plan_only:
+            raise
+        client, why = None, "no runtime answers"
+    rest = "[rest]" if arm.rest else "joint angles 0"
+    return (
+        client,
+        None,
+        f"{rest}, because {why}: `run` plans from where the arm is then, and may choose other joint angles",
+    )
+
+
+def _require_clear(arm: Arm, path: PlannedPath, here_rad: Sequence[float]) -> None:
+    """MotionError if the way to the path, or the path, meets something: as the runtime will look, before anything moves."""
+    from control.motion.guard import Guard
+
+    limits = JointLimits.of(arm)
+    guard, start = Guard(arm, limits), at_rest(here_rad)
+    move = JointMove(here_rad, path.q_start_rad, limits.scaled(TO_START_SPEED))
+    guard.require_move(move, start, path.q_start_rad)
+    guard.require_rising(move)
+    guard.require_path(path)
 
 
 def _waits(given: argparse.Namespace) -> bool:
@@ -132,9 +172,20 @@ def _mark(given: argparse.Namespace) -> int:
     status = connected(given).status()
     if not status["is_homed"]:
         raise ArmError("mark: the arm is not homed, so its joint angles are unknown: run `armwright home`")
+    _say_if_outside(given, status["joint_rad"])
     was_there = save_place(Path(given.places), given.name, status["joint_rad"])
     sys.stdout.write(f"{given.name} in {given.places}{', replacing another pose' if was_there else ''}\n")
     return 0
+
+
+def _say_if_outside(given: argparse.Namespace, q_rad: Sequence[float]) -> None:
+    """Warn of a pose beyond the joints' limits: no motion goes there."""
+    for number, (q, (lower, upper)) in enumerate(zip(q_rad, load_arm(given.arm).limits_rad, strict=True), 1):
+        if not lower <= q <= upper:
+            sys.stderr.write(
+                f"armwright: {given.command}: joint {number} is at {q:.4f} rad, outside its limits ({lower:g} to {upper:g} rad):"
+                " no motion goes back there\n"
+            )
 
 
 def _teach(given: argparse.Namespace) -> int:
@@ -142,6 +193,7 @@ def _teach(given: argparse.Namespace) -> int:
     status = connected(given).status()
     if status["tip_m"] is None:
         raise ArmError("teach: the tip position is unknown: run `armwright home`")
+    _say_if_outside(given, status["joint_rad"])
     file = Path(given.file)
     lines = _way_points(file, given.orientation)
     row = [*status["tip_m"], *(status["tip_orientation"] if lines[0].strip() == FULL_HEADER else ())]

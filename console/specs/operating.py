@@ -113,7 +113,11 @@ OPERATING = (
                 default="pair",
                 help="with --relative-to: the cell.toml that `serve` runs (default: pair)",
             ),
-            option("--plan-only", action="store_true", help="check and print the plan; needs no runtime"),
+            option(
+                "--plan-only",
+                action="store_true",
+                help="check and print the plan from where the arm is; without a runtime from [rest], and says so",
+            ),
         ),
         "Everything is checked before anything moves: reach, joint limits, speed, acceleration, table.",
         module="moving",

@@ -163,6 +163,17 @@ def test_way_points_out_of_reach_name_the_point_and_by_how_much(
     assert "out" in error
 
 
+def test_a_plan_without_a_runtime_says_from_which_pose(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "points.csv"
+    file.write_text("x_m,y_m,z_m\n0.4,0.0,0.3\n0.35,0.1,0.3\n")
+    assert main(["run", str(file), "--arm", "right", "--plan-only", "--speed", "0.1"]) == 0
+    assert (
+        "planned from [rest], because no runtime answers: `run` plans from where" in capsys.readouterr().out
+    )
+
+
 @pytest.mark.parametrize(
     "content", [None, "", "a,b\n1,2\n", "x_m,y_m,z_m\n0.5,zero,0.1\n", "x_m,y_m,z_m\n0.5,0,nan\n0.5,0,0.1\n"]
 )

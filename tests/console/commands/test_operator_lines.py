@@ -20,7 +20,7 @@ from control.model.arm import Effect
 from control.model.description import save_arm
 from control.safety.table import Mode
 from hil_mocks.scenario import EffectTable
-from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, scenario
+from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, scenario, with_drive
 
 GRAMMAR = Grammar(COMMANDS, {"arm": "right", "socket": None})
 
@@ -106,6 +106,33 @@ def test_a_script_jogs_moves_pauses_goes_on_and_marks(tmp_path: Path) -> None:
         assert "PAUSED" in outcomes[7].transcript
         assert cell.rig.joint_rad()[0] == pytest.approx(STRETCHED[0] + 0.05, abs=3e-3)
         assert cell.mode is Mode.HOLDING
+
+
+def test_a_plan_alone_is_that_of_the_motion_which_is_then_run(tmp_path: Path) -> None:
+    file = tmp_path / "path.csv"
+    file.write_text("x_m,y_m,z_m\n0.35,0.1,0.35\n0.3,0.15,0.4\n")
+    save_arm(SIX, tmp_path / "six.toml")
+    grammar = Grammar(COMMANDS, {"arm": str(tmp_path / "six.toml"), "socket": None})
+    lines = (f"run {file} --speed 0.1 --plan-only", f"run {file} --speed 0.1")
+    with holding_cell(scenario((2.0, -0.3, -0.9, 0.4, 1.2, -0.5)), arm=SIX) as cell:  # far from the rest pose
+        planned, done = played(cell, *lines, grammar=grammar)
+    assert "begins at " in planned.transcript
+    assert planned.transcript.splitlines()[0] == done.transcript.splitlines()[0]
+    assert "planned from where the arm is now" in planned.transcript
+
+
+def test_a_pose_beyond_the_limits_is_marked_with_a_word(tmp_path: Path) -> None:
+    narrower = with_drive(RIGHT, 1, joint_upper_rad=0.05)  # it stands at 0.1
+    save_arm(narrower, tmp_path / "narrower.toml")
+    grammar = Grammar(COMMANDS, {"arm": str(tmp_path / "narrower.toml"), "socket": None})
+    with holding_cell() as cell:
+        said = played(
+            cell, f"mark here --places {tmp_path}/p.toml", f"teach {tmp_path}/w.csv", grammar=grammar
+        )
+        for outcome in said:
+            assert outcome.status == 0
+            assert "joint 1 is at 0.1" in outcome.transcript
+            assert "outside its limits (-2.6 to 0.05 rad)" in outcome.transcript
 
 
 def test_a_script_ends_at_the_first_line_that_fails() -> None:
