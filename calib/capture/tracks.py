@@ -41,12 +41,13 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A recording of frames at t_s (m,), of the system's own clock from its first frame."""
+    """A recording of frames at t_s (m,), of the system's own clock from its first frame; `notes`: what was odd about the file."""
 
     path: Path
     t_s: Array
     bodies: Mapping[str, Body]
     markers: Mapping[str, Array]
+    notes: tuple[str, ...] = ()
 
     def body(self, name: str) -> Body:
         """A body by its name, or one of markers: `A` alone, or `A+B+C` of three or more. CaptureError lists the names."""

@@ -81,9 +81,12 @@ class LensFit:
 def fit_lens(target: Target, pictures: Sightings, readout_s: float = 0.0) -> LensFit:
     """Identify the lens. VisionError if the pictures do not allow it."""
     if len(pictures.seen) < PICTURES_LEAST:
+        remedy = (
+            pictures.remedy or "check --board (columns x rows of squares), --dictionary, light and sharpness"
+        )
         raise VisionError(
             f"the board ({target.name}) is in {len(pictures.seen)} of {len(pictures.seen) + len(pictures.unseen)} pictures,"
-            f" {PICTURES_LEAST} are needed: check --board (columns x rows of squares), --dictionary, light and sharpness"
+            f" {PICTURES_LEAST} are needed: {remedy}"
         )
     cleared = _cleared(pictures)
     fit = _fitted(cleared, cleared.seen)

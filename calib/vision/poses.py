@@ -103,7 +103,10 @@ def measure_poses(target: Target, cameras: Sequence[Camera], speed_m_s: float = 
             spread = [stands[camera.name].covariance for camera in own]
             measured.append(_measured(name, own, views, poses[0][0], scale, spread, speed_m_s))
     if not measured:
-        raise VisionError(f"no picture gives a pose: {rejected[0].name} {rejected[0].reason}")
+        remedies = [f"; {camera.pictures.remedy}" for camera in cameras if camera.pictures.remedy]
+        raise VisionError(
+            f"no picture gives a pose: {rejected[0].name} {rejected[0].reason}{remedies[0] if remedies else ''}"
+        )
     return PoseSet(tuple(measured), tuple(rejected), stands, noise)
 
 

@@ -15,6 +15,7 @@ from calib.vision.opencv import Picture, read_picture
 from calib.vision.targets import Corners, Target
 from control.progress import Advance, silent
 
+TRIED = 10  # pictures that are looked at again
 AROUND_px = 8  # of a corner: the part of the picture in which sharpness is judged
 
 
@@ -30,12 +31,16 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """Pictures of one camera: those with the target, and the names of those without enough of it."""
+    """Pictures of one camera: those with the target, and the names of those without enough of it.
+
+    remedy: the option with which pictures show the target that show none of it as it was given; "" if there is no such option.
+    """
 
     width_px: int
     height_px: int
     seen: tuple[Sighting, ...]
     unseen: tuple[str, ...]
+    remedy: str = ""
 
 
 def look_for(target: Target, files: Sequence[Path], least: int, advance: Advance = silent) -> Sightings:
@@ -64,7 +69,19 @@ def look_for(target: Target, files: Sequence[Path], least: int, advance: Advance
         else:
             seen.append(Sighting(file.stem, corners, *sharpness(picture, corners.picture_px)))
     advance("looking at pictures", 1.0)
-    return Sightings(size[1], size[0], tuple(seen), tuple(unseen))
+    remedy = "" if seen else _remedy(target, files, least)
+    return Sightings(size[1], size[0], tuple(seen), tuple(unseen), remedy)
+
+
+def _remedy(target: Target, files: Sequence[Path], least: int) -> str:
+    """With which option most pictures, of some that are spread evenly, show the target."""
+    some = files[:: max(1, len(files) // TRIED)]
+    shown = {
+        option: sum(len(other.find(read_picture(file))) >= least for file in some)
+        for option, other in target.others.items()
+    }
+    best = max(shown, key=lambda option: shown[option], default="")
+    return f"{best}, {shown[best]} of {len(some)} pictures show it" if best and shown[best] else ""
 
 
 def sharpness(picture: Picture, pixels: Array) -> tuple[float, float]:

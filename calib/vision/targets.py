@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -70,6 +70,10 @@ class Target(Protocol):
     def count(self) -> int:
         """How many corners it has."""
 
+    @property
+    def others(self) -> Mapping[str, Target]:
+        """What the print may be instead, by the option that says so."""
+
     def find(self, picture: Picture) -> Corners:
         """The corners that a picture shows; none if it does not show the target."""
 
@@ -117,6 +121,16 @@ class Charuco:
     def count(self) -> int:
         """Inner corners."""
         return (self.columns - 1) * (self.rows - 1)
+
+    @property
+    def others(self) -> Mapping[str, Target]:
+        """The other layout of the markers, and the board lying on its side."""
+        legacy = "without --legacy" if self.is_legacy else "with --legacy"
+        turned = f"with --board {self.rows}x{self.columns}"
+        found: dict[str, Target] = {legacy: replace(self, is_legacy=not self.is_legacy)}
+        if self.rows != self.columns:
+            found[turned] = replace(self, columns=self.rows, rows=self.columns)
+        return found
 
     @property
     def print_m(self) -> tuple[float, float]:
@@ -189,6 +203,11 @@ class Tags:
         size, margin = round(self.print_m[0] * dots_m), round(margin_m * dots_m)
         image = opencv().aruco.generateImageMarker(_dictionary(self.dictionary), number, size)
         return np.pad(np.asarray(image, dtype=np.uint8), margin, constant_values=255)
+
+    @property
+    def others(self) -> Mapping[str, Target]:
+        """None: a tag has its number in it."""
+        return {}
 
     @property
     def count(self) -> int:

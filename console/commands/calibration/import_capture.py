@@ -67,7 +67,7 @@ def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
     body, said = _followed(capture, given.body, given.base_body)
     aligned = align(arm, motion, capture.t_s, body)
     rested = poses_at_rest(motion, capture.t_s, body, aligned, _frame(arm, given))
-    said = (*of_log, *said, *rested.left_out)
+    said = (*capture.notes, *of_log, *said, *rested.left_out)
     for sentence in said:
         sys.stderr.write(f"armwright: warning: {sentence}\n")
     write_points(file, rested.points)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -212,6 +213,50 @@ def test_a_c3d_file_that_is_wrong_or_cut_is_one_message(tmp_path: Path) -> None:
         (tmp_path / "x.c3d").write_bytes(content)
         with pytest.raises(CaptureError, match=said):
             read_c3d(tmp_path / "x.c3d")
+
+
+def with_trial(whole: bytes, frames: int) -> bytes:
+    """A file with TRIAL:ACTUAL_START_FIELD 1 and ACTUAL_END_FIELD, in two words each."""
+    records = struct.pack("bb", 5, -2) + b"TRIAL" + struct.pack("<h", 3) + b"\0"
+    for name, value in ((b"ACTUAL_START_FIELD", 1), (b"ACTUAL_END_FIELD", frames)):
+        body = struct.pack("bBB", 2, 1, 2) + struct.pack("<HH", value % 65536, value // 65536) + b"\0"
+        records += struct.pack("bb", len(name), 2) + name + struct.pack("<h", 2 + len(body)) + body
+    end = whole.index(b"LABELS") + len(b"LABELS") + 2
+    end += struct.unpack_from("<h", whole, end - 2)[0] - 2
+    assert not any(whole[end : end + len(records)])
+    return whole[:end] + records + whole[end + len(records) :]
+
+
+def test_a_c3d_longer_than_sixteen_bits_count_is_read_to_its_end(tmp_path: Path) -> None:
+    places = np.zeros((1, 70_000, 3))
+    places[0, :, 0] = np.arange(70_000) * 1e-5
+    whole = c3d_bytes(places[:, :1], labels=("M",))
+    data = np.zeros((70_000, 5), dtype="<f4")
+    data[:, 0] = 1e3 * places[0, :, 0]
+    whole = whole[:1536] + data.tobytes()
+    whole = whole[:8] + struct.pack("<H", 65535) + whole[10:]
+    (tmp_path / "x.c3d").write_bytes(with_trial(whole, 70_000))
+    capture = read_c3d(tmp_path / "x.c3d")
+    assert len(capture.t_s) == 70_000
+    assert capture.markers["M"][-1, 0] == pytest.approx(places[0, -1, 0], rel=1e-6)
+    assert capture.notes == ()
+    (tmp_path / "x.c3d").write_bytes(whole)  # nothing but the header's 16 bits
+    cut = read_c3d(tmp_path / "x.c3d")
+    assert len(cut.t_s) == 65_535
+    assert "65535 frames are stated, and there is room for 70000" in cut.notes[0]
+
+
+@pytest.mark.parametrize("kind", [84, 85, 86])
+@pytest.mark.parametrize("name", ["USED", "RATE", "SCALE", "DATA_START"])
+def test_a_c3d_parameter_that_is_zero_is_taken_from_the_header(tmp_path: Path, name: str, kind: int) -> None:
+    markers = np.array(both(12, span_s=5.0).markers_m[:, :20])
+    whole = c3d_bytes(markers, kind)
+    at = whole.index(name.encode()) + len(name) + 4  # after the step, the type and no dimensions
+    width = 4 if name in ("RATE", "SCALE") else 2
+    (tmp_path / "x.c3d").write_bytes(whole[:at] + bytes(width) + whole[at + width :])
+    capture = read_c3d(tmp_path / "x.c3d")
+    np.testing.assert_allclose(capture.markers["M2"], markers[1], atol=2e-7)
+    assert capture.t_s[-1] == pytest.approx(19 / CAPTURE_Hz)
 
 
 def test_other_peoples_c3d_is_read_alike(tmp_path: Path) -> None:

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 from calib.errors import VisionError
+from calib.vision.intrinsics import fit_lens
 from calib.vision.lens import NAMES, Lens
 from calib.vision.opencv import png_of, read_picture
 from calib.vision.sightings import look_for, sharpness
 from calib.vision.targets import Charuco, Tags, read_tags
 from tests.calib.vision.scenes import BOARD, TAG, WEBCAM, corners_of, drawn_pose, lens_of, picture
 
+LEGACY = Charuco(8, 6, 0.02, 0.015)  # an even number of rows, with which both layouts differ
+SIDEWAYS = dataclasses.replace(LEGACY, columns=6, rows=8)
 LENS = Lens(np.array([900.0, 905.0, 641.0, 355.0, -0.25, 0.1, 1e-3, -2e-3, 0.03]), 1280, 720)
 
 
@@ -115,3 +118,22 @@ def test_unusable_pictures_are_named(tmp_path: Path) -> None:
     with pytest.raises(VisionError, match=r"48 x 64 pixels, a\.png has 64 x 48"):
         look_for(BOARD, files, 4)
     assert look_for(BOARD, files[:1], 4).unseen == ("a",)
+
+
+@pytest.mark.parametrize(
+    ("printed", "option"),
+    [(dataclasses.replace(LEGACY, is_legacy=True), "with --legacy"), (SIDEWAYS, "with --board 6x8")],
+)
+def test_pictures_that_only_another_option_makes_readable_name_it(
+    tmp_path: Path, printed: Charuco, option: str
+) -> None:
+    rng, files = np.random.default_rng(4), []
+    for k in range(2):
+        file = tmp_path / f"{k}.png"
+        file.write_bytes(png_of(picture(printed, drawn_pose(rng, tilt=0.3), rng)))
+        files.append(file)
+    found = look_for(LEGACY, files, 6)
+    assert (found.seen, found.remedy) == ((), f"{option}, 2 of 2 pictures show it")
+    with pytest.raises(VisionError, match=f"4 are needed: {option}"):
+        fit_lens(LEGACY, found)
+    assert len(look_for(printed, files, 6).seen) == 2
