@@ -2,7 +2,7 @@
 
 import sys
 
-from console.main import main
+from firmware_iface.installation import run_command
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_command())

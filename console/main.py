@@ -5,17 +5,15 @@ when it runs. Exit status: 0 done, 1 the arm or a check failed, 2 wrong input an
 """
 
 import argparse
-import contextlib
 import importlib
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from console import options
 from console.specs.table import COMMANDS
 from control.plain_text import prepare_streams
+from firmware_iface import interrupts
 
 
 class _CommandLine(argparse.ArgumentParser):
@@ -58,38 +56,16 @@ def _usage_of(top: argparse.ArgumentParser, command: str | None) -> argparse.Arg
     return top
 
 
-INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
-
-
-def _hear_signals() -> None:
-    """Let SIGINT and SIGTERM interrupt a command, even if a script's background job or nohup ignored them."""
-    if threading.current_thread() is threading.main_thread():
-        for number in INTERRUPTS:
-            signal.signal(number, signal.default_int_handler)
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Deliver SIGINT and SIGTERM at the end of the block.
-
-    A compiled module that is interrupted while it is imported fails with an ImportError of its own, or half works.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     try:
-        _hear_signals()
-        with _interrupts_held():
-            chosen = _chosen(arguments)
+        chosen = _chosen(arguments)
+        if isinstance(chosen, int):
+            return chosen
+        with interrupts.heard():
+            return run(*chosen)
     except KeyboardInterrupt:
-        return fail("interrupted", 130)
-    return chosen if isinstance(chosen, int) else run(*chosen)
+        return fail("interrupted", interrupts.STATUS)
 
 
 def _chosen(arguments: Sequence[str] | None) -> int | tuple["options.Command", argparse.Namespace]:

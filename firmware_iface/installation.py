@@ -36,12 +36,18 @@ def claim() -> None:
 
 
 def command(module: str, *arguments: str) -> list[str]:
-    """The command line of a Python process that runs `module` of armwright, from any working directory."""
+    """The command line of a Python process that runs `module` of armwright, from any working directory.
+
+    Start it within `interrupts.held()`.
+    """
     return [sys.executable, "-P", str(Path(__file__).resolve()), module, *arguments]
 
 
 def run_command() -> int:
     """The command `armwright`: a sentence and exit status 2 where another package is in the way."""
+    from firmware_iface import interrupts
+
+    interrupts.end_at_once("armwright")
     try:
         claim()
     except ImportError as error:
@@ -104,5 +110,6 @@ if __name__ == "__main__":
     import runpy
 
     claim()
+    importlib.import_module("firmware_iface.interrupts").end_at_once()
     del sys.argv[0]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

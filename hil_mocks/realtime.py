@@ -15,6 +15,7 @@ import msgspec
 
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.installation import command
+from firmware_iface.interrupts import held
 from hil_mocks.errors import RigError
 from hil_mocks.plant.hand import Point
 from hil_mocks.rig import ArmPorts, MockArm, MockHand, SteppedRig
@@ -53,12 +54,13 @@ class MockProcess:
     """A mock in a process of its own, which ends with `close` or when this process dies."""
 
     def __init__(self, *options: str) -> None:
-        self._process = subprocess.Popen(
-            command("hil_mocks.serve", *options),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
+        with held():
+            self._process = subprocess.Popen(
+                command("hil_mocks.serve", *options),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+            )
         try:
             announcement = self._announcement()
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

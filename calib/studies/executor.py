@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
+from functools import partial
 from types import TracebackType
 from typing import Final, Protocol, TypeVar
 
@@ -22,6 +23,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import CalibrationError
 from control.parent_death import signal_on_death_of
+from firmware_iface.interrupts import NUMBERS, held
 
 Results = Mapping[str, Array]
 T = TypeVar("T")
@@ -69,14 +71,16 @@ class ProcessPool(AbstractContextManager["ProcessPool"]):
     def results(self, work: Work[S, T], shared: S, numbers: Sequence[int]) -> Iterator[tuple[int, T]]:
         """At most AHEAD tasks a worker are handed out, so that results do not pile up."""
         try:
-            yield from as_they_come(
-                lambda number: self._pool.submit(work, shared, number), AHEAD * self.workers, numbers
-            )
+            yield from as_they_come(partial(self._submit, work, shared), AHEAD * self.workers, numbers)
         except BrokenProcessPool:
             raise CalibrationError(
                 "a worker process was killed (by a lack of memory?): what was finished is kept; run the command again,"
                 " with fewer --workers"
             ) from None
+
+    def _submit(self, work: Work[S, T], shared: S, number: int) -> Future[T]:
+        with held():  # it may start a process
+            return self._pool.submit(work, shared, number)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -102,6 +106,7 @@ def as_they_come(
 def _prepare_worker(parent: int) -> None:
     """Ctrl-C is the parent's to handle, and no worker outlives it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, NUMBERS)
     signal_on_death_of(parent, signal.SIGKILL)()
 
 

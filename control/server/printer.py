@@ -14,6 +14,7 @@ import sys
 
 from control.plain_text import HANDLER, prepare_streams
 from firmware_iface.installation import command
+from firmware_iface.interrupts import held
 
 END_LIMIT_S = 2.0  # for the last lines; a stopped terminal must not keep the runtime from ending
 
@@ -23,9 +24,10 @@ class Printer:
 
     def __init__(self) -> None:
         read_fd, self._fd = os.pipe()
-        self._process = subprocess.Popen(
-            command("control.server.printer"), stdin=read_fd, start_new_session=True
-        )
+        with held():
+            self._process = subprocess.Popen(
+                command("control.server.printer"), stdin=read_fd, start_new_session=True
+            )
         os.close(read_fd)
         os.set_blocking(self._fd, False)
 

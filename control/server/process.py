@@ -39,6 +39,7 @@ from control.server.server import Server, require_free
 from control.server.sockets import linked
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.installation import command
+from firmware_iface.interrupts import held
 
 PIPE_bytes = 1 << 20  # some seconds of rows, in case the disk stalls
 
@@ -204,12 +205,15 @@ def _start_writer(arm: Arm, recording: Path) -> tuple["subprocess.Popen[bytes]",
     reports, of_writer = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     reports.setblocking(False)
     policy = arm.recording
-    writer = subprocess.Popen(
-        command("control.recording.writer", str(recording), str(policy.rotate_bytes), str(policy.keep_bytes)),
-        stdin=read_fd,
-        stdout=of_writer.fileno(),
-        start_new_session=True,
-    )
+    with held():
+        writer = subprocess.Popen(
+            command(
+                "control.recording.writer", str(recording), str(policy.rotate_bytes), str(policy.keep_bytes)
+            ),
+            stdin=read_fd,
+            stdout=of_writer.fileno(),
+            start_new_session=True,
+        )
     os.close(read_fd)
     of_writer.close()
     return writer, PipeSink(write_fd, reports, str(recording))

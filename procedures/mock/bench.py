@@ -19,6 +19,7 @@ from control.server.channel import RuntimeGone, SocketChannel
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.installation import command
+from firmware_iface.interrupts import held
 from hil_mocks.realtime import RealTimeRig
 from hil_mocks.rig import MockArm, SteppedRig
 from hil_mocks.scenario import Scenario
@@ -149,14 +150,14 @@ class RealTimeBench:
         self._starts += 1
         arm_file = Path(self._folder.name) / f"arm-{self._starts}.toml"
         save_arm(wired_to(arm, self.rig), arm_file)
-        self._runtime = subprocess.Popen(
-            command(
-                "console.main", "serve", "--arm", str(arm_file), "--socket", str(self.socket_path), "--log", str(self._log_folder)
-            ),
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C goes to the demo, which then ends the runtime
-            preexec_fn=ends_with_parent(signal.SIGTERM),  # noqa: PLW1509  it makes system calls only, so threads do no harm
-        )  # fmt: skip
+        line = command("console.main", "serve", "--arm", str(arm_file), "--socket", str(self.socket_path))
+        with held():
+            self._runtime = subprocess.Popen(
+                [*line, "--log", str(self._log_folder)],
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C goes to the demo, which then ends the runtime
+                preexec_fn=ends_with_parent(signal.SIGTERM),  # noqa: PLW1509  it makes system calls only, so threads do no harm
+            )
         self._client = ArmClient(self._connected())
         self._recording = Path(self._client.status()["recording"])
         return self._client

@@ -1,0 +1,84 @@
+"""SIGINT and SIGTERM end every program of armwright with exit status 130 and without a traceback, at any moment.
+
+While a program starts, and when its work is done, nothing moves and nothing is open: it ends where it is. While a command
+works, they raise KeyboardInterrupt, which closes what it has opened. A child process is started with both signals blocked:
+Python by itself would answer them with a traceback until the child's first line.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from types import FrameType
+
+NUMBERS = (signal.SIGINT, signal.SIGTERM)
+STATUS = 130
+_AGAIN_S = 0.02
+
+
+def end_at_once(name: str = "") -> None:
+    """From now on they end this process, with one line on standard error if the program has a `name`."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        with contextlib.suppress(
+            Exception
+        ):  # what was said is not lost, if this is no moment within the saying
+            sys.stdout.flush()
+        with contextlib.suppress(OSError):
+            os.write(2, f"{name}: interrupted\n".encode() if name else b"")
+        os._exit(STATUS)
+
+    for number in NUMBERS:  # even if a script's background job or nohup ignored them
+        signal.signal(number, end)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, NUMBERS)
+    sys.unraisablehook = _unraisable
+
+
+@contextlib.contextmanager
+def heard() -> Iterator[None]:
+    """Within the block they raise KeyboardInterrupt; then they do what they did before."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, _interrupt) for number in NUMBERS}
+    try:
+        yield
+    finally:
+        with held():
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Deliver them at the end of the block. A process that is started within begins with them blocked, until `end_at_once`."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, NUMBERS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """KeyboardInterrupt, but not within an import: a compiled module turns it into an ImportError, or half works."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return _again(number)
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _again(number: int) -> None:
+    """Send the signal once more in a moment."""
+    signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+
+def _unraisable(lost: "sys.UnraisableHookArgs") -> None:
+    """An interrupt that fell into a destructor, where no exception leads out, is sent once more."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        _again(signal.SIGINT)
+    else:
+        sys.__unraisablehook__(lost)

@@ -1,0 +1,97 @@
+"""SIGINT and SIGTERM at any moment of a program: exit status 130, one line, and never a traceback."""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from firmware_iface import interrupts
+from firmware_iface.installation import command
+
+SAID = "armwright: interrupted\n"
+PROGRAM = """
+import os, sys
+import firmware_iface.interrupts
+from firmware_iface.installation import run_command
+
+number, left = int(sys.argv.pop(1)), int(sys.argv.pop(1))
+
+def at_an_import(event, what):
+    global left
+    if event == "import":
+        left -= 1
+        if left == 0:
+            os.kill(os.getpid(), number)
+
+sys.addaudithook(at_an_import)
+sys.exit(run_command())
+"""
+
+
+# `armwright arm` imports some 580 modules: 125 until the command line is read, the others with and within the command.
+@pytest.mark.parametrize("count", [1, 3, 10, 30, 90, 150, 250, 350, 450, 520, 560])
+def test_an_interrupt_at_any_import_of_a_command_leaves_one_line(count: int) -> None:
+    number = (signal.SIGINT, signal.SIGTERM)[count // 10 % 2]
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(int(number)), str(count), "arm", "right"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (ended.returncode, ended.stderr) == (interrupts.STATUS, SAID)
+
+
+@pytest.mark.parametrize("number", interrupts.NUMBERS)
+@pytest.mark.parametrize("module", ["console.main", "control.recording.writer", "hil_mocks.serve"])
+def test_a_child_that_is_interrupted_before_its_first_line_says_nothing(
+    module: str, number: signal.Signals
+) -> None:
+    with interrupts.held():
+        child = subprocess.Popen(command(module), stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    child.send_signal(number)
+    assert child.communicate(timeout=60) == (None, b"")
+    assert child.returncode == interrupts.STATUS
+
+
+def test_a_module_is_imported_whole_before_the_interrupt_is_raised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "compiled_one.py").write_text(
+        "import signal\n"
+        "try:\n"
+        "    signal.raise_signal(signal.SIGTERM)\n"
+        "except KeyboardInterrupt:\n"
+        "    raise ImportError('cannot be loaded') from None\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with interrupts.heard():
+        importlib.import_module("compiled_one")
+        with pytest.raises(KeyboardInterrupt):
+            signal.pause()
+
+
+def test_an_interrupt_that_falls_into_a_destructor_is_raised_behind_it() -> None:
+    program = (
+        "import signal\n"
+        "from firmware_iface import interrupts\n"
+        "class Closing:\n"
+        "    def __del__(self):\n"
+        "        signal.raise_signal(signal.SIGINT)\n"
+        "interrupts.end_at_once()\n"
+        "with interrupts.heard():\n"
+        "    try:\n"
+        "        Closing()\n"
+        "        signal.pause()\n"
+        "    except KeyboardInterrupt:\n"
+        "        print('raised')\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert (ended.stdout, ended.stderr) == ("raised\n", "")
