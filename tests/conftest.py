@@ -1,9 +1,11 @@
-"""Fixtures that several packages' tests share."""
+"""Surroundings of every test, and fixtures that several packages' tests share."""
 
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -12,6 +14,58 @@ if TYPE_CHECKING:
     from tests.cell import Cell
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported, as console.main has it
+REAL_BUSES = (
+    "ARMWRIGHT_CAN",
+    "ARMWRIGHT_CAN_FD",
+)  # not settings of the product: they name hardware to test with
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Hypothesis tries the same examples at each change and new ones at night. Time decides nothing: the machine may be busy."""
+    from hypothesis import settings
+
+    at_night = not config.option.markexpr
+    settings.register_profile(
+        "armwright", deadline=None, derandomize=not at_night, database=None, print_blob=True
+    )
+    settings.load_profile("armwright")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Nothing of the user's is seen or touched, by fixtures of modules and by child processes either.
+
+    The cache is one for the whole run, since the firmware in C and Matplotlib's fonts take seconds to make.
+    """
+    run = tmp_path_factory.getbasetemp()
+    shared = run.parent if "PYTEST_XDIST_WORKER" in os.environ else run
+    with pytest.MonkeyPatch.context() as patch:
+        for name in list(os.environ):
+            if name.startswith(("ARMWRIGHT_", "XDG_")) and name not in REAL_BUSES:
+                patch.delenv(name)
+        patch.setenv("XDG_CACHE_HOME", str(shared / "cache"))
+        patch.setenv("HYPOTHESIS_STORAGE_DIRECTORY", str(shared / "hypothesis"))
+        _at_home(patch, tmp_path_factory.mktemp("home"))
+        yield
+
+
+@pytest.fixture(autouse=True)
+def at_home(surroundings: None) -> Iterator[None]:
+    """An empty HOME for each test, with a working folder and one for sockets, whose paths must be short."""
+    with (
+        tempfile.TemporaryDirectory(prefix="armwright-test-", ignore_cleanup_errors=True) as folder,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        _at_home(patch, Path(folder))
+        yield
+
+
+def _at_home(patch: pytest.MonkeyPatch, home: Path) -> None:
+    for name in ("work", "run"):
+        (home / name).mkdir(mode=0o700)
+    patch.setenv("HOME", str(home))
+    patch.setenv("XDG_RUNTIME_DIR", str(home / "run"))
+    patch.chdir(home / "work")
 
 
 @pytest.fixture(scope="module")

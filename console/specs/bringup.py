@@ -73,7 +73,11 @@ BRINGUP = (
                 metavar="S",
                 help="how long to listen to the boards (default: 2)",
             ),
-            option("--log", metavar="DIR", default="log", help="folder of the recordings (default: log)"),
+            option(
+                "--log",
+                metavar="DIR",
+                help="folder of the recordings (default: log; with --mock an empty one of its own)",
+            ),
             JSON,
         ),
         "Nothing is energised and nothing moves. Exit status 1 if a fault must be fixed first.",

@@ -153,8 +153,8 @@ def _started(name: str, mutant: Mutant) -> int:
         os.dup2(1, 2)
         sys.meta_path.insert(0, _Mutated(name, mutant.source))
         hypothesis.settings.register_profile("mutants", max_examples=40, derandomize=True, database=None)
-        hypothesis.settings.load_profile("mutants")
         quiet = [
+            "--hypothesis-profile=mutants",
             "-W",
             "ignore::pytest.PytestAssertRewriteWarning",
             "-p",

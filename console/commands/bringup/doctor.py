@@ -3,6 +3,9 @@
 import argparse
 import json
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from control.errors import ArmError
@@ -26,14 +29,24 @@ def run(given: argparse.Namespace) -> int:
         raise ArmError(f"--seconds: expected 0.1 to {LONGEST_S:g}, got {given.seconds:g}")
     if given.rate is not None and not 20.0 <= given.rate <= 1200.0:
         raise ArmError(f"--rate: expected 20 to 1200 Hz, got {given.rate:g}")
-    with opened(given) as setting:
+    with opened(given) as setting, _recordings(given) as log_folder:
         rate_Hz = given.rate or setting.arm.usual_rate_Hz
-        findings = examine(setting.arm, setting.clock, 1.0 / rate_Hz, given.seconds, Path(given.log))
+        findings = examine(setting.arm, setting.clock, 1.0 / rate_Hz, given.seconds, log_folder)
     if given.json:
         sys.stdout.write(json.dumps(as_json(setting.arm.name, findings), indent=1) + "\n")
     else:
         sys.stdout.write(f"{as_text(findings)}\narm {setting.arm.name}: {verdict(findings)}\n")
     return 1 if worst(findings) is Level.BAD else 0
+
+
+@contextmanager
+def _recordings(given: argparse.Namespace) -> Iterator[Path]:
+    """The folder that is meant. A mock arm has an empty one, for the recordings in `log` are of another arm."""
+    if given.log is not None or not given.mock:
+        yield Path(given.log or "log")
+        return
+    with tempfile.TemporaryDirectory(prefix="armwright-doctor-") as made:
+        yield Path(made)
 
 
 def examine(arm: Arm, clock: Clock, period_s: float, duration_s: float, log_folder: Path) -> list[Finding]:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import sys
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
 from textual import events
 from textual.pilot import Pilot
 from textual.widget import Widget
@@ -27,6 +29,13 @@ from tests.pair import Pair
 STEP_S = 0.01
 REPEAT_S = 0.03  # of a held key
 LIMIT_S = 120.0  # a busy machine is slow, a broken console never gets there
+PATIENT_CLIENT = f"""
+import runpy, sys
+from control.server.channel import SocketChannel
+SocketChannel.__init__.__defaults__ = ({LIMIT_S},)
+del sys.argv[0]
+runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
 CHARACTERS = {
     "space": " ",
     "full_stop": ".",
@@ -103,10 +112,14 @@ def files_in(folder: Path) -> Files:
 async def console_of(
     stations: Sequence[Station], served: Served, size: tuple[int, int]
 ) -> AsyncIterator[tuple[ConsoleApp, Pilot[Any]]]:
-    """The console of some arms, connected."""
+    """The console of some arms, connected. They share its event loop: neither it nor its processes lose them by waiting."""
     app = ConsoleApp(stations)
-    for desk in app.desks:  # arms and console share this event loop: neither loses the other by waiting
+    for desk in app.desks:
         desk.link.answer_s = LIMIT_S
+    patch = pytest.MonkeyPatch()
+    patch.setattr(
+        "console.screen.child.command", lambda *words: [sys.executable, "-c", PATIENT_CLIENT, *words]
+    )
     pump = asyncio.create_task(served.run())
     try:
         async with app.run_test(size=size) as pilot:
@@ -115,6 +128,7 @@ async def console_of(
             for desk in app.desks:
                 desk.link.path = Path("/nowhere")
     finally:
+        patch.undo()
         pump.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await pump

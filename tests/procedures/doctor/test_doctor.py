@@ -379,6 +379,21 @@ def test_the_last_recording_says_how_old_the_counts_were_and_what_made_the_loop_
     assert causes.measured == "199 involuntary switches, 1 page faults"
 
 
+def test_recordings_of_the_real_arm_say_nothing_about_a_mock_one(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(host, "PAUSE_TEST_S", 0.02)
+    Path("log").mkdir()
+    write_recording(Path("log/real.armlog"), 200, changes={k: {"age_s": 1168.0} for k in range(200)})
+
+    def groups(*options: str) -> set[str]:
+        main(["doctor", "--mock", "--seconds", "0.1", "--json", *options])
+        return {found["group"] for found in json.loads(capsys.readouterr().out)["findings"]}
+
+    assert groups("--log", "log") - groups() == {"last recording"}
+    assert [file.name for file in Path("log").iterdir()] == ["real.armlog"]
+
+
 def test_a_last_recording_that_cannot_be_read_is_a_warning_and_no_error(tmp_path: Path) -> None:
     (tmp_path / "torn.armlog").write_bytes(b"\0" * 20)
     (found,) = look_at_last_recording(tmp_path)
