@@ -26,7 +26,7 @@ def python(*arguments: str, cwd: Path, path: Path | None = None) -> subprocess.C
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
 
 

@@ -31,7 +31,7 @@ def test_a_wheel_has_every_module_and_every_file_of_data() -> None:
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
+        timeout=300,
     )
     listed = {(ROOT / line).resolve() for line in ended.stdout.splitlines() if line}
     there = {

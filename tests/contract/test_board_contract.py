@@ -12,7 +12,22 @@ from tests.cell import Cell, holding_cell, open_cell, scenario
 from tests.kinds import ON_BOARDS, OnBoards
 
 
-@pytest.fixture(params=list(ON_BOARDS))
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """The reference boards keep every promise at each change, and of the others each kind a third, and each promise
+    is kept by a third of them. The rest is nightly.
+    """
+    if "on_boards" not in metafunc.fixturenames:
+        return
+    promises = [name for name in vars(metafunc.module) if name.startswith("test_")]
+    place = promises.index(metafunc.function.__name__)
+    kinds = [
+        kind if number == 0 or (number + place) % 3 == 0 else pytest.param(kind, marks=pytest.mark.nightly)
+        for number, kind in enumerate(ON_BOARDS)
+    ]
+    metafunc.parametrize("on_boards", kinds, indirect=True)
+
+
+@pytest.fixture
 def on_boards(request: pytest.FixtureRequest) -> OnBoards:
     kind = ON_BOARDS[request.param]
     if kind.firmware == "c" and compiler() is None:

@@ -20,6 +20,7 @@ import pytest
 from control.server.client import ArmClient
 from procedures.mock.bench import RealTimeBench
 from tests.cell import RIGHT
+from tests.control.server.test_process import patient
 
 pytestmark = pytest.mark.realtime
 LIMIT_s = 90.0  # a busy machine is slow, a broken program never ends
@@ -109,7 +110,7 @@ def test_keys_jog_a_real_time_arm_space_stops_it_and_a_killed_console_leaves_it_
     scenario.write_text(SCENARIO)
     bench = RealTimeBench("right", scenario, tmp_path / "log")
     terminal: Terminal | None = None
-    client = bench.start(RIGHT)
+    client = bench.start(patient(RIGHT))
     try:
         client.enable()
         terminal = Terminal(str(bench.socket_path), tmp_path)
