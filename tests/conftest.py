@@ -21,10 +21,29 @@ REAL_BUSES = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Hypothesis tries the same examples at each change and new ones at night. Time decides nothing: the machine may be busy."""
+    """Nothing of the user's is seen or touched, while tests are collected, by fixtures of modules and by child processes either.
+
+    The cache is one for the whole run, since the firmware in C and Matplotlib's fonts take seconds to make.
+    """
+    if not hasattr(config, "workerinput"):  # xdist's workers inherit it
+        for name in [*os.environ]:
+            if name.startswith(("ARMWRIGHT_", "XDG_")) and name not in REAL_BUSES:
+                del os.environ[name]
+        folder = tempfile.TemporaryDirectory(prefix="armwright-tests-", ignore_cleanup_errors=True)
+        config.add_cleanup(folder.cleanup)
+        cache = Path(folder.name, "cache")
+        os.environ |= {
+            "HOME": folder.name,
+            "XDG_CACHE_HOME": str(cache),
+            "HYPOTHESIS_STORAGE_DIRECTORY": str(cache / "hypothesis"),
+        }
+    _settle_hypothesis(at_night=not config.option.markexpr)
+
+
+def _settle_hypothesis(at_night: bool) -> None:
+    """It tries the same examples at each change and new ones at night. Time decides nothing: the machine may be busy."""
     from hypothesis import settings
 
-    at_night = not config.option.markexpr
     settings.register_profile(
         "armwright", deadline=None, derandomize=not at_night, database=None, print_blob=True
     )
@@ -32,25 +51,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Nothing of the user's is seen or touched, by fixtures of modules and by child processes either.
-
-    The cache is one for the whole run, since the firmware in C and Matplotlib's fonts take seconds to make.
-    """
-    run = tmp_path_factory.getbasetemp()
-    shared = run.parent if "PYTEST_XDIST_WORKER" in os.environ else run
+def home_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """For what fixtures of modules do."""
     with pytest.MonkeyPatch.context() as patch:
-        for name in list(os.environ):
-            if name.startswith(("ARMWRIGHT_", "XDG_")) and name not in REAL_BUSES:
-                patch.delenv(name)
-        patch.setenv("XDG_CACHE_HOME", str(shared / "cache"))
-        patch.setenv("HYPOTHESIS_STORAGE_DIRECTORY", str(shared / "hypothesis"))
         _at_home(patch, tmp_path_factory.mktemp("home"))
         yield
 
 
 @pytest.fixture(autouse=True)
-def at_home(surroundings: None) -> Iterator[None]:
+def at_home(home_of_the_run: None) -> Iterator[None]:
     """An empty HOME for each test, with a working folder and one for sockets, whose paths must be short."""
     with (
         tempfile.TemporaryDirectory(prefix="armwright-test-", ignore_cleanup_errors=True) as folder,
