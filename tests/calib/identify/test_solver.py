@@ -24,8 +24,16 @@ from control.model.description import load_arm
 from tests.calib.arms import problem_of_tips
 
 NAMES = ("e2", "e1", "lsq", "huber")
-ALL = pytest.mark.parametrize("name", NAMES)
 MILLIONTH = 1e-6
+
+
+def night(*case: str | int) -> pytest.ParameterSet:
+    return pytest.param(*case, marks=pytest.mark.nightly)
+
+
+def first_at_each_change(*names: str) -> pytest.MarkDecorator:
+    """The first objective is tried at each change, the others at night; among the tests, each comes first somewhere."""
+    return pytest.mark.parametrize("name", [names[0], *map(night, names[1:])])
 
 
 def workspace_problem(m: int, seed: int, noise_m: float = 0.00014, size: float = 1.0) -> ArmProblem:
@@ -39,7 +47,8 @@ def workspace_problem(m: int, seed: int, noise_m: float = 0.00014, size: float =
 
 
 @pytest.mark.parametrize(
-    ("name", "seed"), [("e2", 0), ("e2", 15), ("lsq", 15), ("lsq", 8), ("huber", 3), ("e1", 15)]
+    ("name", "seed"),
+    [("e2", 15), ("lsq", 8), night("e2", 0), night("lsq", 15), night("huber", 3), night("e1", 15)],
 )
 def test_the_optimum_is_within_a_millionth_of_the_best_that_any_solver_finds(name, seed) -> None:
     """On the board and in the workspace, most of them with bounds that bind. `make solver-study` does that for hundreds."""
@@ -51,7 +60,7 @@ def test_the_optimum_is_within_a_millionth_of_the_best_that_any_solver_finds(nam
     assert found.is_converged
 
 
-@ALL
+@first_at_each_change("e1", "e2", "lsq", "huber")
 def test_without_noise_nothing_is_left(name) -> None:
     problem = workspace_problem(40, 1, noise_m=0.0)
     found = minimise(problem, objective_named(name))
@@ -61,7 +70,7 @@ def test_without_noise_nothing_is_left(name) -> None:
     assert found.is_converged
 
 
-@pytest.mark.parametrize("name", ["e2", "e1", "huber"])
+@first_at_each_change("e1", "e2", "huber")
 def test_every_fifth_point_may_be_wrong_by_centimetres(name) -> None:
     rng = np.random.default_rng(5)
     true = REFERENCE_DH + deviations(rng, 4)
@@ -75,7 +84,8 @@ def test_every_fifth_point_may_be_wrong_by_centimetres(name) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "m"), [("e2", 4), ("e2", 7), ("lsq", 4), ("lsq", 7), ("e1", 4), ("huber", 7)]
+    ("name", "m"),
+    [("lsq", 4), ("huber", 7), night("e2", 4), night("e2", 7), night("lsq", 7), night("e1", 4)],
 )
 def test_a_handful_of_points_is_fitted_exactly_and_said_to_be(name, m) -> None:
     """12 or 21 coordinates, 10 determined combinations: 4 points leave nothing, 7 leave a little."""
@@ -86,7 +96,7 @@ def test_a_handful_of_points_is_fitted_exactly_and_said_to_be(name, m) -> None:
     assert found.value <= max(other.value * (1.0 + MILLIONTH), nothing)
 
 
-@ALL
+@first_at_each_change("lsq", "e2", "e1", "huber")
 def test_an_arm_with_one_joint(name) -> None:
     model, dh = ChainModel((True,)), np.array([[0.1, 0.2, 0.3, 0.4]])
     rng = np.random.default_rng(4)
@@ -100,7 +110,7 @@ def test_an_arm_with_one_joint(name) -> None:
     assert found.x[3] == 0.0  # alpha of the last link moves no tip
 
 
-@ALL
+@first_at_each_change("huber", "e2", "e1", "lsq")
 def test_an_arm_in_modified_convention_with_a_tool(name) -> None:
     rng = np.random.default_rng(6)
     true = MODIFIED_DH + deviations(rng, 5)
@@ -126,7 +136,7 @@ def test_no_combination_that_the_noise_hides_ends_at_a_bound() -> None:
     assert nearest.value < 1.015 * lowest.value  # no more than as many unknowns gain by fitting noise
 
 
-@pytest.mark.parametrize("name", ["e2", "lsq"])
+@first_at_each_change("lsq", "e2")
 def test_thousands_of_poses_are_summed_up_piece_by_piece(name) -> None:
     problem = workspace_problem(CHUNK + 300, 7)
     found = minimise(problem, objective_named(name))
@@ -135,7 +145,7 @@ def test_thousands_of_poses_are_summed_up_piece_by_piece(name) -> None:
     assert found.value <= other.value * (1.0 + MILLIONTH)
 
 
-@ALL
+@first_at_each_change("e2", "e1", "lsq", "huber")
 def test_staying_near_nominal_costs_less_than_a_millionth(name) -> None:
     _, q, tips, _ = board_session(np.random.default_rng(8))
     problem = problem_of_tips(REFERENCE, REFERENCE_DH, q, tips)
@@ -146,7 +156,7 @@ def test_staying_near_nominal_costs_less_than_a_millionth(name) -> None:
     assert found.x[15] == 0.0  # alpha4 moves no tip
 
 
-@pytest.mark.parametrize("name", ["e2", "lsq", "huber"])
+@first_at_each_change("huber", "e2", "lsq")
 def test_the_same_seed_gives_the_same_and_another_seed_as_good(name) -> None:
     problem = case(15)
     one, again, other = (minimise(problem, objective_named(name), seed=seed) for seed in (0, 0, 5))
@@ -206,7 +216,7 @@ def test_an_average_accuracy_between_the_two_optima_is_met_at_the_least_cost() -
     assert found.value == pytest.approx(constrained_by_slsqp(problem, closest.x, wanted_m), rel=5e-6)
 
 
-@pytest.mark.parametrize("name", ["e2", "lsq", "e1"])
+@first_at_each_change("e2", "lsq", "e1")
 def test_an_average_accuracy_that_cannot_be_met_is_said_with_the_least_possible(name) -> None:
     problem = workspace_problem(40, 5, size=2.0)
     least_m = float(norms(problem.residuals(minimise(problem, SumOfDistances()).x)).mean())

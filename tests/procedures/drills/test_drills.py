@@ -23,27 +23,32 @@ SITUATIONS = {"rest", "motion", "homing", "session", "measuring", "realtime", "p
 USUAL = "rest, motion, session"
 
 
+# A pause, a link, a sensor, a load, the power and two arms: one of each sort at each change.
+AT_EACH_CHANGE = (
+    "pause-100-motion",
+    "serial-gone-motion",
+    "encoder-swapped-rest",
+    "jammed-motion",
+    "power-arm",
+    "revoke-pair",
+    "guided-into-pair",
+)
+AT_NIGHT = (
+    "drift-20000-rest",
+    "serial-gone-measuring",
+    "same-id-rest",
+    "bus-full-rest",
+    "two-clients-motion",
+    "wrap-motion",
+    "pause-190-motion",
+    "power-session",
+    "cut-recording",
+    "over-temperature-pair",
+)
+
+
 @pytest.mark.parametrize(
-    "name",
-    [
-        "pause-100-motion",
-        "drift-20000-rest",
-        "serial-gone-motion",
-        "serial-gone-measuring",
-        "encoder-swapped-rest",
-        "same-id-rest",
-        "bus-full-rest",
-        "two-clients-motion",
-        "wrap-motion",
-        "pause-190-motion",
-        "jammed-motion",
-        "power-session",
-        "power-arm",
-        "cut-recording",
-        "over-temperature-pair",
-        "revoke-pair",
-        "guided-into-pair",
-    ],
+    "name", [*AT_EACH_CHANGE, *(pytest.param(name, marks=pytest.mark.nightly) for name in AT_NIGHT)]
 )
 def test_a_drill_goes_as_promised(name: str) -> None:
     outcome = drills()[name].run()
