@@ -28,21 +28,21 @@ NOWHERE = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))  # of a body that is hidde
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A body in one frame. error_m: the system's own mean residual of its markers, NaN where it says none."""
+    """A body in one frame. error_m: the system's own mean residual of its markers, None where it says none."""
 
     name: str
     pose: Pose
     is_visible: bool = True
-    error_m: float = math.nan
+    error_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class BodyFrame:
-    """All bodies of one picture. time_s: of the system's own clock, NaN where it says none."""
+    """All bodies of one picture. time_s: of the system's own clock, None where it says none."""
 
     number: int
     bodies: tuple[Body, ...]
-    time_s: float = math.nan
+    time_s: float | None = None
 
 
 class BodyStream(Protocol):
