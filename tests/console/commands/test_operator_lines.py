@@ -297,6 +297,7 @@ seating_noise_m = 0.00005
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("nobody_below")
 def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
     """Session with a mock arm, calibration, and what the result says: three lines of a file."""

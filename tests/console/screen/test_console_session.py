@@ -68,6 +68,7 @@ async def resume_and_accept(app: ConsoleApp, pilot: Pilot[Any], out: Path) -> No
     await until(pilot, lambda: "Accepted" in shown(app, "question"), LIMIT_s)
 
 
+@pytest.mark.nightly
 def test_a_session_on_the_screen_is_interrupted_resumed_calibrated_and_accepted(tmp_path: Path) -> None:
     out = tmp_path / "s"
 

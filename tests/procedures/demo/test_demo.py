@@ -78,7 +78,9 @@ def is_corrected(outcome: Outcome) -> bool:
     return before_m > 5e-3 and after_m < min(0.6e-3, 0.1 * before_m)
 
 
-@pytest.mark.parametrize(("seed", "is_drawn"), [(1, True), (12, False)])
+@pytest.mark.parametrize(
+    ("seed", "is_drawn"), [(1, True), pytest.param(12, False, marks=pytest.mark.nightly)]
+)
 def test_what_is_hidden_is_found_and_corrected(
     arm_file: Path,
     quick_hand: Path,

@@ -108,6 +108,7 @@ def test_a_session_by_script_is_interrupted_resumed_and_calibrates(
     assert off_m.mean() < 0.05 * before_m.mean()
 
 
+@pytest.mark.nightly
 def test_a_board_that_the_camera_measures_is_found_where_it_was_hidden(
     files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
