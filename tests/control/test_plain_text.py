@@ -13,10 +13,11 @@ import pytest
 from control.plain_text import HANDLER, IN_ASCII, prepare_streams
 
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+ROOT = Path(__file__).parents[2]
 SOURCES = [
     file
     for name in ("armwright", "calib", "console", "control", "firmware_iface", "hil_mocks", "procedures")
-    for file in Path(name).rglob("*.py")
+    for file in (ROOT / name).rglob("*.py")
     if "screen" not in file.parts  # it has signs of its own: console.screen.drawing.plain
 ]
 

@@ -21,7 +21,7 @@ from control.server.channel import SocketChannel
 from control.server.client import ArmClient
 from hil_mocks.realtime import RealTimeCell
 from procedures.mock.arm import wired_to
-from tests.control.server.test_process import SCENARIO, LIMIT_s, patient, started
+from tests.control.server.test_process import SCENARIO, LIMIT_s, enable, patient, started
 from tests.pair import PAIR
 
 pytestmark = pytest.mark.realtime
@@ -46,7 +46,7 @@ class Served:
     def begin_to_move(self) -> None:
         """Start a slow motion of both that outlives its client, and wait until both move."""
         for client in self.clients.values():
-            client.enable()
+            enable(client)
             client.home()
         before = {name: self.rig.joint_rad(name)[0] for name in self.clients}
         moves = {"left": {"q_rad": [1.0, 0.15, 0.75], "speed": 0.1}, "right": {"q_rad": [-1.0, 0.15, 0.75]}}
