@@ -84,6 +84,15 @@ class ArmState:
         """Whether the arm has come to rest in its present mode."""
         return self.stillness.is_still(self.now_s, self.parts.measurement.speed_rad_s)
 
+    def stands(self) -> bool:
+        """Whether the arm is left to its boards, or to shorted windings, is to stay so, and has come to rest."""
+        is_left = not self.is_controlled() and self.monitor.mode is not Mode.GUIDING
+        return is_left and not (self.is_hold_pending or self.is_shutting_down) and self.is_still()
+
+    def is_off(self) -> bool:
+        """Whether its drives are off."""
+        return self.monitor.mode is Mode.OFF
+
     def payload_kg(self) -> float:
         """Mass at the tip in the model now; it follows the stated one."""
         return self.parts.loads.at_tip_kg

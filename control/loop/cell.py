@@ -44,6 +44,14 @@ class Looped(Protocol):
         """Whether the loop has waited for boards since its last cycle."""
         ...
 
+    def stands(self) -> bool:
+        """Whether no arm is under control, and none moves."""
+        ...
+
+    def is_off(self) -> bool:
+        """Whether the drives of all arms are off."""
+        ...
+
 
 class CellRuntime:
     """The runtimes of a cell's arms by name, cycled together. `now_s` of all is that of the cycle's beginning."""
@@ -110,6 +118,14 @@ class CellRuntime:
             if not has_waited:
                 runtime.note_wait(now_s)
         return True
+
+    def stands(self) -> bool:
+        """Whether no arm is under control, and none moves."""
+        return all(runtime.stands() for runtime in self._all)
+
+    def is_off(self) -> bool:
+        """Whether the drives of all arms are off."""
+        return all(runtime.is_off() for runtime in self._all)
 
     def moving_beside(self, name: str) -> str:
         """The first other arm that may be in motion; empty if none is."""

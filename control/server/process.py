@@ -34,7 +34,7 @@ from control.server.in_process import Served
 from control.server.periodic import PeriodicTimer
 from control.server.phase import PhaseFollower
 from control.server.printer import Printer
-from control.server.scheduling import request_punctuality, strain
+from control.server.scheduling import Collector, request_punctuality, strain
 from control.server.server import Server, require_free
 from control.server.sockets import linked
 from firmware_iface.clock import Clock, MonotonicClock
@@ -145,6 +145,7 @@ def run(
         signal.signal(number, lambda *_: runtime.go_off(quits=True))
     beat = PeriodicTimer(AttendedClock(clock, runtime), period_s)
     follower = PhaseFollower(runtime.hardware.await_counts, clock, period_s)
+    collector = Collector()
     is_running = True
     failure: Exception | None = None
     while is_running:
@@ -161,7 +162,7 @@ def run(
         for one in events:
             if one is not None:
                 one.look()
-        if runtime.ended_wait(clock.now_s()):
+        if runtime.ended_wait(clock.now_s()) | collector.look(clock.now_s(), runtime):
             beat.restart()
     if failure is not None:
         raise failure

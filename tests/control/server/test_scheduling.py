@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from control.loop.punctuality import Punctuality
-from control.server.scheduling import isolated_cpus, strain
+from control.server.scheduling import COLLECT_EVERY_S, MOST_YOUNG, Collector, isolated_cpus, strain
+from tests.cell import open_cell
 
 
 @pytest.mark.parametrize(
@@ -34,3 +38,64 @@ def test_each_cycle_has_its_own_faults_and_switches() -> None:
     punctuality = Punctuality(0.002, lambda: 0.0, lambda: next(so_far))
     assert [punctuality.strain(), punctuality.strain()] == [(3, 0), (0, 2)]
     assert Punctuality(0.002, lambda: 0.0).strain() == (0, 0)
+
+
+class Knot:
+    """Holds itself: only the collector frees it."""
+
+    def __init__(self) -> None:
+        self.held = self
+
+
+def knots(count: int) -> weakref.ref[Knot]:
+    """Make garbage; the reference to the last of it tells whether it was collected."""
+    for _ in range(count - 1):
+        Knot()
+    return weakref.ref(Knot())
+
+
+@pytest.fixture
+def no_collector() -> Iterator[None]:
+    """As in the loop's process."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    yield
+    gc.enable()
+    gc.unfreeze()
+
+
+@pytest.mark.usefixtures("no_collector", "nobody_below")
+def test_garbage_is_collected_once_a_second_where_the_arm_stands_and_never_where_it_is_controlled() -> None:
+    with open_cell() as cell:
+        cell.client.enable()
+        cell.run(1.0)
+        collector, garbage = Collector(), knots(10)
+        assert not collector.look(0.0, cell.runtime)
+        assert garbage() is not None, "collected while the arm is held"
+        cell.client.ask("brake")
+        assert not collector.look(0.0, cell.runtime)
+        assert garbage() is not None, "collected while the arm sinks"
+        cell.run(1.0)
+        assert not collector.look(0.0, cell.runtime)
+        assert garbage() is None
+        garbage = knots(10)
+        collector.look(0.9 * COLLECT_EVERY_S, cell.runtime)
+        assert garbage() is not None
+        collector.look(1.1 * COLLECT_EVERY_S, cell.runtime)
+        assert garbage() is None
+
+
+@pytest.mark.usefixtures("no_collector", "nobody_below")
+def test_what_would_make_a_cycle_late_is_collected_once_the_drives_are_off() -> None:
+    with open_cell() as cell:
+        cell.client.enable()
+        cell.client.ask("brake")
+        cell.run(1.0)
+        collector, garbage = Collector(), knots(2 * MOST_YOUNG)
+        collector.look(0.0, cell.runtime)
+        assert garbage() is not None
+        cell.client.off()
+        cell.run(1.0)
+        assert collector.look(2.0 * COLLECT_EVERY_S, cell.runtime), "the next deadline is a period from now"
+        assert garbage() is None
