@@ -112,9 +112,10 @@ class InverseKinematics:
                 q = self._on_branch(point, branch)
                 found.append(Solution(branch, q, self._range.is_inside(q)))
             except (OutOfReach, NearSingular) as failure:
-                failures.append(failure)
+                failures.append(failure.with_traceback(None))  # else it would hold this frame, which holds it
         if not found:
-            raise min(failures, key=_telling)
+            failures.sort(key=_telling)
+            raise failures.pop(0)
         return found
 
     def solve(self, point: Sequence[float], branch: Branch) -> tuple[float, ...]:

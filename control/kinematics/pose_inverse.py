@@ -98,7 +98,8 @@ class PoseInverse:
                 found.append(q)
                 yield q
         if not found:
-            raise min(failures, key=_telling)
+            failures.sort(key=_telling)
+            raise failures.pop(0)
 
     def _descended(self, target: TipPose, start: Sequence[float]) -> SolvedPoses:
         """The best pose near `start`: all rows weighed against each other first, then the exact ones exactly."""

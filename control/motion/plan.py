@@ -168,12 +168,12 @@ def plan_paths(
         try:
             path = planner.plan(recipe, start)
         except ArmError as problem:
-            problems.append(problem)
+            problems.append(problem.with_traceback(None))
             continue
         is_any = True
         yield path
     if not is_any:
-        raise problems[0]
+        raise problems.pop(0)
 
 
 def _prepared(
@@ -207,8 +207,8 @@ def _first(planner: "_Planner", recipe: TimedWaypoints, starts: Iterable[Start])
         try:
             return planner.plan(recipe, start)
         except ArmError as problem:
-            problems.append(problem)
-    raise problems[0]
+            problems.append(problem.with_traceback(None))
+    raise problems.pop(0)
 
 
 def _follower(
@@ -349,5 +349,5 @@ def plan_in_time(
         try:
             return planner.as_timed(recipe, spline, start)
         except ArmError as problem:
-            problems.append(problem)
-    raise problems[0]
+            problems.append(problem.with_traceback(None))
+    raise problems.pop(0)
