@@ -61,13 +61,17 @@ class AnotherHost(ProtocolViolation):
 
 
 class Problems(list[LinkError]):
-    """What boards have done wrong and nobody was told yet. One that babbles says nothing new, and fills no memory."""
+    """What boards have done wrong and nobody was told yet. One that babbles says nothing new, and fills no memory.
+
+    `raise problems.pop(0)`: a frame that raised an error which it still holds would keep itself alive through its traceback,
+    and the loop runs without a garbage collector.
+    """
 
     def append(self, problem: LinkError) -> None:
-        """Note a problem. Beyond the most, only restarts: they take the zero away."""
+        """Note a problem, without the frames that it came through. Beyond the most, only restarts: they take the zero away."""
         is_needed = len(self) < MOST_PROBLEMS or isinstance(problem, BoardReset)
         if is_needed and all(str(known) != str(problem) for known in self):
-            super().append(problem)
+            super().append(problem.with_traceback(None))
 
 
 class MisuseError(LinkError):

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardSilent, LinkError
+from firmware_iface.errors import BoardSilent, LinkError, Problems
 from firmware_iface.link import ByteLink
 
 ATTEMPTS = 3
@@ -62,7 +62,7 @@ class PolledLine:
         self._sent_at_s = 0.0
         self._give_up_s = 0.0
         self._received = b""
-        self._problem: LinkError | None = None
+        self._problems = Problems()  # that `attend` met
 
     def post(self, question: Question) -> None:
         """Queue a question; one that still waits in the queue is not queued twice."""
@@ -82,10 +82,9 @@ class PolledLine:
 
     def update(self) -> None:
         """Take what has arrived, and send the next question if the line is free. Raises LinkLost, and what `attend` met."""
-        problem, self._problem = self._problem, None
+        if self._problems:
+            raise self._problems.pop(0)
         self._look()
-        if problem is not None:
-            raise problem
 
     def attend(self) -> None:
         """The same while the loop waits: a problem is raised by the next `update`."""
@@ -96,7 +95,7 @@ class PolledLine:
                 self._idle.append(question)
                 self._send(question)
         except LinkError as problem:
-            self._problem = problem
+            self._problems.append(problem)
 
     def shout(self, packets: bytes) -> None:
         """Send commands at once, whatever is under way; their answers are not awaited. Raises LinkLost."""

@@ -109,20 +109,19 @@ class SmartServo(ABC):
         question = self._question(made, count, lambda data, _: answers.append(data))
         remedy = f"check its supply, id {self.number}{self.REMEDY}"
         answer = self._line.ask(question, answers, self.where, what, remedy)
-        if refused := self._refused(answer[0], what):
-            raise refused
+        if why := self.WIRE.refusal(answer[0]):
+            raise self._refused(what, why)
         return answer[1:]
 
-    def _refused(self, error: int, what: str) -> RequestRefused | None:
-        why = self.WIRE.refusal(error)
-        return RequestRefused(f"{self.where}: refused {what}: {why}") if why else None
+    def _refused(self, what: str, why: str) -> RequestRefused:
+        return RequestRefused(f"{self.where}: refused {what}: {why}")
 
     def _writing(self, address: int, data: bytes, then: Callable[[], None]) -> ServoQuestion:
         """The instruction that writes in the cycle; `then` is called when it was obeyed."""
 
         def taken(answer: bytes, _: float) -> None:
-            if refused := self._refused(answer[0], f"WRITE {address} of {data.hex(' ')}"):
-                self.problems.append(refused)
+            if why := self.WIRE.refusal(answer[0]):
+                self.problems.append(self._refused(f"WRITE {address} of {data.hex(' ')}", why))
             else:
                 then()
 

@@ -270,7 +270,7 @@ class Wires:
         sends = kind.send
 
         def full(bus: can.BusABC, message: can.Message, timeout: float | None = None) -> None:
-            if not _OF_BOARDS & message.arbitration_id:
+            if not (_OF_BOARDS & message.arbitration_id or message.is_error_frame):
                 raise can.CanOperationError("Transmit buffer full")
             sends(bus, message, timeout)
 

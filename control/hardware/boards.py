@@ -4,15 +4,19 @@ Mock boards are connected behind the links; the code here is the same for both.
 """
 
 import contextlib
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from typing import ParamSpec
 
 from control.hardware.interface import EndBoards, Feedback, OutputMode
 from control.hardware.roles import Drives, Encoders, Line, PolledLine
 from firmware_iface.clock import Clock
-from firmware_iface.errors import LinkError
+from firmware_iface.errors import LinkError, LinkLost, Problems
 
+LOOK_AGAIN_S = 0.1  # until a link that is gone is asked again: half of the boards' usual watchdog
 ATTEND_EVERY_S = 0.00025  # an answer waits so long at most until the next request goes out
 NO_END = EndBoards()
+P = ParamSpec("P")
 
 
 class BoardHardware:
@@ -42,8 +46,16 @@ class BoardHardware:
         self._drive_of = {joint: drive for drive in drives for joint in drive.joints}
         self._clock = clock
         self._wants_enabled = False
+        self._problems = Problems()
+        # what failed at a link, why, and when it is tried again
+        self._gone: dict[Callable[..., None], tuple[str, float]] = {}
 
     # ---- every cycle
+
+    @property
+    def gone(self) -> str:
+        """Why a link is gone; empty while all are there."""
+        return next(iter(self._gone.values()))[0] if self._gone else ""
 
     @property
     def is_polled(self) -> bool:
@@ -53,58 +65,69 @@ class BoardHardware:
     def attend(self, until_s: float) -> None:
         """Wait until then, and serve the polled lines meanwhile."""
         clock = self._clock
-        while self._polled and (now_s := clock.now_s()) < until_s - ATTEND_EVERY_S:
-            for line in self._polled:
+        polled = self._polled
+        if self._gone:
+            polled = tuple(line for line in polled if line.update not in self._gone)
+        while polled and (now_s := clock.now_s()) < until_s - ATTEND_EVERY_S:
+            for line in polled:
                 line.attend()
             clock.wait_until_s(now_s + ATTEND_EVERY_S)
         clock.wait_until_s(until_s)
 
     def read(self) -> Feedback:
-        """Drain the links into `feedback`. Raises LinkLost, BoardReset, ProtocolViolation."""
+        """Drain the links into `feedback`. Raises, one a call, each BoardReset, ProtocolViolation, and LinkLost found since."""
         feedback = self.feedback
         feedback.motor_counts.clear()
-        try:
-            self._update()
-        finally:
-            for encoder in self._encoders:
-                encoder.take(feedback)
-            for drive in self._drives:
-                drive.take(feedback)
-            feedback.encoder_at_s = min(feedback.reported_at_s)
-        return feedback
-
-    def _update(self) -> None:
-        """Drain all lines, even if one of them raises; then raise the first problem."""
-        problem: LinkError | None = None
         for line in self._lines:
-            try:
-                line.update()
-            except LinkError as error:
-                problem = problem or error
-        if problem is not None:
-            raise problem
+            self._try(line.update)
+        for encoder in self._encoders:
+            encoder.take(feedback)
+        for drive in self._drives:
+            drive.take(feedback)
+        feedback.encoder_at_s = min(feedback.reported_at_s)
+        if self._problems:
+            raise self._problems.pop(0)
+        return feedback
 
     def write(
         self, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
     ) -> None:
-        """Command every drive, or take it one step closer to the wanted state."""
+        """Command every drive, or take it one step closer to the wanted state; what that meets is raised by `read`."""
         for drive in self._drives:
-            drive.write(self._wants_enabled, modes, output, feedforward_V, self.feedback)
+            self._try(drive.write, self._wants_enabled, modes, output, feedforward_V, self.feedback)
         for line in self._lines:
-            line.flush()
+            self._try(line.flush)
+
+    def _try(self, step: Callable[P, None], *what: P.args, **named: P.kwargs) -> None:
+        """Do something at a link. One that is gone is not asked for its error in every cycle, and hides no other."""
+        gone = self._gone.get(step) if self._gone else None
+        if gone is not None and self._clock.now_s() < gone[1]:
+            return
+        try:
+            step(*what, **named)
+        except LinkLost as lost:
+            if gone is None:
+                self._problems.append(lost)
+            self._gone[step] = (str(lost), self._clock.now_s() + LOOK_AGAIN_S)
+        except LinkError as error:
+            self._problems.append(error)
+        else:
+            if gone is not None:
+                del self._gone[step]
 
     def is_any_enabled(self) -> bool:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
         return any(drive.is_any_enabled() for drive in self._drives)
 
     def await_counts(self, made_s: float, until_s: float) -> float:
-        """Wait for counts of the first encoder board."""
-        return self._encoders[0].await_counts(made_s, until_s)
+        """Wait for counts of the first encoder board; not while a link is gone."""
+        return math.nan if self._gone else self._encoders[0].await_counts(made_s, until_s)
 
     # ---- outside of the cycle: these wait for answers
 
     def enable(self) -> None:
         """Let boards that restarted report again, upload the parameters, and let `write` bring them to OPERATION ENABLED."""
+        self._gone.clear()
         self._restore()
         self._configure()
         self.end.enable()
@@ -120,6 +143,7 @@ class BoardHardware:
 
         Raises BoardFaulted, and WrongIdentity where another board has taken the place of one.
         """
+        self._gone.clear()
         self._restore()
         for drive in self._drives:
             drive.acknowledge_faults()

@@ -92,6 +92,11 @@ class Hardware(Protocol):
     """The modes in which every drive of the arm can be commanded."""
 
     @property
+    def gone(self) -> str:
+        """Why a link is gone, as text; empty while all are there. Only the first `read` after the loss raises LinkLost."""
+        ...
+
+    @property
     def is_polled(self) -> bool:
         """Whether some of its boards speak only when they are asked."""
         ...
@@ -101,7 +106,7 @@ class Hardware(Protocol):
         ...
 
     def read(self) -> Feedback:
-        """Drain the links into `feedback`. Raises LinkLost when a link is gone, ProtocolViolation when a board misbehaves."""
+        """Drain the links into `feedback`. Raises, once per event, LinkLost, BoardReset or ProtocolViolation."""
         ...
 
     def write(

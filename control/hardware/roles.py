@@ -24,7 +24,7 @@ class Line(Protocol):
         ...
 
 
-class PolledLine(Protocol):
+class PolledLine(Line, Protocol):
     """A line whose boards speak only when they are asked."""
 
     def attend(self) -> None:

@@ -65,18 +65,24 @@ class Cycle(ArmState):
             self.parts.checks.watch.note_pause(now_s, missed * self.parts.period_s)
         try:
             self._read()
-            if self.bridge is not None:
-                motion_modes.take_up(self, self.bridge)
-            self._watch(missed_in_row)
-            self._follow_loads()
-            self._advance()
-            self._aim()
-            self._drive()
-            self._drive_end()
+            if gone := self.parts.hardware.gone:
+                self._leave_to_boards(fault_reactions.link_fault(gone))
+            else:
+                self._control(missed_in_row)
         except Exception as error:  # whatever fails here, the arm must not be left moving
             self._break_down(error)
         self._record(late_s)
         return not (self.is_quitting and shutdown.has_left(self))
+
+    def _control(self, missed_in_row: int) -> None:
+        if self.bridge is not None:
+            motion_modes.take_up(self, self.bridge)
+        self._watch(missed_in_row)
+        self._follow_loads()
+        self._advance()
+        self._aim()
+        self._drive()
+        self._drive_end()
 
     def _read(self) -> None:
         feedback = self.parts.hardware.feedback
@@ -232,20 +238,24 @@ class Cycle(ArmState):
                 self.stop()
 
     def _break_down(self, error: Exception) -> None:
-        """The cycle raised: fault, and the boards hold; where a link is gone, they do so by themselves."""
+        """The cycle raised: fault, and the boards hold."""
         is_first = self.monitor.mode is not Mode.FAULT
-        if not (self.is_quitting and self.monitor.mode is Mode.OFF):
-            self.fail(fault_reactions.fault_of(error))
+        self._leave_to_boards(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
             self.monitor.forget_home()  # `home` uses the zeros of boards that still have them
             self.parts.checks.motor_counts.forget()
+        if isinstance(error, AnotherHost) and self.drives.is_ready and not is_first:
+            self.parts.hardware.emergency_stop()  # else its commands and ours take turns at the motor
+
+    def _leave_to_boards(self, fault: Fault) -> None:
+        """Nothing is to be controlled in this cycle: the boards hold; where a link is gone, they do so by themselves."""
+        if not (self.is_quitting and self.monitor.mode is Mode.OFF):
+            self.fail(fault)
         shutdown.follow(self)
         servo = self.parts.servo
         servo.silence()
         with contextlib.suppress(LinkError):
             self._write_all(self._mode_without_control(), servo.output)
-        if isinstance(error, AnotherHost) and self.drives.is_ready and not is_first:
-            self.parts.hardware.emergency_stop()  # else its commands and ours take turns at the motor
 
     def ended_wait(self, now_s: float) -> bool:
         """Whether the loop has waited for boards since its last cycle; what was not read meanwhile has not aged."""

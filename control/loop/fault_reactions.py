@@ -91,9 +91,14 @@ def refuse(state: ArmState, clip: Clip) -> None:
 def fault_of(error: Exception) -> Fault:
     """The fault for an exception that was raised within a cycle."""
     if isinstance(error, LinkError):
-        return Fault("link", "links", str(error), "check cables and supply", Reaction.HOLD)
+        return link_fault(str(error))
     remedy = "report it with the recording of this run"
     return Fault("internal", "control loop", _text_of(error), remedy, Reaction.HOLD)
+
+
+def link_fault(why: str) -> Fault:
+    """The fault of a port, a bus, or a board on it."""
+    return Fault("link", "links", why, "check cables and supply", Reaction.HOLD)
 
 
 def _text_of(error: Exception) -> str:

@@ -87,14 +87,14 @@ class MotorBus:
         Raises LinkLost if it could not be sent.
         """
         payload = bytes((reason & 0xFF,))
-        failure: LinkLost | None = None
+        failures = Problems()
         for _ in range(_EMERGENCY_REPEATS):
             try:
                 self.link.send(wire.EMERGENCY_STOP_ID, payload)
             except LinkLost as lost:
-                failure = lost
-        if failure is not None:
-            raise failure
+                failures.append(lost)
+        if failures:
+            raise failures.pop()
 
     def _take_other(self, can_id: int, payload: bytes) -> None:
         node = can_id & 0x7F

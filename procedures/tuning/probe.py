@@ -47,6 +47,11 @@ class Probe:
         return self.trace
 
     @property
+    def gone(self) -> str:
+        """Why a link is gone; empty while all are there."""
+        return self._hardware.gone
+
+    @property
     def is_polled(self) -> bool:
         """Whether some of its boards speak only when they are asked."""
         return self._hardware.is_polled

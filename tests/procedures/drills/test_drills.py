@@ -13,10 +13,12 @@ import pytest
 from console.main import main
 from hil_mocks.firmware.choice import VARIABLE
 from procedures.drills.catalogue import drills
+from procedures.drills.drill import Drill
 from procedures.drills.power import Disk, PowerLost
-from procedures.drills.stage import off_way_m
+from procedures.drills.stage import gripping_stage, off_way_m, stage
 from procedures.drills.table import HEADER, header, row, verdict
 from tests.firmware import needs_compiler
+from tests.leftovers import nothing_left_for_the_collector
 
 PAGE = Path(__file__).parents[3] / "docs" / "drills.md"
 SITUATIONS = {"rest", "motion", "homing", "session", "measuring", "realtime", "pair"}
@@ -54,6 +56,31 @@ def test_a_drill_goes_as_promised(name: str) -> None:
     outcome = drills()[name].run()
     assert outcome.broken == ()
     assert outcome.drill.name in row(outcome)
+
+
+IN_THE_CLIENT = ("singularity",)  # its plans are made there, and the collector is on
+OF_ANOTHER_ARM = ("wrap", "unseen")  # homed first; what they do, others do too
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            name, marks=[] if name in ("bit-rate-motion", "another-host-rest") else pytest.mark.nightly
+        )
+        for name, drill in drills().items()
+        if isinstance(drill, Drill) and not name.startswith((*IN_THE_CLIENT, *OF_ANOTHER_ARM))
+    ],
+)
+def test_neither_a_fault_nor_the_recovery_from_it_leaves_anything_for_the_collector(name: str) -> None:
+    drill = drills()[name]
+    assert isinstance(drill, Drill)
+    with gripping_stage() if drill.has_gripper else stage() as played:
+        played.begin(drill.during)
+        with nothing_left_for_the_collector():
+            drill.inject(played)
+            played.run(0.6)
+            played.recover()
 
 
 @needs_compiler
