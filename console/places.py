@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from control.errors import ArmError
-from control.files import parsed_toml, read_text, write_whole
+from control.files import changing, parsed_toml, read_text, write_whole
 
 KEYS = {"q_rad", "tip_m"}
 
@@ -55,10 +55,11 @@ def save_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
 
     if not name or not name.replace("_", "").replace("-", "").isalnum():
         raise PlacesError(f"place: expected a name of letters, digits, - and _, got {name!r}")
-    tables = _tables(file) if file.exists() else {}
-    was_there = name in tables
-    tables[name] = {"q_rad": [round(q, 6) for q in q_rad]}
-    write_whole(file, tomli_w.dumps(tables))
+    with changing(file):
+        tables = _tables(file)
+        was_there = name in tables
+        tables[name] = {"q_rad": [round(q, 6) for q in q_rad]}
+        write_whole(file, tomli_w.dumps(tables))
     return was_there
 
 

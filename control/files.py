@@ -5,19 +5,21 @@ What is read here may come from anywhere: a pipe that never ends, a device, a fi
 
 import contextlib
 import errno
+import fcntl
 import json
 import os
 import re
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 T = TypeVar("T")
 PROBE_bytes = 1 << 18  # size of the trial file: some full disks still accept a small one
-LONGEST_NAME_bytes = 255
+APART = ".partial-"  # begins the names of folders in which files are made
 TEXT_MOST_bytes = 1 << 26  # of a file that is read as a whole: 64 MB; the largest of ours has some 100 kB
 DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){32}")
 # A number of more digits is no float: 309 are in base 10, 256 in base 16.
@@ -101,50 +103,130 @@ def parsed_toml(text: str) -> dict[str, Any]:
         raise tomllib.TOMLDecodeError("nested too deeply") from None
 
 
-def make_whole(path: Path, write: Callable[[Path], T]) -> T:
-    """Let `write` fill a temporary file beside `path`, sync it and rename it; return the result of `write`.
+def make_whole(path: Path, write: Callable[[Path], T], is_new: bool = False) -> T:
+    """Let `write` fill a file of this name elsewhere, sync it and put it in place; return the result of `write`.
 
-    On failure `path` is unchanged and the temporary file is removed. NotWritten names `path`.
+    On failure `path` is unchanged. NotWritten names `path`; FileExistsError, if it is to be new and is there already.
     """
-    beside = _beside(path)
-    try:
-        result = write(beside)
-        _synchronise(beside)
-        beside.replace(path)
-        _synchronise(path.parent)
-    except OSError as error:
-        raise NotWritten.of(error, path) from error
-    finally:
-        with contextlib.suppress(OSError):  # the original error matters more
-            beside.unlink(missing_ok=True)
+    with _in_place_of(path, is_new) as apart:
+        result = write(apart)
+        _synchronise(apart)
     return result
 
 
 def make_whole_folder(path: Path, write: Callable[[Path], object]) -> None:
-    """As `make_whole`, for a new folder: `write` fills a temporary one beside it, which is then renamed."""
-    beside = _beside(path)
-    shutil.rmtree(beside, ignore_errors=True)  # of a program that was killed
+    """As `make_whole`, for a new folder, and those above it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _in_place_of(path) as apart:
+        apart.mkdir()
+        write(apart)
+
+
+def write_whole(path: Path, content: str | bytes, is_new: bool = False) -> None:
+    """Write a file atomically (text as UTF-8); errors as of `make_whole`."""
+    written = utf_8(content) if isinstance(content, str) else content
+    make_whole(path, lambda apart: apart.write_bytes(written), is_new)
+
+
+@contextlib.contextmanager
+def _in_place_of(path: Path, is_new: bool = False) -> Iterator[Path]:
+    """A path in a folder of ours beside `path`; what is there at the end of the block takes the place of `path`.
+
+    Others may write to the folder of `path`, too. They cannot prepare a link under a name that they do not know, nor put
+    another folder in the place of ours: it is reached by its descriptor. The lock tells that of a running program from what
+    a killed one has left.
+    """
+    with contextlib.ExitStack() as closing:
+        try:
+            here = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            closing.callback(os.close, here)
+            _clear_away(here)
+            folder = f"{APART}{os.urandom(8).hex()}"
+            os.mkdir(folder, 0o700, dir_fd=here)
+            closing.callback(shutil.rmtree, folder, ignore_errors=True, dir_fd=here)
+            ours = _open_own(folder, here)
+            closing.callback(os.close, ours)
+            with contextlib.suppress(OSError):  # network file systems lock no folders
+                fcntl.flock(ours, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield Path(f"/proc/self/fd/{ours}") / path.name
+            _put(path.name, ours, here, is_new)
+            os.fsync(here)
+        except OSError as error:
+            if is_new and error.errno == errno.EEXIST:
+                raise FileExistsError(error.errno, error.strerror, str(path)) from None
+            raise NotWritten.of(error, path) from error
+
+
+def _put(name: str, source: int, goal: int, is_new: bool) -> None:
+    """Move a file or a folder from one open folder to another. FileExistsError, if it is to be new and is there already."""
+    if is_new:
+        try:
+            os.link(name, name, src_dir_fd=source, dst_dir_fd=goal)
+            return
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            os.close(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, dir_fd=goal))
+    os.replace(name, name, src_dir_fd=source, dst_dir_fd=goal)
+
+
+def _open_own(name: str, here: int) -> int:
+    """Open a folder that is this user's alone. OSError."""
+    fd = os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=here)
+    state = os.fstat(fd)
+    if state.st_uid == os.geteuid() and not state.st_mode & 0o077:
+        return fd
+    os.close(fd)
+    raise PermissionError(errno.EPERM, "another user put a folder of theirs in the place of ours")
+
+
+def _clear_away(here: int) -> None:
+    """Remove what killed programs of this user have left."""
+    for name in [name for name in os.listdir(here) if name.startswith(APART)]:
+        with contextlib.suppress(OSError), contextlib.ExitStack() as closing:
+            closing.callback(os.close, fd := _open_own(name, here))
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(name, ignore_errors=True, dir_fd=here)
+
+
+@contextlib.contextmanager
+def changing(path: Path) -> Iterator[None]:
+    """Let nobody else change `path`, which need not exist yet, between reading it and writing it again; waits for others.
+
+    The lock is on the file itself, and of no use once another has taken its place. One that is still empty goes again.
+    """
+    while True:
+        with open_to_append(path) as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            if not _is_at(file.fileno(), path):
+                continue
+            try:
+                yield
+            finally:
+                if _is_at(file.fileno(), path) and not path.stat().st_size:
+                    path.unlink()
+            return
+
+
+def open_to_append(path: Path, is_alone: bool = False) -> FileIO:
+    """Open a file, or make it, for `append_whole`. A link is followed if it is this user's.
+
+    NotWritten; BlockingIOError, if another program has it open `is_alone`.
+    """
     try:
-        beside.mkdir(parents=True)
-        write(beside)
-        beside.rename(path)
+        if path.is_symlink() and path.lstat().st_uid == os.geteuid():
+            path = path.resolve()
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+        file = FileIO(os.open(path, flags, 0o666), "a+")
     except OSError as error:
         raise NotWritten.of(error, path) from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-
-
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file atomically (text as UTF-8). NotWritten names `path`."""
-    written = utf_8(content) if isinstance(content, str) else content
-    make_whole(path, lambda beside: beside.write_bytes(written))
-
-
-def write_new(path: Path, content: str | bytes) -> None:
-    """As `write_whole`, but FileExistsError if the file exists."""
-    if path.exists():
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    write_whole(path, content)
+    if is_alone:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            file.close()
+            raise
+    return file
 
 
 def append_whole(fd: int, path: Path, content: bytes) -> None:
@@ -190,13 +272,6 @@ def require_writable(folder: Path) -> None:
 def utf_8(text: str) -> bytes:
     """Encode as UTF-8; undecodable bytes of file names become their characters if valid, else U+FFFD."""
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace").encode()
-
-
-def _beside(path: Path) -> Path:
-    """A hidden name in the same folder with the same suffixes, by which writers choose a format."""
-    named = path.with_name(f".partial-{path.name}")
-    is_short = len(os.fsencode(named.name)) <= LONGEST_NAME_bytes
-    return named if is_short else path.with_name(f".partial{path.suffix}")
 
 
 def _write_all(fd: int, content: bytes) -> None:

@@ -20,7 +20,7 @@ from calib.errors import CalibrationError
 from calib.gap.finding import GapFinding
 from calib.identify.determinability import determinability
 from calib.identify.identification import Identification
-from control.files import append_whole, read_bytes
+from control.files import append_whole, open_to_append, read_bytes
 
 FORMAT = "history/1"
 DIGITS = 15  # significant, of a matrix's entry: its eigenvalues differ by a factor of up to 1e8
@@ -120,7 +120,7 @@ def require_appendable(path: Path, arm: str) -> None:
 
 def append_entry(path: Path, entry: Entry) -> None:
     """Append a line and wait for the disk; NotWritten if the disk is full."""
-    with path.open("a+b", buffering=0) as file:
+    with open_to_append(path) as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         append_whole(file.fileno(), path, msgspec.json.encode(entry) + b"\n")
 

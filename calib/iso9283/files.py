@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 
 from calib.iso9283.criteria.checks import Iso9283Error
-from control.files import append_whole, read_bytes, write_whole
+from control.files import append_whole, open_to_append, read_bytes
 
 SET = ("x_set_m", "y_set_m", "z_set_m")
 TIP = ("x_m", "y_m", "z_m")
@@ -45,17 +45,29 @@ class RecordFile:
     def __init__(self, path: Path, header: Sequence[str]) -> None:
         """Open the file, or create it with its header."""
         self._path, self._header = path, list(header)
-        content = read_bytes(path) if path.exists() else b""
-        whole = content[: content.rfind(b"\n") + 1].decode(errors="replace") or _line(self._header)
-        lines = list(csv.reader(io.StringIO(whole)))
+        try:
+            self._file = open_to_append(path, is_alone=True)
+        except BlockingIOError:
+            raise Iso9283Error(f"{path}: another program is recording into it") from None
+        try:
+            self.rows = self._mended()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _mended(self) -> list[dict[str, str]]:
+        """Drop an incomplete end, write the header if there is none; the rows that are there."""
+        content = read_bytes(self._path)
+        whole = content[: content.rfind(b"\n") + 1]
+        lines = list(csv.reader(io.StringIO(whole.decode(errors="replace")))) or [self._header]
         if lines[0] != self._header:
             raise Iso9283Error(
-                f"{path}: its columns differ from those of this recording: choose another folder"
+                f"{self._path}: its columns differ from those of this recording: choose another folder"
             )
-        self.rows = [dict(zip(self._header, line, strict=True)) for line in lines[1:]]
-        if whole.encode() != content:
-            write_whole(path, whole)
-        self._file = path.open("a+b", buffering=0)
+        self._file.truncate(len(whole))
+        if not whole:
+            append_whole(self._file.fileno(), self._path, _line(self._header).encode())
+        return [dict(zip(self._header, line, strict=True)) for line in lines[1:]]
 
     def append(self, rows: Iterable[Sequence[str]]) -> None:
         """Write rows and wait for the disk."""

@@ -17,7 +17,7 @@ from calib.errors import SessionError
 from calib.points.covariance import COVARIANCE
 from calib.points.points import ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points
 from calib.points.reading import read_points
-from control.files import append_whole, read_bytes, write_whole
+from control.files import append_whole, open_to_append, read_bytes, write_whole
 
 Key = tuple[str, str, int]
 POSE_COLUMNS = (*ORIENTATION, "frame")
@@ -107,9 +107,13 @@ class PointsWriter:
         columns = [*_header(joint_count), *more]
         self._header, self._take = _line(columns), columns.index("take")
         path.parent.mkdir(parents=True, exist_ok=True)
-        self.warnings: tuple[str, ...] = self._mend()
-        self._lines: dict[Key, str] = self._read()
-        self._file = path.open("a+b", buffering=0)
+        self._file = self._opened()
+        try:
+            self.warnings: tuple[str, ...] = self._mend()
+            self._lines: dict[Key, str] = self._read()
+        except BaseException:
+            self._file.close()
+            raise
 
     @property
     def recorded(self) -> frozenset[Key]:
@@ -137,7 +141,7 @@ class PointsWriter:
         left = {other: line for other, line in self._lines.items() if other != key}
         replace_file(self._path, "".join([self._header, *(f"{line}\n" for line in left.values())]).encode())
         self._file.close()  # the old file; where the new one could not be written, it stays in use
-        self._file = self._path.open("a+b", buffering=0)
+        self._file = self._opened()
         self._lines = left
 
     def close(self) -> None:
@@ -154,23 +158,29 @@ class PointsWriter:
         """Close the file."""
         self.close()
 
+    def _opened(self) -> io.FileIO:
+        try:
+            return open_to_append(self._path, is_alone=True)
+        except BlockingIOError:
+            raise SessionError(f"{self._path}: another program is recording into it") from None
+
     def _mend(self) -> tuple[str, ...]:
         """Repair the file: drop an incomplete end, write the header if there is none."""
-        content = read_bytes(self._path) if self._path.exists() else b""
+        content = read_bytes(self._path)
         whole = content[: content.rfind(b"\n") + 1]
         warnings: tuple[str, ...] = ()
         if len(whole) < len(content):
             torn = content[len(whole) :].decode(errors="replace")
             warnings = (f'{self._path}: the last line is incomplete and is dropped: "{torn[:60]}"',)
-        if not whole:
-            whole = self._header.encode()
-        first = whole.split(b"\n", 1)[0].decode(errors="replace").strip()
+        first = (whole or self._header.encode()).split(b"\n", 1)[0].decode(errors="replace").strip()
         if first != self._header.strip():
             raise SessionError(
                 f"{self._path}: not a session's header for {self._joint_count} joints; name another file"
             )
         if whole != content:
-            replace_file(self._path, whole)
+            self._file.truncate(len(whole))
+        if not whole:
+            append_whole(self._file.fileno(), self._path, self._header.encode())
         return warnings
 
     def _read(self) -> dict[Key, str]:

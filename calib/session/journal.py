@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import SessionError
-from control.files import append_whole, parsed_json, read_bytes
+from control.files import append_whole, open_to_append, parsed_json, read_bytes
 
 Entry = dict[str, Any]
 
@@ -24,11 +23,9 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file = path.open("a+b", buffering=0)
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            self._file.close()
+            self._file = open_to_append(path, is_alone=True)
+        except BlockingIOError as error:
             raise SessionError(f"{path.parent}: another session is running in this folder") from error
         try:
             self.entries: tuple[Entry, ...] = self._mended()

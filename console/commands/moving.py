@@ -12,7 +12,7 @@ from console.places import find_place, save_place
 from console.relative import beside
 from console.waiting import shown
 from control.errors import ArmError
-from control.files import read_text, write_whole
+from control.files import changing, read_text, write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.motion.joint_limits import JointLimits
@@ -195,20 +195,19 @@ def _teach(given: argparse.Namespace) -> int:
         raise ArmError("teach: the tip position is unknown: run `armwright home`")
     _say_if_outside(given, status["joint_rad"])
     file = Path(given.file)
-    lines = _way_points(file, given.orientation)
-    row = [*status["tip_m"], *(status["tip_orientation"] if lines[0].strip() == FULL_HEADER else ())]
-    if len(lines) > 1 and _is_same(lines[-1], row):
-        raise ArmError(f"teach: the tip has not moved since the last way-point of {file}")
-    text = ",".join(f"{float(x):.6f}" for x in row)
-    write_whole(file, "\n".join([*lines, text]) + "\n")
+    with changing(file):
+        lines = _way_points(file, given.orientation)
+        row = [*status["tip_m"], *(status["tip_orientation"] if lines[0].strip() == FULL_HEADER else ())]
+        if len(lines) > 1 and _is_same(lines[-1], row):
+            raise ArmError(f"teach: the tip has not moved since the last way-point of {file}")
+        text = ",".join(f"{float(x):.6f}" for x in row)
+        write_whole(file, "\n".join([*lines, text]) + "\n")
     sys.stdout.write(f"way-point {len(lines)} in {file}: {text}\n")
     return 0
 
 
 def _way_points(file: Path, has_orientation: bool) -> list[str]:
     wanted = FULL_HEADER if has_orientation else HEADER
-    if not file.exists():
-        return [wanted]
     try:
         lines = [line for line in read_text(file).splitlines() if line.strip()]
     except UnicodeDecodeError as error:

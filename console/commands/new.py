@@ -9,7 +9,7 @@ from typing import Final
 
 from calib.arm_import import SerialArm, read_arm
 from control.errors import ArmError, ArmFileError
-from control.files import NotWritten, write_new
+from control.files import NotWritten, write_whole
 from control.model.description import parse_arm
 from control.model.plausible import OVERRIDE
 from control.model.rules import LONGEST_NAME, is_file_name
@@ -110,7 +110,7 @@ def _name_of(out: Path) -> str:
 def _write(out: Path, text: str) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_new(out, text)
+        write_whole(out, text, is_new=True)
     except NotWritten:
         raise
     except OSError as error:

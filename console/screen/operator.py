@@ -17,6 +17,7 @@ from typing import Any
 from console.lines.grammar import Grammar, Line, LineError
 from console.screen.child import subcommand
 from console.screen.link import LinkLost, Message, RuntimeLink
+from control.files import open_to_append, utf_8
 
 RENEW_S = 0.05  # of a step, which ends by itself
 QUICK = ("enable", "hold", "guide", "stop", "acknowledge", "pause", "resume", "override", "off")
@@ -190,8 +191,8 @@ class Operator:
     def record(self, text: str) -> None:
         """Add a line to the file that `armwright script` replays."""
         if self._record_file is not None:
-            with self._record_file.open("a", encoding="utf-8") as file:
-                file.write(f"{text}\n")
+            with open_to_append(self._record_file) as file:
+                file.write(utf_8(f"{text}\n"))
 
     async def _asked(self, do: str, **arguments: Any) -> Message | None:
         try:

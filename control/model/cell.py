@@ -15,7 +15,7 @@ from typing import Annotated
 import tomli_w
 
 from control.errors import ArmError, ArmFileError
-from control.files import parsed_toml, read_text, write_new
+from control.files import parsed_toml, read_text, write_whole
 from control.model.arm import Arm, Camera, CanBus
 from control.model.description import load_arm, save_arm
 from control.model.end_effector import Vector3
@@ -197,7 +197,7 @@ def save_cell(cell: Cell, folder: Path) -> Path:
         "arm": entries,
     }
     file = folder / f"{cell.name}.cell.toml"
-    write_new(file, tomli_w.dumps(table))
+    write_whole(file, tomli_w.dumps(table), is_new=True)
     return file
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import tomli_w
 
 from control.errors import ArmError, ArmFileError
-from control.files import NO_ROOM, parsed_toml, read_text, write_new
+from control.files import NO_ROOM, parsed_toml, read_text, write_whole
 from control.model.arm import (
     Arm,
     Board,
@@ -115,7 +115,7 @@ def save_arm(arm: Arm, path: str | Path) -> None:
     Keys with their default value are omitted. NotWritten if the disk is full; then there is no file.
     """
     try:
-        write_new(Path(path), arm_text(arm))
+        write_whole(Path(path), arm_text(arm), is_new=True)
     except FileExistsError:
         raise ArmFileError(
             path, None, "", "a new file", "an existing one", "arms are never overwritten"

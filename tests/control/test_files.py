@@ -5,18 +5,22 @@ from __future__ import annotations
 import contextlib
 import os
 import resource
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from control.files import (
+    APART,
     NotWritten,
     append_whole,
+    changing,
     make_whole,
     make_whole_folder,
+    open_to_append,
     require_writable,
-    write_new,
     write_whole,
 )
 from control.model.description import load_arm, save_arm
@@ -68,9 +72,9 @@ def test_the_file_beside_keeps_the_ending_and_a_name_that_the_system_takes(tmp_p
 
 
 def test_a_new_file_never_takes_the_place_of_another(tmp_path: Path) -> None:
-    write_new(tmp_path / "a", "1")
+    write_whole(tmp_path / "a", "1", is_new=True)
     with pytest.raises(FileExistsError):
-        write_new(tmp_path / "a", "2")
+        write_whole(tmp_path / "a", "2", is_new=True)
 
 
 def test_a_record_that_does_not_fit_is_not_there_in_part(tmp_path: Path) -> None:
@@ -107,12 +111,108 @@ def test_a_folder_that_finds_no_room_is_no_half_folder(tmp_path: Path) -> None:
         (folder / "small").write_bytes(b"1")
         (folder / "large").write_bytes(bytes(200))
 
-    (tmp_path / ".partial-new" / "of a program that was killed").mkdir(parents=True)
     with files_up_to(100), pytest.raises(NotWritten, match="new"):
         make_whole_folder(tmp_path / "new", write)
     assert not list(tmp_path.iterdir())
     make_whole_folder(tmp_path / "new", write)
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["large", "small"]
+
+
+def test_what_a_killed_program_left_goes_and_what_a_running_one_writes_stays(tmp_path: Path) -> None:
+    (tmp_path / f"{APART}killed").mkdir(mode=0o700)
+    (tmp_path / f"{APART}killed" / "half").write_bytes(b"1")
+
+    def write(apart: Path) -> None:
+        write_whole(tmp_path / "b", "of another program meanwhile")
+        apart.write_bytes(b"whole")
+
+    make_whole(tmp_path / "a", write)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+    assert (tmp_path / "a").read_bytes() == b"whole"
+
+
+@pytest.fixture
+def precious(tmp_path: Path) -> Path:
+    """A file to which somebody wants another's program to write."""
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "precious").write_bytes(b"precious")
+    return tmp_path / "home" / "precious"
+
+
+def test_a_folder_that_is_put_in_the_place_of_ours_gets_nothing(tmp_path: Path, precious: Path) -> None:
+    shared = tmp_path / "shared"
+    shared.mkdir()
+
+    def write(apart: Path) -> None:
+        (ours,) = shared.iterdir()
+        ours.rename(shared / "aside")
+        ours.mkdir()
+        (ours / "places.toml").symlink_to(precious)
+        apart.write_bytes(b"a place")
+
+    make_whole(shared / "places.toml", write)
+    assert precious.read_bytes() == b"precious"
+    assert (shared / "places.toml").read_bytes() == b"a place"
+    assert not (shared / "places.toml").is_symlink()
+
+
+def test_a_file_is_appended_through_links_of_ours_only(
+    tmp_path: Path, precious: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = tmp_path / "history.jsonl"
+    link.symlink_to(precious)
+    with open_to_append(link) as file:
+        assert file.write(b"!") == 1
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with pytest.raises(NotWritten, match=r"history\.jsonl: not written"):
+        open_to_append(link)
+    assert precious.read_bytes() == b"precious!"
+
+
+@pytest.mark.parametrize("has_links", [True, False])
+def test_a_new_file_gives_way_to_one_that_came_while_it_was_written(
+    tmp_path: Path, has_links: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_links(*_: object, **__: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    def write(apart: Path) -> None:
+        apart.write_bytes(b"mine")
+        (tmp_path / "arm.toml").write_bytes(b"theirs")
+
+    if not has_links:  # FAT
+        monkeypatch.setattr(os, "link", no_links)
+    with pytest.raises(FileExistsError, match=r"arm\.toml"):
+        make_whole(tmp_path / "arm.toml", write, is_new=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.toml"]
+    assert (tmp_path / "arm.toml").read_bytes() == b"theirs"
+    write_whole(tmp_path / "another.toml", "mine", is_new=True)
+    assert (tmp_path / "another.toml").read_bytes() == b"mine"
+
+
+ADDS = """
+import sys
+from pathlib import Path
+from control.files import changing, read_text, write_whole
+file, who = Path(sys.argv[1]), sys.argv[2]
+for number in range(40):
+    with changing(file):
+        write_whole(file, read_text(file) + f"{who}{number}\\n")
+"""
+
+
+def test_of_programs_that_change_a_file_at_once_none_loses_what_another_has_written(tmp_path: Path) -> None:
+    file = tmp_path / "places"
+    programs = [subprocess.Popen([sys.executable, "-c", ADDS, os.fspath(file), who]) for who in "abc"]
+    assert [program.wait() for program in programs] == [0, 0, 0]
+    assert sorted(file.read_text("utf-8").split()) == sorted(f"{who}{k}" for who in "abc" for k in range(40))
+    assert [path.name for path in tmp_path.iterdir()] == ["places"]
+
+
+def test_a_file_that_is_not_changed_after_all_is_not_made(tmp_path: Path) -> None:
+    with contextlib.suppress(ValueError), changing(tmp_path / "places"):
+        raise ValueError
+    assert not list(tmp_path.iterdir())
 
 
 def test_trying_a_place_leaves_no_trace(tmp_path: Path) -> None:
