@@ -14,9 +14,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from control.files import make_whole
 from control.recording.frames import FrameEncoder, in_frames
 from control.recording.parts import next_part
-from control.recording.reading import Recording
+from control.recording.reading import RecordError, Recording
 from control.recording.record import header_bytes
 from control.recording.recorder_state import RecorderState, hours_left
 
@@ -48,14 +49,34 @@ class PartFile:
         self._rows_at, self._pwrite, self._unsynced = opened.offset, pwrite, 0
         self.row_count, self.size = opened.extent()
         self._encoder = FrameEncoder(opened.columns, opened.layout.packing) if opened.columns else None
-        self._fd = os.open(path, os.O_WRONLY)
+        # Appending, so that a file which was emptied by somebody else gets no hole.
+        self._fd = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
         with contextlib.suppress(OSError):  # marks the file as unfinished for other runtimes
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
-    @property
-    def is_removed(self) -> bool:
-        """Whether the file was removed, e.g. to make room."""
-        return os.fstat(self._fd).st_nlink == 0
+    def harm(self) -> tuple[str, int]:
+        """What another program has done to the file since, in words (empty: nothing), and how many rows that took."""
+        state = os.fstat(self._fd)
+        if state.st_nlink == 0:
+            return "removed", self.row_count
+        if state.st_size != self.size:
+            if state.st_size > self.size:
+                os.ftruncate(self._fd, self.size)
+            return "emptied, cut or written to", self._mended()
+        with contextlib.suppress(OSError):
+            if os.path.samestat(state, self.path.stat()):
+                return "", 0
+        return "moved away", 0
+
+    def _mended(self) -> int:
+        """Leave a file that can be read; how many of its rows are gone."""
+        try:
+            return max(0, self.row_count - Recording.open(Path(f"/proc/self/fd/{self._fd}")).row_count)
+        except (RecordError, OSError):  # not even its header is left
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, 0)
+                self._pwrite(self._fd, header_bytes(self.header), 0)
+            return self.row_count
 
     @property
     def has_rows(self) -> bool:
@@ -180,10 +201,16 @@ class Parts:
         if not self._state.is_on:
             self._require_room()
         part = self._part
-        if part is not None and (
-            part.is_removed or (part.has_rows and part.size + more_bytes > self._policy.rotate_bytes)
-        ):
-            self._finish_part()
+        if part is not None:
+            harm, gone = part.harm()
+            if harm:
+                self._lose(gone)
+                lost = f", and {gone} cycles with it" if gone else ""
+                self._say(
+                    f"{part.path}: {harm} by another program{lost}; recording continues in another file"
+                )
+            if harm or (part.has_rows and part.size + more_bytes > self._policy.rotate_bytes):
+                self._finish_part()
         if self._part is None:
             self._part = self._begun_part()
         return self._part
@@ -233,26 +260,16 @@ def stored_row_bytes(packed_bytes: int, is_framed: bool = True) -> float:
 
 
 def begin(path: Path, header: Mapping[str, object], pwrite: PWrite = os.pwrite) -> None:
-    """Create a recording with its header and no rows; on OSError there is no file.
+    """Create a recording with its complete header and no rows; on OSError there is no file."""
+    content = header_bytes(header)
 
-    An empty file reserves the name, then the complete header replaces it: a reader never sees a partial header.
-    """
-    content, at = header_bytes(header), 0
-    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
-    beside = path.with_name(f".partial-{path.name}")
-    try:
-        fd = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-        try:
+    def write(apart: Path) -> None:
+        with apart.open("xb") as file:
+            at = 0
             while at < len(content):
-                at += pwrite(fd, content[at:], at)
-            os.fsync(fd)
-        finally:
-            os.close(fd)
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        path.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from error
+                at += pwrite(file.fileno(), content[at:], at)
+
+    make_whole(path, write, is_new=True)
 
 
 def begin_next(path: Path, header: Mapping[str, object], pwrite: PWrite = os.pwrite) -> Path:

@@ -188,7 +188,9 @@ def _recorder_warnings(recorder: RecorderState) -> list[str]:
             " recorded. Recording resumes when there is room"
         )
     elif recorder.lost_rows:
-        warnings.append(f"{recorder.lost_rows} cycles were not recorded: the disk was full or too slow")
+        warnings.append(
+            f"{recorder.lost_rows} cycles are in no file: the disk was full or too slow, or another program removed them"
+        )
     if recorder.is_on and recorder.hours_left is not None and recorder.hours_left < FEW_HOURS:
         warnings.append(f"{recorder.file}: the disk will be full in {recorder.time_left()}")
     return warnings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -149,6 +150,43 @@ def test_a_recording_that_somebody_removes_to_make_room_goes_on_in_the_next_file
     assert cycles(tmp_path / "right-20260101-120000.part2.armlog") == [3, 4]
 
 
+@pytest.mark.parametrize("is_framed", [False, True])
+@pytest.mark.parametrize("left", [0.0, 1e-6, 1e-3, 0.5, 0.9, 1.5])
+def test_a_recording_that_another_program_empties_or_cuts_says_so_and_goes_on_in_a_file_that_can_be_read(
+    tmp_path: Path, disk: Disk, left: float, is_framed: bool
+) -> None:
+    about = {"arm": "right", "period_s": 0.002, **(LAYOUT.framed([1e-5] * 2) if is_framed else {})}
+    first = tmp_path / "right-20260101-120000.armlog"
+    begin(first, LAYOUT.about(**about))
+    parts = Parts(first, LARGE, disk.said.append)
+    parts.append(rows(0, 1000))
+    os.truncate(first, math.ceil(left * first.stat().st_size))  # 1.5: with a hole
+    parts.append(rows(1000, 5))
+    parts.append(rows(1005, 5))
+    state = parts.state()
+    parts.close()
+    read = [cycles(part) for part in parts_from(first)]
+    assert read[0] == list(range(len(read[0])))
+    assert read[1:] == [list(range(1000, 1010))]
+    assert state.is_on
+    assert state.lost_rows == 1010 - sum(map(len, read))
+    assert [f", and {state.lost_rows} cycles" in said for said in disk.said] == [left < 1.0]
+
+
+def test_a_recording_that_is_moved_away_keeps_its_rows_and_goes_on_where_it_is_looked_for(
+    tmp_path: Path, disk: Disk
+) -> None:
+    parts = disk.parts(tmp_path)
+    first = tmp_path / "right-20260101-120000.armlog"
+    parts.append(rows(0, 3))
+    first.rename(tmp_path / "log.1")
+    first.write_bytes(b"")  # as logrotate does
+    parts.append(rows(3, 2))
+    parts.close()
+    assert (cycles(tmp_path / "log.1"), cycles(Path(parts.state().file))) == ([0, 1, 2], [3, 4])
+    assert (parts.state().lost_rows, first.stat().st_size) == (0, 0)
+
+
 def named(folder: Path, name: str, size: int, age: int) -> Path:
     path = folder / name
     path.write_bytes(bytes(size))
@@ -198,7 +236,7 @@ def test_a_recording_that_finds_no_room_for_its_header_names_the_file_and_leaves
     tmp_path: Path, disk: Disk
 ) -> None:
     disk.room = 5
-    with pytest.raises(OSError, match=r"No space left on device: .*a\.armlog"):
+    with pytest.raises(OSError, match=r"a\.armlog: not written: No space left on device"):
         begin(tmp_path / "a.armlog", LAYOUT.about(), disk.pwrite)
     assert not list(tmp_path.iterdir())
 
