@@ -9,6 +9,7 @@ import can
 
 from firmware_iface import slcan
 from firmware_iface.can_adapters import INTERFACES, channel_of
+from firmware_iface.claims import Claim, claim_can
 from firmware_iface.errors import LinkLost, PortMissing
 from firmware_iface.link import CanFormat, FrameLink
 from firmware_iface.serial_link import open_serial
@@ -31,24 +32,40 @@ def can_buses() -> list[tuple[str, str]]:
 def open_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
     """Open a CAN bus by any interface of python-can: socketcan, slcan, gs_usb, pcan, udp_multicast, virtual ...
 
-    `options` are passed to python-can unchanged. slcan is our own (slcan.py). Raises PortMissing with the remedy.
+    `options` are passed to python-can unchanged. slcan is our own (slcan.py). Raises PortMissing with the remedy; PortInUse.
     """
-    return _open_can(interface, channel, bitrate, CanFormat.STANDARD, options)
+    return _as_host(interface, channel, bitrate, CanFormat.STANDARD, options)
 
 
 def open_extended_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
     """As `open_can`, for frames with 29-bit ids instead of 11-bit ones."""
-    return _open_can(interface, channel, bitrate, CanFormat.EXTENDED, options)
+    return _as_host(interface, channel, bitrate, CanFormat.EXTENDED, options)
 
 
 def open_fd_can(interface: str, channel: str, bitrate: int = 1_000_000, **options: object) -> FrameLink:
     """As `open_can`, for CAN FD frames with a faster data phase (bit rate switch). `bitrate` is that of the arbitration."""
-    return _open_can(interface, channel, bitrate, CanFormat.FD, options)
+    return _as_host(interface, channel, bitrate, CanFormat.FD, options)
 
 
-def _open_can(
+def _as_host(
     interface: str, channel: str, bitrate: int, carried: CanFormat, options: Mapping[str, object]
 ) -> FrameLink:
+    """The bus, which is ours until it is closed; that of an slcan adapter is its serial port's."""
+    claim = None if interface == "slcan" else claim_can(interface, channel, options.get("port", ""))
+    link = join_can(interface, channel, bitrate, carried, **options)
+    if isinstance(link, CanFrameLink):
+        link.claim = claim
+    return link
+
+
+def join_can(
+    interface: str,
+    channel: str,
+    bitrate: int = 1_000_000,
+    carried: CanFormat = CanFormat.STANDARD,
+    **options: object,
+) -> FrameLink:
+    """As `open_can`, as a device on the bus beside its host: for mocks."""
     name = f"{interface}:{channel}"
     if interface == "slcan":
         return _open_slcan(name, channel, bitrate, carried, **options)
@@ -145,6 +162,7 @@ class CanFrameLink:
     def __init__(self, bus: can.BusABC, name: str, carried: CanFormat, hears_itself: bool) -> None:
         self.name = name
         self.rejected = 0
+        self.claim: Claim | None = None  # of a host
         self._bus = bus
         self._is_fd = carried is CanFormat.FD
         self._is_extended = carried is CanFormat.EXTENDED
@@ -218,3 +236,4 @@ class CanFrameLink:
         if self._is_open:
             self._is_open = False
             self._bus.shutdown()
+            self.claim = None

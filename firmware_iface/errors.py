@@ -24,6 +24,10 @@ class PortMissing(LinkError):
     """The port or bus does not exist or is in use, or its driver is not installed."""
 
 
+class PortInUse(PortMissing):
+    """Another program of this machine commands the boards on the port or bus."""
+
+
 class LinkLost(LinkError):
     """An open port or bus was lost (unplugged, bus off, closed by the peer)."""
 
@@ -81,10 +85,10 @@ class MisuseError(LinkError):
 class ConnectionFailed(LinkError):
     """One error for all devices that failed to connect, with a message for each in `failures`."""
 
-    def __init__(self, failures: Sequence[LinkError], attempted: int) -> None:
-        self.failures, self.attempted = tuple(failures), attempted
+    def __init__(self, failures: Sequence[LinkError]) -> None:
+        self.failures = tuple({str(failure): failure for failure in failures}.values())
         lines = "".join(f"\n  - {failure}" for failure in self.failures)
-        super().__init__(f"{len(self.failures)} of {attempted} devices failed to connect:{lines}")
+        super().__init__(f"cannot connect:{lines}")
 
 
 def connect_all(steps: Iterable[Callable[[], T]]) -> list[T]:
@@ -97,5 +101,5 @@ def connect_all(steps: Iterable[Callable[[], T]]) -> list[T]:
         except LinkError as failure:
             failures.append(failure)
     if failures:
-        raise ConnectionFailed(failures, attempted=len(results) + len(failures))
+        raise ConnectionFailed(failures)
     return results

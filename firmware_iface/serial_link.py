@@ -12,6 +12,7 @@ from struct import Struct
 import serial
 from serial.tools import list_ports
 
+from firmware_iface.claims import Claim, claim_serial
 from firmware_iface.errors import LinkLost, MisuseError, PortMissing
 from firmware_iface.link import ByteLink
 
@@ -27,15 +28,23 @@ WRITE_TIMEOUT_ms = 200  # requests are about 12 bytes: a line that does not acce
 def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink:
     """Open a serial port by any URL that pyserial takes: /dev/ttyUSB0, COM3, socket://host:port, loop:// ...
 
-    8N1, exclusive, low-latency mode where supported. `patience`: how many empty looks in a row before a tty is read all the
-    same, which may wait for the kernel. Raises PortMissing, which lists the available ports.
+    8N1, low-latency mode where supported; no other program has it (firmware_iface.claims). `patience`: how many empty
+    looks in a row before a tty is read all the same, which may wait for the kernel. Raises PortMissing, which lists the
+    available ports; PortInUse.
     """
     if baud <= 0:
         raise MisuseError(f"serial port {url}: baud must be positive, got {baud}")
     try:
         port = serial.serial_for_url(
-            url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT_ms * 1e-3, exclusive=True
+            url,
+            baudrate=baud,
+            timeout=0,
+            write_timeout=WRITE_TIMEOUT_ms * 1e-3,
+            exclusive=True,
+            do_not_open=True,
         )
+        claim = claim_serial(url, port.port if isinstance(port, serial.Serial) else None)
+        port.open()
     except (serial.SerialException, OSError, ValueError, ImportError) as problem:
         raise PortMissing(f"serial port {url}: cannot open it: {problem}; {_ports_here()}") from None
     if type(port) is serial.Serial and os.name == "posix":
@@ -43,10 +52,10 @@ def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
             port.set_low_latency_mode(True)  # ASYNC_LOW_LATENCY, where the kernel lets this user
         lower_latency(url)
-        return _PosixByteLink(port, url, baud, patience)
+        return _PosixByteLink(port, claim, url, baud, patience)
     if url.startswith("socket:") and os.name == "posix":
-        return _SocketByteLink(port, url, 0, patience)
-    return _PyserialByteLink(port, url, 0 if url.startswith("socket:") else baud)
+        return _SocketByteLink(port, claim, url, 0, patience)
+    return _PyserialByteLink(port, claim, url, 0 if url.startswith("socket:") else baud)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +107,12 @@ def _ports_here() -> str:
 class _PosixByteLink:
     """A tty or pty: opened by pyserial, read and written directly (pyserial's layers cost some 20 us a read)."""
 
-    def __init__(self, port: serial.SerialBase, name: str, baud: int, patience: int) -> None:
+    def __init__(
+        self, port: serial.SerialBase, claim: Claim | None, name: str, baud: int, patience: int
+    ) -> None:
         self.name = name
         self.baud = baud
+        self._claim = claim
         self._port = port
         self._fd = port.fileno()
         os.set_blocking(self._fd, False)
@@ -167,6 +179,7 @@ class _PosixByteLink:
         if self._arrivals is not None:
             self._arrivals.close()
         self._port.close()
+        self._claim = None
 
 
 class _SocketByteLink(_PosixByteLink):
@@ -187,9 +200,10 @@ class _SocketByteLink(_PosixByteLink):
 class _PyserialByteLink:
     """Any other port that pyserial supports: loop://, RFC 2217, Windows."""
 
-    def __init__(self, port: serial.SerialBase, name: str, baud: int) -> None:
+    def __init__(self, port: serial.SerialBase, claim: Claim | None, name: str, baud: int) -> None:
         self.name = name
         self.baud = baud
+        self._claim = claim
         self._port = port
 
     def read(self) -> bytes:
@@ -216,3 +230,4 @@ class _PyserialByteLink:
 
     def close(self) -> None:
         self._port.close()
+        self._claim = None

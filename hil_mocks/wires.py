@@ -16,12 +16,12 @@ import tty
 from collections import deque
 from collections.abc import Collection, Iterator, Sequence
 from operator import itemgetter
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 from unittest.mock import patch
 
 import can
 
-from firmware_iface.can_link import CanFrameLink, open_can, open_extended_can, open_fd_can
+from firmware_iface.can_link import CanFrameLink, join_can
 from firmware_iface.errors import LinkLost
 from firmware_iface.link import CanFormat, FrameLink
 from hil_mocks.camera_wires import camera_wire, free_udp_port
@@ -31,9 +31,6 @@ from hil_mocks.devices.motor_inputs import Frame
 _BUS_OFF, _BIT_ERROR = 0x40, 0x88  # CAN_ERR_BUSOFF, CAN_ERR_BUSERROR | CAN_ERR_PROT of linux/can/error.h
 _OF_BOARDS = 0x080  # set in REPLY and PARAMETER_ANSWER, not in what the host sends (docs/motor_board.md)
 _MOST_LOOKS = 20_000  # some 10 ms
-_OPENERS = {
-    CanFormat.STANDARD: open_can, CanFormat.EXTENDED: open_extended_can, CanFormat.FD: open_fd_can
-}  # fmt: skip
 _ROOM_BYTES = 3500  # of the 4095 that a tty holds for a host that does not read
 
 
@@ -180,10 +177,12 @@ class Wires:
         self.serial = tuple(serial_wires)
         # A separate port, because python-can receives all groups of a port. No hops: frames stay on this machine.
         is_multicast = can_interface == "udp_multicast"
-        self.can_options: dict[str, int] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
+        self.can_options: dict[str, Any] = {"port": free_udp_port(), "hop_limit": 0} if is_multicast else {}
         self._can_interface, self._can_channel = can_interface, can_channel
         self._buses = {
-            carried: cast(CanFrameLink, _OPENERS[carried](can_interface, can_channel, **self.can_options))
+            carried: cast(
+                CanFrameLink, join_can(can_interface, can_channel, carried=carried, **self.can_options)
+            )
             for carried in (CanFormat.STANDARD, *can_formats)
         }
         self._arrived: deque[Arrived] = deque()
@@ -260,7 +259,7 @@ class Wires:
 
     def guest(self) -> FrameLink:
         """Another device on the CAN bus."""
-        return open_can(self._can_interface, self._can_channel, **self.can_options)
+        return join_can(self._can_interface, self._can_channel, **self.can_options)
 
     @contextlib.contextmanager
     def full_bus(self) -> Iterator[None]:

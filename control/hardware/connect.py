@@ -50,7 +50,6 @@ class Connection:
     encoders: tuple[EncoderBoard, ...]
     motors: tuple[MotorBoard, ...]
     others: tuple[tuple[str, str], ...]  # boards of other kinds: where each is, and what it says of itself
-    attempted: int  # how many devices were to be connected
     _closers: list[Callable[[], None]] = field(default_factory=list)
 
     def close(self) -> None:
@@ -104,8 +103,6 @@ def connect(
     motors = _motors(arm, clock, opened, shared_bus, problems)
     open_boards(arm, clock, period_s, opened)
     end = _end_boards(arm, motors, period_s, opened)
-    motor_boards = max(len(motors), any(not drive.board for drive in arm.drives))
-    attempted = len(arm.encoder_boards) + motor_boards + len(arm.boards)
     camera: TipCamera | None = None
     if not opened.failures and camera_port is not None:
         with collect(opened.failures):
@@ -117,11 +114,11 @@ def connect(
     if opened.failures:
         for close in opened.closers:
             close()
-        raise ConnectionFailed(opened.failures, attempted)
+        raise ConnectionFailed(opened.failures)
     _add_reference(arm, clock, encoders, motors, period_s, opened, problems)
     boards, others = tuple(motor for _, motor in motors), tuple(opened.identities)
     hardware = _composed(arm, clock, opened, end)
-    return Connection(hardware, camera, tuple(encoders), boards, others, attempted, opened.closers)
+    return Connection(hardware, camera, tuple(encoders), boards, others, opened.closers)
 
 
 def reference_hardware(

@@ -68,7 +68,6 @@ def connect_cell(
     buses = SharedBuses(clock)
     opened: dict[str, Connection] = {}
     failures: list[LinkError] = []
-    attempted = 0
     try:
         for placed in cell.arms:
             try:
@@ -79,12 +78,10 @@ def connect_cell(
                     camera_ports.get(placed.name),
                     buses.bus if len(cell.arms) > 1 else None,
                 )
-                attempted += opened[placed.name].attempted
             except ConnectionFailed as error:
                 failures += error.failures
-                attempted += error.attempted
         if failures:
-            raise ConnectionFailed(failures, attempted)
+            raise ConnectionFailed(failures)
     except BaseException:
         CellConnection(opened, buses).close()
         raise

@@ -12,7 +12,7 @@ from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder import wire as encoder_wire
 from firmware_iface.encoder.board import EncoderBoard
-from firmware_iface.errors import BoardSilent, LinkError, PortMissing
+from firmware_iface.errors import BoardSilent, LinkError, PortInUse, PortMissing
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.scan import BusScan, listen, scan_nodes
 from firmware_iface.motor.wire import Parameter, ResetCause
@@ -135,7 +135,7 @@ def _open_encoder(boards: Boards, arm: Arm, clock: Clock, index: int, port: Enco
     try:
         link = open_serial(port.port, port.baud)
     except LinkError as error:
-        boards.note(Level.BAD, what, str(error), "", _port_remedy(str(error)))
+        boards.note(Level.BAD, what, str(error), "", _port_remedy(error))
         return
     boards.closers.append(link.close)
     board = EncoderBoard(link, clock, port.name)
@@ -197,7 +197,10 @@ def _same(boards: Boards, what: str, drive: Drive, name: str, found: int) -> Non
     )  # fmt: skip
 
 
-def _port_remedy(problem: str) -> str:
+def _port_remedy(error: LinkError) -> str:
+    if isinstance(error, PortInUse):
+        return ""  # it says so itself
+    problem = str(error)
     if "ermission" in problem:
         return "add your user to the port's group (`sudo usermod -aG dialout $USER`) and log in again"
     if "exclusive" in problem or "busy" in problem or "lock" in problem:
@@ -231,9 +234,9 @@ def _open_bus(boards: Boards, arm: Arm, clock: Clock) -> None:
     try:
         link = open_can(can.interface, can.channel, can.bitrate, **can.options)
     except PortMissing as error:
-        boards.note(
-            Level.BAD, "CAN bus", str(error), "", "bring the interface up, or correct [can] in arm.toml"
-        )
+        in_use = isinstance(error, PortInUse)
+        remedy = "" if in_use else "bring the interface up, or correct [can] in arm.toml"
+        boards.note(Level.BAD, "CAN bus", str(error), "", remedy)
         return
     boards.closers.append(link.close)
     counted = boards.counted = CountedLink(link)

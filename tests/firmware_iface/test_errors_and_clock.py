@@ -27,7 +27,7 @@ def test_one_connection_error_names_every_device_that_failed() -> None:
     ]
     with pytest.raises(ConnectionFailed) as caught:
         connect_all(steps)
-    assert str(caught.value) == "2 of 3 devices failed to connect:\n  - motor board 2: x\n  - can0: y"
+    assert str(caught.value) == "cannot connect:\n  - motor board 2: x\n  - can0: y"
     assert [type(failure) for failure in caught.value.failures] == [BoardSilent, PortMissing]
 
 

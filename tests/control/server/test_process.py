@@ -240,3 +240,33 @@ def test_a_second_serve_of_the_same_arm_is_refused_and_the_first_one_does_not_no
     assert second.stderr.count("\n") == 1
     assert not (tmp_path / "two").exists()
     assert served.client.status()["mode"] == "HOLDING"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("check",),
+        ("doctor", "--seconds", "0.1"),
+        ("serve", "--socket", "another.sock", "--log", "another"),
+        ("bringup", "--out", "wired.toml", "--yes"),
+        ("tune", "--out", "tuned.toml", "--yes"),
+    ],
+    ids=lambda command: str(command[0]),
+)
+def test_a_command_that_would_open_the_boards_of_a_moving_arm_names_who_has_them_and_the_arm_moves_on(
+    served: Served, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    served.begin_to_move()
+    arguments = [sys.executable, "-m", "console.main", *command, "--arm", str(tmp_path / "arm.toml")]
+    path = os.pathsep.join(sys.path)
+    other = subprocess.run(
+        arguments, capture_output=True, text=True, check=False, timeout=LIMIT_s, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert other.returncode == (1 if command[0] == "doctor" else 2), other.stderr
+    said = f"in use by process {served.process.pid} "
+    assert said in other.stdout + other.stderr
+    assert "serve --arm" in other.stdout + other.stderr
+    status = served.client.status()
+    assert status["mode"] in ("MOVING", "HOLDING")
+    assert (status["was_stopped"], status["faults"]) == (False, [])
