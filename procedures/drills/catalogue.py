@@ -13,7 +13,7 @@ from procedures.drills.files import FileDrill
 from procedures.drills.injectors import MOTORS, Inject, fault
 from procedures.drills.pair import PairDrill
 from procedures.drills.promise import GOES_ON, Promise
-from procedures.drills.realtime import GONE, DiskDrill, RealTimeDrill
+from procedures.drills.realtime import GONE, DiskDrill, EmptiedDrill, LookedAtDrill, RealTimeDrill
 from procedures.drills.session import SessionDrill
 from procedures.drills.stage import HOME, MOVE, REST, SESSION
 
@@ -249,6 +249,10 @@ def _in_real_time() -> Iterator[Promise]:
     gone = frozenset({GONE})
     yield RealTimeDrill("killed-realtime", "the loop's process killed", MOVE, gone, 1.0, 30.0)
     yield RealTimeDrill("paused-realtime", "the loop's process paused 100 ms", MOVE, GOES_ON, 1.0, 30.0, 0.1)
+    says = "another program opens its ports and its bus"
+    yield LookedAtDrill("looked-at-realtime", says, MOVE, GOES_ON, 1.0, 30.0, 0.0)
+    says = "another program empties the recording"
+    yield EmptiedDrill("emptied-realtime", says, MOVE, GOES_ON, 1.0, 30.0, 0.0)
     yield DiskDrill("disk-full-realtime", "no room for the recording", MOVE, GOES_ON, 1.0, 30.0, speed=0.3)
 
 

@@ -36,7 +36,8 @@ class Disk:
             patch.object(os, "fsync", self._fsync),
             patch.object(os, "ftruncate", self._counted(os.ftruncate)),
             patch.object(os, "unlink", self._counted(os.unlink)),
-            patch.object(os, "replace", self._replace),
+            patch.object(os, "replace", self._named(os.replace)),
+            patch.object(os, "link", self._named(os.link)),
         ):
             yield
 
@@ -81,17 +82,21 @@ class Disk:
         else:
             self._kept[state.st_ino] = (str(path), state.st_size)
 
-    def _replace(self, source: Any, goal: Any, _replace: Callable[..., None] = os.replace) -> None:
-        self._count()
-        path = Path(goal).resolve()
-        before = path.read_bytes() if path.exists() else None
-        self._renamed.setdefault(path, before)
-        _replace(source, goal)
-        state = path.stat()
-        if state.st_ino in self._kept:
-            self._kept[state.st_ino] = (str(path), self._kept[state.st_ino][1])
-        else:
-            self._kept[state.st_ino] = (str(path), 0)  # renamed before it was forced to the disk
+    def _named(self, call: Callable[..., None]) -> Callable[..., None]:
+        """A call that gives a file a name: in an open folder, if it says so."""
+
+        def named(source: Any, goal: Any, **folders: int) -> None:
+            self._count()
+            folder = folders.get("dst_dir_fd")
+            path = (Path() if folder is None else _path_of(folder)).resolve() / goal
+            before = path.read_bytes() if path.exists() else None
+            call(source, goal, **folders)
+            self._renamed.setdefault(path, before)
+            state = path.stat()
+            # Renamed before it was forced to the disk, nothing of it is there for certain.
+            self._kept[state.st_ino] = (str(path), self._kept.get(state.st_ino, ("", 0))[1])
+
+        return named
 
 
 def _path_of(fd: int) -> Path:

@@ -8,12 +8,18 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from control.errors import ArmError
+from control.hardware.connect import connect
 from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
+from control.recording.reading import RecordError, Recording
 from control.server.channel import RuntimeGone
 from control.server.client import ArmClient, RequestRefused
+from firmware_iface.clock import MonotonicClock
+from firmware_iface.errors import ConnectionFailed, PortInUse
 from procedures.drills.promise import Outcome, Promise, length_m, stood_s
 from procedures.drills.stage import off_way_m
+from procedures.mock.arm import wired_to
 from procedures.mock.bench import RealTimeBench
 
 FROM_rad, TO_rad = (-1.0, -0.6, 0.2), (1.2, -0.6, 0.2)
@@ -53,7 +59,7 @@ class RealTimeDrill(Promise):
         while bench.rig.joint_rad()[0] < FAST_FROM_rad and time.monotonic() < end_s:
             time.sleep(LOOK_S)
         way, begun_s = [(time.monotonic(), bench.rig.tip_m())], time.monotonic()
-        self._break(bench.runtime_pid, client)
+        self._break(bench, client)
         found, message = self._found(client)
         noticed_s = time.monotonic() - begun_s
         while time.monotonic() - begun_s < (WATCHED_S if self.pause_s is None else ARRIVES_S):
@@ -83,13 +89,13 @@ class RealTimeDrill(Promise):
         """What is not as promised, as text."""
         return ""
 
-    def _break(self, pid: int, client: ArmClient) -> None:
+    def _break(self, bench: RealTimeBench, client: ArmClient) -> None:
         if self.pause_s is None:
-            os.kill(pid, signal.SIGKILL)
+            os.kill(bench.runtime_pid, signal.SIGKILL)
             return
-        os.kill(pid, signal.SIGSTOP)
+        os.kill(bench.runtime_pid, signal.SIGSTOP)
         time.sleep(self.pause_s)
-        os.kill(pid, signal.SIGCONT)
+        os.kill(bench.runtime_pid, signal.SIGCONT)
 
     @staticmethod
     def _found(client: ArmClient) -> tuple[str, str]:
@@ -104,10 +110,10 @@ class RealTimeDrill(Promise):
 class DiskDrill(RealTimeDrill):
     """The kernel refuses the recording's next byte: the motion ends by a controlled stop, and no other begins."""
 
-    def _break(self, pid: int, client: ArmClient) -> None:
+    def _break(self, bench: RealTimeBench, client: ArmClient) -> None:
         path = Path(client.status()["recorder"]["file"])
         size = path.stat().st_size
-        for writer in _descendants(pid):
+        for writer in _descendants(bench.runtime_pid):
             resource.prlimit(writer, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
     def _wrong_after(self, client: ArmClient) -> str:
@@ -118,6 +124,42 @@ class DiskDrill(RealTimeDrill):
         except RequestRefused as refusal:
             return "" if "nothing is recorded" in str(refusal) else str(refusal)
         return "a motion began unrecorded"
+
+
+@dataclass(frozen=True, slots=True)
+class EmptiedDrill(RealTimeDrill):
+    """Another program empties the recording: what is left and what follows can be read, and the loss is counted."""
+
+    def _break(self, bench: RealTimeBench, client: ArmClient) -> None:
+        end_s = time.monotonic() + ARRIVES_S
+        while not (recorder := client.status()["recorder"])["written_bytes"] and time.monotonic() < end_s:
+            time.sleep(LOOK_S)  # until the writer has begun
+        os.truncate(recorder["file"], 0)
+
+    def _wrong_after(self, client: ArmClient) -> str:
+        recorder = client.status()["recorder"]
+        parts = sorted(Path(recorder["file"]).parent.iterdir())
+        try:
+            rows = [Recording.open(part).row_count for part in parts]
+        except RecordError as error:
+            return str(error)
+        if not (recorder["is_on"] and len(rows) == 2 and max(rows)):
+            return f"the recording has not gone on: {rows} cycles in its files"
+        return "" if recorder["lost_rows"] else "no loss was counted"
+
+
+@dataclass(frozen=True, slots=True)
+class LookedAtDrill(RealTimeDrill):
+    """Another program connects to the boards, as `check`, `doctor` and another `serve` do."""
+
+    def _break(self, bench: RealTimeBench, client: ArmClient) -> None:
+        arm = wired_to(load_arm("right"), bench.rig)
+        try:
+            connect(arm, MonotonicClock(), client.status()["period_s"]).close()
+        except ConnectionFailed as failed:
+            if all(isinstance(failure, PortInUse) for failure in failed.failures):
+                return
+        raise ArmError("another program could connect to the boards of a running arm")
 
 
 def _descendants(pid: int) -> list[int]:
