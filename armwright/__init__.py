@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from control.kinematics.inverse import Solution
     from control.model.arm import Arm
     from control.model.description import arm_names, load_arm, save_arm
+    from control.model.fingerprint import AnotherArm
     from control.motion.errors import PathError
     from control.server.channel import RuntimeGone
     from control.server.client import ArmFaulted, MotionStopped, RequestRefused
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from hil_mocks.errors import MockError
 
 __all__ = [
+    "AnotherArm",
     "Arm",
     "ArmError",
     "ArmFaulted",
@@ -111,6 +113,7 @@ _NAMES = {
     "control.server.client": ("ArmFaulted", "MotionStopped", "RequestRefused", "RuntimeGone"),
     "control.model.arm": ("Arm",),
     "control.model.description": ("arm_names", "load_arm", "save_arm"),
+    "control.model.fingerprint": ("AnotherArm",),
     "control.kinematics.inverse": ("Solution",),
     "control.motion.errors": ("PathError",),
     "firmware_iface.errors": ("ArmwrightError", "LinkError"),

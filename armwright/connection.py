@@ -150,10 +150,11 @@ class RunningArm:
         self._client.move_joints(target, speed, wait)
 
     def run(self, trajectory: Trajectory, *, wait: bool = True) -> None:
-        """Move to the start of a planned path at half speed, then run the path; ArmError if it is another tool's.
+        """Move to the start of a planned path at half speed, then run the path; ArmError if it is another arm's or tool's.
 
         With `wait=False` it returns when the path has started.
         """
+        self._client.require_arm(trajectory.arm)
         planned, on = trajectory.arm.tool.name, self._client.status()["tool"]
         if planned != on:
             raise ArmError(
@@ -267,10 +268,17 @@ def connect(arm: Arm | str | Path, socket: str | Path | None = None, timeout_s: 
     Raises:
         RuntimeGone: no loop answers.
         ArmFileError: the file is not usable.
+        AnotherArm: the loop runs another arm; the message has the keys and both values.
     """
     described = arm if isinstance(arm, Arm) else load_arm(arm)
     path = Path(socket) if socket is not None else default_path(described.name)
-    return RunningArm(ArmClient(SocketChannel(path, timeout_s)), described)
+    client = ArmClient(SocketChannel(path, timeout_s))
+    try:
+        client.require_arm(described)
+    except BaseException:
+        client.close()
+        raise
+    return RunningArm(client, described)
 
 
 def _gripper_state(found: dict[str, Any] | None, arm: Arm) -> GripperState:

@@ -27,6 +27,7 @@ def beside(given: argparse.Namespace, arm: Arm, waypoints: Waypoints) -> Waypoin
         raise ArmError("run: --relative-to: expected way-points without orientation (qw,qx,qy,qz)")
     client = ArmClient(SocketChannel(default_path(other.name)))
     try:
+        client.require_arm(other.arm, cell)
         status = client.status()
     finally:
         client.close()

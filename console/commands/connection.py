@@ -6,6 +6,7 @@ from pathlib import Path
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.model.fingerprint import fingerprint
 from control.server.channel import SocketChannel
 from control.server.client import ArmClient
 from control.server.sockets import default_path
@@ -16,12 +17,20 @@ def socket_path(given: argparse.Namespace, arm: Arm) -> Path:
     return Path(given.socket) if given.socket else default_path(arm.name)
 
 
-def connected(given: argparse.Namespace) -> ArmClient:
-    """A client of the runtime; within a script, the script's own. RuntimeGone names the command that starts one."""
+def listening(given: argparse.Namespace) -> ArmClient:
+    """A client of the runtime, whatever arm it has; within a script, the script's own. RuntimeGone names what starts one."""
     if (connect := getattr(given, "connect", None)) is not None:
         client: ArmClient = connect()
         return client
-    return ArmClient(SocketChannel(socket_path(given, load_arm(given.arm))))
+    path = Path(given.socket) if given.socket else default_path(load_arm(given.arm).name)
+    return ArmClient(SocketChannel(path))
+
+
+def connected(given: argparse.Namespace, arm: Arm | None = None) -> ArmClient:
+    """As `listening`, for what depends on `arm` (that of the command line). AnotherArm if the runtime has another."""
+    client = listening(given)
+    client.require_arm(arm or load_arm(given.arm))
+    return client
 
 
 def in_control(given: argparse.Namespace) -> ArmClient:
@@ -31,10 +40,14 @@ def in_control(given: argparse.Namespace) -> ArmClient:
     return client
 
 
-def in_control_of(given: argparse.Namespace, arm: Arm) -> ArmClient:
-    """As `in_control`, for work that records poses of `arm`'s tip. ArmError if the runtime has another tool on."""
-    client = in_control(given)
-    on = client.status()["tool"]
+def in_control_of(given: argparse.Namespace, *arms: Arm) -> ArmClient:
+    """As `in_control`, for work that records poses of the tip of one of `arms`. ArmError if the runtime has another tool on."""
+    client = listening(given)
+    status = client.status()
+    arm = next((arm for arm in arms if fingerprint(arm) == status.get("fingerprint")), arms[0])
+    client.require_arm(arm)
+    client.take_control()
+    on = status["tool"]
     if on != arm.tool.name:
         client.close()
         raise ArmError(

@@ -5,7 +5,7 @@ import select
 import sys
 from collections.abc import Callable, Mapping
 
-from console.commands.connection import connected
+from console.commands.connection import listening
 from console.waiting import shown
 from control.errors import ArmError
 from control.server.client import ArmClient
@@ -19,7 +19,7 @@ RESTING = ("HOLDING", "BRAKED", "OFF", "GUIDING")
 
 def run(given: argparse.Namespace) -> int:
     """Send the command's request of the table. ArmError, or the error that stopped the arm."""
-    client = connected(given)
+    client = listening(given)
     if given.command == "guide":
         _require_consent(given)
     with shown(client, given):

@@ -5,8 +5,10 @@ import json
 import sys
 from collections.abc import Sequence
 
-from console.commands.connection import connected
+from console.commands.connection import listening
 from console.commands.end_effector import gripper_text, pin_text
+from control.errors import ArmError
+from control.model.description import load_arm
 from control.recording.recorder_state import RecorderState
 from control.server.channel import Message
 
@@ -15,7 +17,13 @@ STALE = " *"
 
 def run(given: argparse.Namespace) -> int:
     """Print the status; exit status 1 if the arm is in FAULT."""
-    status = connected(given).status()
+    client = listening(given)
+    status = client.status()
+    if getattr(given, "has_arm", True) or not given.socket:
+        try:
+            client.require_arm(load_arm(given.arm))
+        except ArmError as error:
+            status["warnings"].append(str(error))
     text = json.dumps(status, indent=2) if given.json else described(status)
     sys.stdout.write(f"{text}\n")
     return 1 if status["mode"] == "FAULT" else 0

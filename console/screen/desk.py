@@ -32,7 +32,7 @@ class Desk:
         """`open_session` gets the options of a calibration session; `others`: how many arms there are beside it."""
         arm, files, self.shared = station.arm, station.files, dict(station.shared)
         self.arm_name = self.shared.get("--arm", arm.name)
-        self.link = RuntimeLink(station.socket, self._on_status)
+        self.link = RuntimeLink(station.socket, arm, self._on_status)
         grammar = Grammar(COMMANDS, {flag.lstrip("-"): value for flag, value in self.shared.items()})
         words = [word for pair in self.shared.items() for word in pair]
         self.operator = Operator(self.link, grammar, words, self.say, files.lines)

@@ -13,7 +13,10 @@ from typing import Any
 
 import msgspec
 
+from control.model.arm import Arm
+from control.model.fingerprint import AnotherArm, fingerprint, require_same
 from control.server.channel import CONTROL_KEY
+from control.server.messages import STOPPING, WATCHING
 from control.server.sockets import ForeignRuntime, require_own_runtime
 
 Message = dict[str, Any]
@@ -28,10 +31,14 @@ class LinkLost(Exception):
 
 
 class RuntimeLink:
-    """A runtime's socket on an event loop. `on_status(status or None)` is called after every poll; None: lost."""
+    """A runtime's socket on an event loop. `on_status(status or None)` is called after every poll; None: lost.
 
-    def __init__(self, path: Path, on_status: Callable[[Message | None], Awaitable[None]]) -> None:
+    A runtime that has another arm than `arm` is watched and stopped, but not commanded; its status warns of it.
+    """
+
+    def __init__(self, path: Path, arm: Arm, on_status: Callable[[Message | None], Awaitable[None]]) -> None:
         self.path = path
+        self._arm, self._another = arm, ""
         self.status: Message | None = None
         self.why_lost = "not connected yet"
         self.answer_s = ANSWER_S
@@ -63,6 +70,8 @@ class RuntimeLink:
         writer = self._writer
         if writer is None:
             raise LinkLost(self.why_lost)
+        if self._another and do not in STOPPING | WATCHING:
+            return {"ok": False, "error": self._another}
         self._numbers += 1
         number = self._numbers
         future: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
@@ -93,9 +102,12 @@ class RuntimeLink:
         try:
             if key := os.environ.get(CONTROL_KEY):
                 await self.ask("control", key=key)
+            self._another = await self._compared()
             while True:
                 begun_s = asyncio.get_running_loop().time()
                 answer = await self.ask("status")
+                if self._another:
+                    answer["warnings"] = [self._another, *answer["warnings"]]
                 self.status = answer
                 await self._on_status(answer)
                 elapsed_s = asyncio.get_running_loop().time() - begun_s
@@ -104,6 +116,17 @@ class RuntimeLink:
             answers.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await answers
+
+    async def _compared(self) -> str:
+        """What makes the runtime's arm another one than ours, as one sentence; empty: nothing."""
+        if (await self.ask("status")).get("fingerprint") == fingerprint(self._arm):
+            return ""
+        theirs = await self.ask("arm")
+        try:
+            require_same(self._arm, theirs)
+        except AnotherArm as error:
+            return " ".join(str(error).split())
+        return ""
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         self.why_lost = "the runtime closed the connection"

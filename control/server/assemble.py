@@ -116,7 +116,7 @@ def assemble(
         joint_side=JointSide.of(without_tool_mass(arm), loads.torques),
     )  # fmt: skip
     runtime = Runtime(parts)
-    requests = Requests(runtime, limits, {"arm": arm.name, **(about or {})})
+    requests = Requests(runtime, limits, arm, dict(about or {}))
     requests.beside = guard_itself(arm, runtime)
     return Assembly(runtime, requests)
 
@@ -157,7 +157,7 @@ def assemble_cell(cell: Cell, of_arms: Mapping[str, Assembly]) -> CellAssembly:
     runtime = CellRuntime(cell, {name: one.runtime for name, one in of_arms.items()})
     for name, one in of_arms.items():
         one.requests.beside = runtime.collisions.of_arms[name]
-    requests = CellRequests(cell.name, runtime, {name: one.requests for name, one in of_arms.items()})
+    requests = CellRequests(cell, runtime, {name: one.requests for name, one in of_arms.items()})
     return CellAssembly(runtime, requests, of_arms)
 
 

@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from control.errors import ArmError
 from control.loop.active_motion import limits_of
 from control.loop.cell import CellRuntime
+from control.model.cell import Cell
+from control.model.fingerprint import places_of
 from control.motion.pace import Stretched
 from control.motion.setpoint import Motion
 from control.safety.table import Mode
@@ -30,8 +32,9 @@ PLANNED = BEGINNING - {
 class CellRequests:
     """Serves the requests of all clients; `requests` of each arm by its name."""
 
-    def __init__(self, name: str, runtime: CellRuntime, requests: Mapping[str, Requests]) -> None:
-        self._name, self._runtime, self._requests = name, runtime, requests
+    def __init__(self, cell: Cell, runtime: CellRuntime, requests: Mapping[str, Requests]) -> None:
+        self._name, self._places = cell.name, places_of(cell)
+        self._runtime, self._requests = runtime, requests
 
     def handle(self, request: Asked, client: int) -> Message:
         """Serve one request of a client; never raises because of the request."""
@@ -52,6 +55,8 @@ class CellRequests:
             return refused(str(error))
         if request.do == "status" and answer["ok"]:
             answer["cell"] = {"name": self._name, "arms": self._modes()}
+        if request.do == "arm" and answer["ok"]:
+            answer["cell"] = self._places
         return answer
 
     def on_gone(self, client: int) -> None:

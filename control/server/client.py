@@ -12,6 +12,9 @@ import msgspec
 
 from control.errors import ArmError
 from control.hardware.averaging import Average
+from control.model.arm import Arm
+from control.model.cell import Cell
+from control.model.fingerprint import fingerprint, require_same
 from control.server.channel import Channel, Message, RuntimeGone
 
 RELAPSE_S = 0.1  # a fault whose cause persists is detected again within some cycles
@@ -54,6 +57,14 @@ class ArmClient:
     def take_control(self) -> None:
         """Keep control of the arm until the connection closes: others may watch and stop. RequestRefused if another has it."""
         self.ask("control", take=True)
+
+    def require_arm(self, arm: Arm, cell: Cell | None = None) -> None:
+        """AnotherArm unless the runtime has the same arm, in the same place of the same `cell` if one is given."""
+        status = self.status()
+        is_placed = cell is not None and "cell" in status
+        if status.get("fingerprint") == fingerprint(arm) and not is_placed:
+            return
+        require_same(arm, self.ask("arm"), cell)
 
     def status(self) -> Message:
         """Return the state of the arm: mode, angles, set-points, currents, faults, cycle statistics (docs/socket.md)."""

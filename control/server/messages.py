@@ -23,7 +23,7 @@ LARGEST_STEP_rad, LARGEST_STEP_m = 7.0, 1.0  # more is a mistake in the unit
 
 # Watching and stopping are everybody's; all other requests are those of the client in control (control.server.control_right).
 STOPPING = frozenset(("stop", "brake", "pause", "off", "acknowledge"))
-WATCHING = frozenset(("status", "mode", "average_result", "fault_cycles", "control"))
+WATCHING = frozenset(("status", "arm", "mode", "average_result", "fault_cycles", "control"))
 AT_ONCE = frozenset(("stop", "brake"))  # overtake what waits
 LONG = frozenset(("run_path", "run_joints", "move_together"))  # carry paths
 

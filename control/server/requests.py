@@ -11,6 +11,8 @@ from typing import Any, Protocol
 from control.errors import ArmError
 from control.hardware.averaging import Averaging
 from control.loop.runtime import Runtime
+from control.model.arm import Arm
+from control.model.fingerprint import content_of, fingerprint
 from control.motion.joint_limits import JointLimits
 from control.motion.pace import Limited
 from control.motion.setpoint import Motion
@@ -63,16 +65,21 @@ class Beside(Protocol):
 class Requests:
     """Serves the requests of all clients of one runtime, and knows which of them is in control."""
 
-    def __init__(self, runtime: Runtime, limits: JointLimits, about: Message) -> None:
+    def __init__(self, runtime: Runtime, limits: JointLimits, arm: Arm, about: Message) -> None:
         self._runtime = runtime
         self._motions = PlannedMotions(runtime, limits)
-        self._about = about
+        self._about: Message = {"arm": arm.name, "fingerprint": fingerprint(arm), **about}
+        self._arm: Message = {
+            "file": str(arm.path.absolute()) if arm.path else "",
+            "content": content_of(arm),
+        }
         self._right = ControlRight()
         self._grips: int | None = None  # the client that moved the gripper last
         self.events: Listener | None = None
         self.beside: Beside | None = None
         self._serve: Mapping[str, Callable[[Any, int], Message]] = {
             "status": self._status,
+            "arm": lambda request, client: self._arm,
             "mode": self._mode,
             "control": self._control,
             "enable": self._enable,

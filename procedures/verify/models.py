@@ -15,9 +15,8 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Vector3
 from control.model.description import arm_names, load_arm
+from control.model.fingerprint import fingerprint
 from control.server.channel import Message
-
-SAME_TIP_m = 1e-6
 
 
 class Model:
@@ -110,8 +109,7 @@ def active_model(status: Message, pair: Pair) -> Model:
     if not status["is_homed"] or status["tip_m"] is None:
         raise ArmError("the arm is not homed, so its angles are unknown: run `armwright home`")
     for model in (pair.calibrated, pair.nominal):
-        tip_m = model.kinematics.tip(*status["joint_rad"])
-        if max(abs(a - b) for a, b in zip(tip_m, status["tip_m"], strict=True)) < SAME_TIP_m:
+        if fingerprint(model.arm) == status["fingerprint"]:
             return model
     raise ArmError(
         f"the runtime uses another arm than {pair.calibrated.arm.path} or {pair.nominal.arm.path}, so its tip"

@@ -13,13 +13,17 @@ import pytest
 from console.commands.cell.clients import connected_arms
 from console.relative import beside
 from control.errors import ArmError
+from control.model.fingerprint import fingerprint
 from control.motion.waypoints import Waypoints
 from control.server import sockets
 from control.server.server import Server
 from tests.pair import PAIR
 
 RIGHT = PAIR.placed("right").arm
-STATUS: dict[str, Any] = {"ok": True, "mode": "HOLDING", "is_homed": True, "tip_set_m": (0.5, 0.1, 0.3)}
+STATUS: dict[str, Any] = {
+    "ok": True, "mode": "HOLDING", "is_homed": True, "tip_set_m": (0.5, 0.1, 0.3),
+    "fingerprint": fingerprint(PAIR.placed("left").arm),
+}  # fmt: skip
 Serve = Callable[[str, dict[str, Any]], None]
 
 

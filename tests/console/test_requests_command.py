@@ -27,7 +27,7 @@ class Typed(io.StringIO):
 @pytest.fixture
 def client(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> ArmClient:
     """The client that every command gets."""
-    monkeypatch.setattr(requests, "connected", lambda given: cell.client)
+    monkeypatch.setattr(requests, "listening", lambda given: cell.client)
     return cell.client
 
 

@@ -89,7 +89,7 @@ def _near(arm: Arm) -> tuple[float, ...]:
 
 def _real(given: argparse.Namespace, pair: Pair) -> Bench:
     """The bench of a running runtime. ArmError if it is not homed and holding; nothing moves."""
-    client = in_control_of(given, pair.nominal.arm)
+    client = in_control_of(given, pair.calibrated.arm, pair.nominal.arm)
     status = client.status()
     if status["mode"] != "HOLDING":
         raise ArmError(f"the arm is {status['mode']}: run `armwright enable` and `armwright home` first")

@@ -20,6 +20,8 @@ def connected_arms(given: argparse.Namespace, names: tuple[str, ...]) -> Iterato
         for name in names:
             clients[name] = ArmClient(SocketChannel(default_path(cell.placed(name).name)))
         _require_one_runtime(clients, cell)
+        for name, client in clients.items():
+            client.require_arm(cell.placed(name).arm, cell)
         yield clients
     finally:
         for client in clients.values():

@@ -158,6 +158,35 @@ def test_nothing_follows_a_motion_that_somebody_stopped() -> None:
         assert "stopped before its end" in outcomes[0].transcript
 
 
+def test_what_depends_on_the_arm_is_refused_where_the_runtime_has_another_and_the_stop_is_not(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "edited.toml"
+    links = (RIGHT.links[0], dataclasses.replace(RIGHT.links[1], L_m=0.35), *RIGHT.links[2:])
+    save_arm(dataclasses.replace(RIGHT, links=links), file)
+    way = tmp_path / "way.csv"
+    way.write_text("x_m,y_m,z_m\n0.5,0,0.3\n0.5,0.1,0.3\n")
+    save_place(tmp_path / "places.toml", "here", STRETCHED)
+    places = f"--places {tmp_path / 'places.toml'}"
+    lines = (
+        "move --tip 0.45 0.1 0.25", "move --joints 0.3 -0.5 0.3", f"run {way}", f"go here {places}", "jog --joint 1 --by 0.01",
+        f"mark there {places}", f"teach {tmp_path / 'taught.csv'}",
+    )  # fmt: skip
+    grammar = Grammar(COMMANDS, {"arm": str(file), "socket": None})
+    with holding_cell() as cell:
+        run = cell.runtime.run_number
+        for line in lines:
+            (outcome,) = played(cell, line, grammar=grammar)
+            assert outcome.status == 2, line
+            assert f"link 2, L_m: 0.4, in {file} 0.35" in outcome.transcript
+        assert (cell.runtime.run_number, cell.mode) == (run, Mode.HOLDING)
+        assert list(read_places(tmp_path / "places.toml")) == ["here"]
+        assert not (tmp_path / "taught.csv").exists()
+        status, stop, off = played(cell, "status", "stop", "off", grammar=grammar)
+        assert f"in {file} 0.35" in status.transcript
+        assert [outcome.status for outcome in (status, stop, off)] == [0, 0, 0]
+
+
 def test_a_jog_against_the_end_of_a_range_fails_in_words() -> None:
     with holding_cell() as cell:
         outcomes = played(cell, "jog --joint 3 --by 2.0")
@@ -219,6 +248,8 @@ def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(t
     places, scale = tmp_path / "places.toml", Effect("encoder_scale", 2, {"scale": 0.01})
     knowing = dataclasses.replace(RIGHT, effects=(*RIGHT.effects, scale))
     hidden = scenario(effect=(EffectTable("encoder_scale", 2, dict(scale.parameters)),))
+    save_arm(knowing, tmp_path / "arm.toml")
+    grammar = Grammar(COMMANDS, {"arm": str(tmp_path / "arm.toml"), "socket": None})
     with holding_cell(hidden, believed=knowing) as cell:
         cell.client.home()
         outcomes = played(
@@ -228,6 +259,7 @@ def test_a_place_that_is_marked_is_where_the_joints_are_and_not_their_encoders(t
             "move --joints 0.3 -0.6 0.2",
             f"go here --places {places}",
             f"mark here --places {places}",
+            grammar=grammar,
         )
         assert [outcome.status for outcome in outcomes] == [0] * 5
         assert cell.rig.joint_rad() == pytest.approx((0.2, -0.9, 0.3), abs=2e-3)

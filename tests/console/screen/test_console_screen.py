@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from console.screen.dialogs import Choose
 from console.screen.widgets import CommandBox
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
-from tests.cell import STRETCHED, Cell, handled, holding_cell
+from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell
 from tests.console.screen.console_rig import (
     Served,
     console_on,
@@ -238,6 +239,25 @@ def test_a_lost_link_is_said_and_the_console_comes_back_by_itself(tmp_path: Path
         await until(pilot, lambda: "HOLDING" in shown(app, "head"))
 
     played(tmp_path, play)
+
+
+def test_a_runtime_with_another_arm_is_watched_and_stopped_and_not_commanded(tmp_path: Path) -> None:
+    another = replace(RIGHT, links=(RIGHT.links[0], replace(RIGHT.links[1], L_m=0.35), *RIGHT.links[2:]))
+
+    async def run(cell: Cell) -> None:
+        async with console_on(cell, tmp_path, (110, 40), another) as (app, pilot, served):
+            await until(pilot, lambda: "link 2, L_m" in shown(app, "status"))
+            await press(pilot, "right")
+            await until(pilot, lambda: "another arm" in said(app) or "has changed" in said(app))
+            assert served.cell.mode is Mode.HOLDING
+            start_move(served)
+            await until(pilot, lambda: served.cell.mode is Mode.MOVING)
+            await press(pilot, "space")
+            await rested(pilot, served)
+            assert served.cell.runtime.was_stopped
+
+    with holding_cell() as cell:
+        asyncio.run(run(cell))
 
 
 def test_a_runtime_that_is_there_and_does_not_answer_is_a_lost_link(tmp_path: Path) -> None:

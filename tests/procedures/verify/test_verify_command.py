@@ -20,6 +20,7 @@ from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.arm import Arm, Calibration, Effect, Tool
 from control.model.description import load_arm, save_arm
+from control.model.fingerprint import fingerprint
 from control.recording.record import FileSink, Layout
 from procedures.verify import places as verify_places
 from procedures.verify import procedure
@@ -295,7 +296,8 @@ def test_a_calibrated_base_frame_and_tool_are_driven_too() -> None:
 
 def status(arm: Arm, **changes: object) -> dict[str, object]:
     q_rad = [0.1, -0.5, 0.2]
-    return {"is_homed": True, "joint_rad": q_rad, "tip_m": list(Kinematics(arm).tip(*q_rad))} | changes
+    tip_m = list(Kinematics(arm).tip(*q_rad))
+    return {"is_homed": True, "joint_rad": q_rad, "tip_m": tip_m, "fingerprint": fingerprint(arm)} | changes
 
 
 def test_what_the_runtime_believes_is_found_out_and_never_assumed() -> None:
