@@ -120,7 +120,7 @@ def _require_clear(arm: Arm, path: PlannedPath, here_rad: Sequence[float]) -> No
     from control.motion.guard import Guard
 
     limits = JointLimits.of(arm)
-    guard, start = Guard(arm, limits), at_rest(here_rad)
+    guard, start = Guard(arm, limits), at_rest(tuple(here_rad))
     move = JointMove(here_rad, path.q_start_rad, limits.scaled(TO_START_SPEED))
     guard.require_move(move, start, path.q_start_rad)
     guard.require_rising(move)
