@@ -122,17 +122,17 @@ def test_a_plan_alone_is_that_of_the_motion_which_is_then_run(tmp_path: Path) ->
 
 
 def test_a_pose_beyond_the_limits_is_marked_with_a_word(tmp_path: Path) -> None:
-    narrower = with_drive(RIGHT, 1, joint_upper_rad=0.05)  # it stands at 0.1
+    narrower = with_drive(RIGHT, 1, joint_upper_rad=0.08)  # it stands at 0.1
     save_arm(narrower, tmp_path / "narrower.toml")
     grammar = Grammar(COMMANDS, {"arm": str(tmp_path / "narrower.toml"), "socket": None})
-    with holding_cell() as cell:
+    with holding_cell(believed=narrower) as cell:
         said = played(
             cell, f"mark here --places {tmp_path}/p.toml", f"teach {tmp_path}/w.csv", grammar=grammar
         )
         for outcome in said:
             assert outcome.status == 0
             assert "joint 1 is at 0.1" in outcome.transcript
-            assert "outside its limits (-2.6 to 0.05 rad)" in outcome.transcript
+            assert "outside its limits (-2.6 to 0.08 rad)" in outcome.transcript
 
 
 def test_a_script_ends_at_the_first_line_that_fails() -> None:
