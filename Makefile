@@ -44,6 +44,9 @@ demo-gap: install  ## an effect hidden in the mock arm, found, added to the mode
 drills: install  ## faults of every kind on the mock arm: how soon noticed, what moved, what was lost (docs/drills.md); some minutes
 	$(BIN)/armwright drill --mock
 
+crossing: dev  ## 100,000 random sequences of requests that cross, on every kind of board, judged by the plant; a night. COUNT=1000 SEED=1
+	$(BIN)/python -m tests.crossing --count $(or $(COUNT),100000) --seed $(or $(SEED),0)
+
 soak: dev  ## 24 simulated hours of table sessions, then an hour in real time beside busy processors; HOURS=1 MINUTES=10 for less
 	$(BIN)/python -m benchmarks.soak.stepped --hours $(or $(HOURS),24)
 	$(BIN)/python -m benchmarks.soak.realtime --minutes $(or $(MINUTES),60)

@@ -233,9 +233,12 @@ class RunningArm:
         """Confirm the faults after their cause is gone; the arm may be enabled again."""
         self._client.acknowledge()
 
-    def off(self) -> None:
-        """Stop, lower the arm to rest with shorted windings, switch the drives off. The loop keeps running."""
-        self._client.off()
+    def off(self, lets_go: bool = False) -> None:
+        """Stop, lower the arm to rest with shorted windings, switch the drives off. The loop keeps running.
+
+        `lets_go`: also of an arm that its boards held when the loop connected; it falls, so somebody must hold it.
+        """
+        self._client.off(lets_go=lets_go)
 
     def wait(self, duration_s: float) -> None:
         """Let time pass on the loop's clock; on a stepped mock arm, time passes only during calls."""

@@ -11,7 +11,7 @@ from control.server.channel import SocketChannel
 from control.server.client import ArmClient
 from control.server.sockets import default_path
 
-AT_REST = ("HOLDING", "OFF", "BRAKED")
+AT_REST = ("HOLDING", "OFF", "BRAKED", "HELD")
 
 
 def beside(given: argparse.Namespace, arm: Arm, waypoints: Waypoints) -> Waypoints:

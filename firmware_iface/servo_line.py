@@ -95,6 +95,7 @@ class LineServo(Protocol):
     """A servo as its line sees it."""
 
     problems: list[LinkError]
+    goal: int | None
 
     @property
     def values_question(self) -> ServoQuestion:
@@ -174,7 +175,7 @@ class ServoLine(PolledLine):
         goals: Callable[[], bytes],
         values: Callable[[], bytes],
     ) -> None:
-        """`servos`: may grow. `goals` makes the packet of their goal positions, `values` the one that asks for their values."""
+        """`servos`: may grow. `goals` makes the packet of the goals that are set, `values` the one that asks for values."""
         super().__init__(link, clock, ANSWER_TIMEOUT_s)
         self._servos = servos
         self._goals = GoalPositions(goals)
@@ -183,8 +184,9 @@ class ServoLine(PolledLine):
         self._turn = 0
 
     def post_cycle(self) -> None:
-        """Queue the goal positions, and one servo's state in turn if its values do not tell it."""
-        self.post(self._goals)
+        """Queue the goal positions, if there are any, and one servo's state in turn if its values do not tell it."""
+        if any(servo.goal is not None for servo in self._servos):
+            self.post(self._goals)
         self.post_starved()
         servo = self._servos[self._turn]
         if servo.state_question is not servo.values_question:

@@ -41,7 +41,9 @@ class SmartServo(ABC):
         if number not in ids:
             raise MisuseError(f'{self.CALLED} "{name}": ids are 0 to {ids.stop - 1}, got {number}')
         self.number, self.name = number, name
-        self.goal = self.position = 0
+        self.position = 0
+        self.goal: int | None = None
+        """The goal position of the next cycle; None: it gets none, as every servo whose torque is not on."""
         self.current_A = 0.0
         self.supply_V = math.nan
         self.temperature_degC = 0.0
@@ -57,13 +59,18 @@ class SmartServo(ABC):
         self._line = line
         self._force = ForceLimit(line, self._force_written)
         self._torque = {
-            is_on: self._writing(self.TORQUE, bytes((is_on,)), lambda: None) for is_on in (False, True)
+            False: self._writing(self.TORQUE, lambda: b"\0", lambda: None),
+            True: self._writing(self.TORQUE, self._switching_on, lambda: None),
         }
 
     @property
     def where(self) -> str:
         """Name in messages: `Dynamixel "elbow" (id 3) on /dev/ttyUSB0`."""
         return f'{self.CALLED} "{self.name}" (id {self.number}) on {self._line.name}'
+
+    def _switching_on(self) -> bytes:
+        """What is written at TORQUE to switch it on where the joint is."""
+        return b"\x01"
 
     def post_torque(self, is_on: bool) -> None:
         """Queue switching the torque, if it is not so already."""
@@ -77,7 +84,7 @@ class SmartServo(ABC):
 
     @abstractmethod
     def set_up(self, watchdog_s: float) -> None:
-        """Torque off, and what a restart loses. Nothing is stored."""
+        """Set what a restart loses. Nothing is stored, and the torque stays as it is."""
 
     @abstractmethod
     def read_state(self) -> None:
@@ -96,7 +103,7 @@ class SmartServo(ABC):
         """At most so much current, or `share` of the duty; does not wait."""
 
     def _force_written(self, value: int, confirm: Callable[[], None]) -> ServoQuestion:
-        return self._writing(self.FORCE, value.to_bytes(2, "little"), confirm)
+        return self._writing(self.FORCE, lambda: value.to_bytes(2, "little"), confirm)
 
     def _read(self, address: int, count: int) -> bytes:
         return self._converse(lambda: self.WIRE.read(self.number, address, count), count, f"READ {address}")
@@ -116,16 +123,16 @@ class SmartServo(ABC):
     def _refused(self, what: str, why: str) -> RequestRefused:
         return RequestRefused(f"{self.where}: refused {what}: {why}")
 
-    def _writing(self, address: int, data: bytes, then: Callable[[], None]) -> ServoQuestion:
-        """The instruction that writes in the cycle; `then` is called when it was obeyed."""
+    def _writing(self, address: int, made: Callable[[], bytes], then: Callable[[], None]) -> ServoQuestion:
+        """The instruction that writes in the cycle; `then` is called when it was obeyed. `made`: the bytes, when it is sent."""
 
         def taken(answer: bytes, _: float) -> None:
             if why := self.WIRE.refusal(answer[0]):
-                self.problems.append(self._refused(f"WRITE {address} of {data.hex(' ')}", why))
+                self.problems.append(self._refused(f"WRITE {address} of {made().hex(' ')}", why))
             else:
                 then()
 
-        return self._question(lambda: self.WIRE.write(self.number, address, data), 0, taken)
+        return self._question(lambda: self.WIRE.write(self.number, address, made()), 0, taken)
 
     def _question(
         self, made: Callable[[], bytes], parameter_bytes: int, taken: Callable[[bytes, float], None]
@@ -140,5 +147,8 @@ class SmartServo(ABC):
     def _note_restart(self) -> None:
         self.resets += 1
         self.problems.append(
-            BoardReset(f"{self.where}: restarted by itself; its torque is off: check its supply and cable")
+            BoardReset(
+                f"{self.where}: restarted by itself, or another program switched it off; its torque is off: check its supply and"
+                " cable"
+            )
         )

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from control.model.description import Arm
-from hil_mocks.bought_can import KINDS, CanBoards, Driven, Seen
+from hil_mocks.bought_can import KINDS, SWITCHED, CanBoards, Driven, Seen
 from hil_mocks.devices import dynamixel
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 from hil_mocks.devices.dynamixel_table import CURRENT_BASED, POSITION
@@ -99,6 +99,8 @@ class Servos:
             mock.forced_error = errors[fault.kind] if is_on else 0
         elif fault.kind == "board_reset" and is_on:
             mock.power_up(now_s)
+        elif fault.kind in SWITCHED and is_on:
+            mock.switch_torque(SWITCHED[fault.kind], now_s)
 
     def joint(self, fault: FaultTable) -> int:
         """The joint of a fault's servo."""
@@ -170,6 +172,8 @@ class RoboClaws:
             mock.forced_errors = mock.forced_errors | bit if is_on else mock.forced_errors & ~bit
         elif fault.kind == "board_reset" and is_on:
             mock.power_up()
+        elif fault.kind in SWITCHED and is_on:
+            mock.wanted_duty = [FULL // 8 if SWITCHED[fault.kind] else 0] * 2
         elif fault.kind == "stuck_encoder":
             mock.stuck.pop(fault.channel, None)
             if is_on and (joint := self.joint(fault)) is not None:

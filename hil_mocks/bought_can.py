@@ -45,6 +45,7 @@ class CanBoardMock(Protocol):
     def receive(self, can_id: int, payload: bytes, now_s: float) -> None: ...
     def tick(self, now_s: float, current_A: float, supply_V: float) -> None: ...
     def power_up(self, now_s: float | None) -> None: ...
+    def switch_torque(self, is_on: bool, now_s: float) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +115,10 @@ KINDS = {
 }  # fmt: skip
 
 
+# Another program does so, unheard by the host.
+SWITCHED: Mapping[str, bool] = {"switched_off": False, "switched_on": True}
+
+
 class CanBoards:
     """The boards of one kind of an arm, by joint (0-based)."""
 
@@ -147,6 +152,8 @@ class CanBoards:
             mock.forced_error = self._errors[fault.kind] if is_on else 0
         elif fault.kind == "board_reset" and is_on:
             mock.power_up(now_s)
+        elif fault.kind in SWITCHED and is_on:
+            mock.switch_torque(SWITCHED[fault.kind], now_s)
 
     def joint(self, fault: FaultTable) -> int:
         """The joint of a fault's board."""

@@ -32,10 +32,11 @@ OF_MOTOR = (
     | _BUILT_INTO_MOTOR
     | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
     | {"dead_motor", "stuck_joint", "says_current", "says_supply", "says_temperature"}
+    | {"switched_off", "switched_on"}
 )
 OF_BOUGHT = ON_FRAMES | {
     "board_reset", "e_stop", "over_current", "over_temperature", "supply", "swapped_polarity", "dead_motor", "stuck_joint",
-    "stuck_encoder",
+    "stuck_encoder", "switched_off", "switched_on",
 }  # fmt: skip
 OF_CAMERA = (ON_FRAMES - {"delay_frames", "replay_frames"}) | {
     "exchanged_bodies"

@@ -167,8 +167,7 @@ class SteppedRig:
         self.can_options = self.wires.can_options
         (self.camera_port,) = self.wires.camera_ports
         paths = [wire.path for wire in self.wires.serial]
-        self.encoder_urls = paths[: len(self.robot.encoder_boards)]
-        self.board_urls = dict(zip(self.robot.bought.ports, paths[len(self.encoder_urls) :], strict=True))
+        self._name_ports(paths)
         self.clock: Clock = SteppedClock(self.robot, self.wires)
 
     @property
@@ -222,9 +221,13 @@ class SteppedRig:
         self.robot.clear_faults()
 
     def plug_in(self) -> None:
-        """Plug in again every serial port that has vanished; `encoder_urls` may change."""
+        """Plug in again every serial port that has vanished; `encoder_urls` and `board_urls` may change."""
         self.wires.plug_in()
-        self.encoder_urls = [wire.path for wire in self.wires.serial]
+        self._name_ports([wire.path for wire in self.wires.serial])
+
+    def _name_ports(self, paths: list[str]) -> None:
+        self.encoder_urls = paths[: len(self.robot.encoder_boards)]
+        self.board_urls = dict(zip(self.robot.bought.ports, paths[len(self.encoder_urls) :], strict=True))
 
     def close(self) -> None:
         """Close all links."""

@@ -75,6 +75,7 @@ class MockRobot:
         self._board_of_node = {board.setup.node: at for at, board in enumerate(self.motor_boards)}
         self._encoder_names = ["encoder" + (str(i + 1) if i else "") for i in range(len(self.encoder_boards))]
         self._motor_names = [f"motor{board.setup.node}" for board in self.motor_boards]
+        self.drive_names = [*self._motor_names, *self.bought.names]
         self.board_names = [*self._encoder_names, *self._motor_names, *self.bought.names, "camera"]
         for fault in scenario.fault:
             check_fault(fault, self.board_names, f"scenario {scenario.path or scenario.name}")
@@ -369,7 +370,7 @@ class MockRobot:
 
     def _switch_motor(self, fault: FaultTable, at: int, is_on: bool) -> None:
         if not self._motors.switch(fault, self._motor_joints[at], is_on):
-            switch_motor_board(self.motor_boards[at], fault, is_on)
+            switch_motor_board(self.motor_boards[at], fault, is_on, self.now_s)
 
     def _switch_encoder(self, fault: FaultTable, i: int, is_on: bool) -> None:
         if fault.kind == "loose_encoder":

@@ -83,6 +83,10 @@ class Cell:
     def until_fault(self, limit_s: float) -> float:
         return self.until(lambda: self.mode is Mode.FAULT, limit_s)
 
+    def torques(self) -> list[bool]:
+        """Whether each motor is driven, as the plant has it: shorted and open windings are not."""
+        return [kind in ("voltage", "current") and value != 0.0 for kind, value in self.rig.robot.outputs]
+
     def inject(self, kind: str, board: str, **keys: Any) -> None:
         self.rig.inject(FaultTable(kind, board, **keys))
 
@@ -152,6 +156,22 @@ def open_cell(
             yield cell
         finally:
             connection.close()
+
+
+@contextmanager
+def restarted(cell: Cell, arm: Arm, period_s: float = PERIOD_S, away_s: float = 1.0) -> Iterator[Cell]:
+    """The runtime of `cell` is killed; another one connects to the same boards after a while. `arm`: as of `open_cell`."""
+    cell.connection.close()
+    clock = cell.rig.clock
+    clock.wait_until_s(clock.now_s() + away_s)
+    model = wired_to(arm, cell.rig)
+    connection = connect(model, clock, period_s, cell.rig.camera_port)
+    try:
+        assembly = assemble(model, connection.hardware, period_s, connection.camera, None, clock.now_s)
+        channel = InProcessChannel(assembly, clock)
+        yield Cell(cell.rig, connection, assembly, channel, ArmClient(channel))
+    finally:
+        connection.close()
 
 
 @contextmanager

@@ -14,14 +14,17 @@ from control.server.client import ArmClient
 Request = Callable[[ArmClient, argparse.Namespace], str | None]
 LONGEST_WAIT_S = 24 * 3600.0
 GUIDING_POLL_S = 0.05
-RESTING = ("HOLDING", "BRAKED", "OFF", "GUIDING")
+RESTING = ("HOLDING", "BRAKED", "OFF", "GUIDING", "HELD")
+GUIDES = "The drives will turn off and the arm will drop."
+GUIDES_WEIGHTLESS = "The drives will compensate gravity only as well as the masses are known."
+RELEASES = "The arm is held by its boards, as they were found. They will let go and it will drop."
 
 
 def run(given: argparse.Namespace) -> int:
     """Send the command's request of the table. ArmError, or the error that stopped the arm."""
     client = listening(given)
     if given.command == "guide":
-        _require_consent(given)
+        _require_consent(given, GUIDES_WEIGHTLESS if given.weightless else GUIDES)
     with shown(client, given):
         result = REQUESTS[given.command](client, given)
     if result:
@@ -63,6 +66,15 @@ def _guide(client: ArmClient, given: argparse.Namespace) -> str | None:
     return f"hand-guiding has ended: {client.ask('mode')['mode']}"
 
 
+def _off(client: ArmClient, given: argparse.Namespace) -> None:
+    """Switch off; somebody must hold an arm that its boards hold as they were found."""
+    status = client.status()
+    is_held = status["mode"] == "HELD" or status["drives"] == "AS_FOUND"
+    if is_held:
+        _require_consent(given, RELEASES)
+    client.off(given.quit, lets_go=is_held)
+
+
 def _has_line() -> bool:
     """Whether a line was typed; it is read."""
     is_there = bool(select.select([sys.stdin], [], [], 0.0)[0])
@@ -75,7 +87,7 @@ REQUESTS: Mapping[str, Request] = {
     "guide": _guide,
     "hold": lambda client, given: client.hold(),
     "home": _home,
-    "off": lambda client, given: client.off(quit_runtime=given.quit),
+    "off": _off,
     "override": lambda client, given: client.override(given.fraction),
     "pause": lambda client, given: client.pause(),
     "resume": lambda client, given: client.resume(),
@@ -83,18 +95,15 @@ REQUESTS: Mapping[str, Request] = {
 }
 
 
-def _require_consent(given: argparse.Namespace) -> None:
-    """ArmError unless --yes is given or the operator confirms the release."""
+def _require_consent(given: argparse.Namespace, what: str) -> None:
+    """ArmError unless --yes is given or the operator confirms the release. `what`: happens then."""
     if given.yes:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ArmError("guide: releases the arm, and there is no terminal to confirm it: give --yes")
-    what = (
-        "The drives will compensate gravity only as well as the masses are known."
-        if given.weightless
-        else "The drives will turn off and the arm will drop."
-    )
+        raise ArmError(
+            f"{given.command}: releases the arm, and there is no terminal to confirm it: give --yes"
+        )
     sys.stderr.write(f"{what} Is somebody holding the arm? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise ArmError("guide: not confirmed; nothing changed")
+        raise ArmError(f"{given.command}: not confirmed; nothing changed")

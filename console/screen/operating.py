@@ -30,6 +30,7 @@ GUIDING = {
     "drives off: somebody HOLDS the arm": "guide",
     "gravity compensation: the drives hold the arm's weight": "guide --weightless",
 }
+FOUND_OFF = "The boards hold the arm as they were found. They let go, and it drops: does somebody HOLD it?"
 HINTS = "space STOP  1-9 xyz select  ←→ jog  t step  -+ speed  n on  h home  ? all keys"
 
 HINTS_OF_SEVERAL = "space STOP all  tab other arm  1-9 xyz select  ←→ jog  n on  h home  ? keys"
@@ -228,9 +229,11 @@ class OperatingScreen(Screen[None]):
     @work
     async def action_off(self) -> None:
         """Turn the drives off, after confirmation."""
-        question = "Stop, hold, lower the arm on shorted windings, drives off?"
+        status = self._link.status
+        is_found = status is not None and (status["mode"] == "HELD" or status["drives"] == "AS_FOUND")
+        question = FOUND_OFF if is_found else "Stop, hold, lower the arm on shorted windings, drives off?"
         if await self.app.push_screen_wait(Confirm(question)):
-            await self._operator.line("off")
+            await self._operator.line("off --yes" if is_found else "off")
 
     @work
     async def action_guide(self) -> None:

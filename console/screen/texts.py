@@ -15,10 +15,12 @@ NEAR = 0.8  # of a limit: warn above
 # A command and a reply of 8 bytes a joint and cycle, with the worst stuffing: 135 bit times each (docs/motor_board.md).
 MODE_LOOKS = {
     "PAUSED": "warning-badge", "STOPPING": "warning-badge", "GUIDING": "warning-badge", "FAULT": "error-badge",
+    "HELD": "warning-badge",
 }  # fmt: skip
 NEXT = {
     "OFF": "The drives are off. `n` switches them on and holds.",
     "BRAKED": "The drives are at 0 V; the windings brake. `n` holds.",
+    "HELD": "Its boards hold the arm. `n` takes it over; `o` lets it go: hold it.",
     "GUIDING": "Move the arm by hand. `r` records a way-point, `n` holds, space brakes.",
     "PAUSED": "Paused on the path. `p` continues, space ends the motion.",
 }

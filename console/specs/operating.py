@@ -258,7 +258,15 @@ OPERATING = (
     CommandSpec(
         "off",
         "stop, hold, lower on shorted windings, drives off",
-        (ARM, SOCKET, option("--quit", action="store_true", help="also end the runtime")),
+        (
+            ARM,
+            SOCKET,
+            option("--quit", action="store_true", help="also end the runtime"),
+            option(
+                "--yes", action="store_true", help="do not ask: somebody holds an arm that its boards let go"
+            ),
+        ),
+        "An arm that its boards held when the runtime connected falls when they let go: asks before.",
         module="requests",
     ),
 )

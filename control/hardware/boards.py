@@ -10,6 +10,7 @@ from typing import ParamSpec
 
 from control.hardware.interface import EndBoards, Feedback, OutputMode
 from control.hardware.roles import Drives, Encoders, Line, PolledLine
+from control.hardware.words import Wanted
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError, LinkLost, Problems
 
@@ -45,7 +46,8 @@ class BoardHardware:
         self._encoder_of = {joint: encoder for encoder in encoders for joint in encoder.joints}
         self._drive_of = {joint: drive for drive in drives for joint in drive.joints}
         self._clock = clock
-        self._wants_enabled = False
+        self.wanted = Wanted.AS_FOUND
+        """Of the last `write`."""
         self._problems = Problems()
         # what failed at a link, why, and when it is tried again
         self._gone: dict[Callable[..., None], tuple[str, float]] = {}
@@ -84,17 +86,25 @@ class BoardHardware:
             encoder.take(feedback)
         for drive in self._drives:
             drive.take(feedback)
+        for joint, drive in self._drive_of.items():
+            feedback.has_torque[joint] = drive.has_torque(joint)
         feedback.encoder_at_s = min(feedback.reported_at_s)
         if self._problems:
             raise self._problems.pop(0)
         return feedback
 
     def write(
-        self, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
-    ) -> None:
-        """Command every drive, or take it one step closer to the wanted state; what that meets is raised by `read`."""
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
+    ) -> None:  # fmt: skip
+        """Command every drive, or take it one step closer to what is wanted; what that meets is raised by `read`.
+
+        The gripper's follows with its next command.
+        """
+        self.wanted = wanted
+        if self.end.gripper is not None:
+            self.end.gripper.torque.wanted = wanted
         for drive in self._drives:
-            self._try(drive.write, self._wants_enabled, modes, output, feedforward_V, self.feedback)
+            self._try(drive.write, wanted, modes, output, feedforward_V, self.feedback)
         for line in self._lines:
             self._try(line.flush)
 
@@ -119,24 +129,25 @@ class BoardHardware:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
         return any(drive.is_any_enabled() for drive in self._drives)
 
+    def has_torque(self) -> bool:
+        """Whether a board drives its motor, or holds it by itself; the gripper's, too."""
+        gripper = self.end.gripper
+        return (gripper is not None and gripper.has_torque()) or any(
+            drive.has_torque(joint) for joint, drive in self._drive_of.items()
+        )
+
     def await_counts(self, made_s: float, until_s: float) -> float:
         """Wait for counts of the first encoder board; not while a link is gone."""
         return math.nan if self._gone else self._encoders[0].await_counts(made_s, until_s)
 
     # ---- outside of the cycle: these wait for answers
 
-    def enable(self) -> None:
-        """Let boards that restarted report again, upload the parameters, and let `write` bring them to OPERATION ENABLED."""
+    def prepare(self) -> None:
+        """Let boards that restarted report again, and upload the parameters, so that `write` may take them into operation."""
         self._gone.clear()
         self._restore()
         self._configure()
-        self.end.enable()
-        self._wants_enabled = True
-
-    def disable(self) -> None:
-        """Let `write` bring the drives to SWITCH ON DISABLED, where the boards short the windings."""
-        self._wants_enabled = False
-        self.end.disable()
+        self.end.prepare()
 
     def reset_drive_faults(self) -> None:
         """Acknowledge the drives' faults and restore the state of boards that were reset.
@@ -149,13 +160,15 @@ class BoardHardware:
             drive.acknowledge_faults()
         self._configure()
         self.reset_gripper()
+        for drive in self._drives:
+            drive.take(self.feedback)  # what is asked next must not be refused for a fault that is gone
 
     def reset_gripper(self) -> None:
         """Let `write` acknowledge the fault of the gripper's board; a board that restarted gets its parameters. BoardSilent."""
         if self.end.gripper is not None:
             self.end.gripper.reset_fault()
-        if self._wants_enabled:
-            self.end.enable()
+        if self.wanted.is_on:
+            self.end.prepare()
 
     def emergency_stop(self) -> None:
         """Stop all drives. Never raises: the boards' watchdogs do the same a little later."""

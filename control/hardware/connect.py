@@ -249,6 +249,7 @@ def _motors(
                 _compare(
                     board.where, "counts per motor turn", drive.joint, drive.encoder_counts_per_rev, counts
                 )
+                board.find_state()
                 motors.append((bus, board))
     return motors
 
@@ -278,6 +279,7 @@ def _end_boards(
                     f"{board.where}: expected {expected} counts per motor turn (arm.toml, [gripper]), got {got}; correct"
                     " arm.toml, or the board's settings"
                 )
+            board.find_state()
             boards[board.node] = board
             stop = board_stop(arm, period_s)
             gripper = GripperBoard(arm.gripper, board, problems, arm.limits.watchdog_s, stop)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from control.hardware.board_stop import BoardStop
+from control.hardware.words import Wanted
 from control.model.end_effector import Gripper
 from firmware_iface.errors import BoardFaulted, LinkError
 from firmware_iface.motor.board import MotorBoard
@@ -35,25 +36,52 @@ def in_words(faults: Fault) -> str:
     return ", ".join(str(fault.name).replace("_", " ").lower() for fault in faults)
 
 
+class TorqueWithTheArm:
+    """What is wanted of the gripper's drive: as of the arm's; and ENABLING when its fault was acknowledged."""
+
+    def __init__(self) -> None:
+        self._wanted = Wanted.AS_FOUND
+        self._is_coming = False
+
+    @property
+    def wanted(self) -> Wanted:
+        """Of the arm's drives, with ENABLING until this one is there."""
+        return Wanted.ENABLING if self._is_coming and self._wanted.is_on else self._wanted
+
+    @wanted.setter
+    def wanted(self, of_arm: Wanted) -> None:
+        self._is_coming |= of_arm.is_on and not self._wanted.is_on
+        self._wanted = of_arm if of_arm is not Wanted.ENABLING else Wanted.ENABLED
+
+    def take_back(self) -> None:
+        """Its fault was acknowledged."""
+        self._is_coming = True
+
+    def note(self, is_enabled: bool) -> None:
+        """Whether it is in operation: from then on it is not taken back."""
+        self._is_coming &= not is_enabled
+
+
 class GripperHardware(Protocol):
     """The gripper's motor, on a board of any kind."""
 
     feedback: GripperFeedback
+    torque: TorqueWithTheArm
 
     def read(self, now_s: float) -> GripperFeedback:
         """The values by now; the links have been drained before."""
         ...
 
     def write(self, volts: float | None, now_s: float) -> None:
-        """Command a voltage, opening positive, or an open circuit (None)."""
+        """Take the drive a step towards what is wanted, or command a voltage, opening positive, or an open circuit (None)."""
         ...
 
-    def enable(self) -> None:
-        """Upload what the board does not have, and let `write` enable it. Waits."""
+    def has_torque(self) -> bool:
+        """Whether the board drives its motor, or holds it by itself."""
         ...
 
-    def disable(self) -> None:
-        """Let `write` take it off."""
+    def prepare(self) -> None:
+        """Upload what the board does not have. Waits."""
         ...
 
     def reset_fault(self) -> None:
@@ -111,7 +139,7 @@ class GripperBoard:
         self.feedback = GripperFeedback()
         self._gripper, self._board, self._problems = gripper, board, problems
         self._travel = CountedTravel(gripper)
-        self._is_wanted_enabled = False
+        self.torque = TorqueWithTheArm()
         self._configured_resets = -1
         self._is_resetting = False
         self._is_asked = False
@@ -126,6 +154,7 @@ class GripperBoard:
             self._is_asked = False
         feedback.reply_at_s = board.reply_at_s
         feedback.is_enabled = board.state is State.OPERATION_ENABLED
+        self.torque.note(feedback.is_enabled)
         if (reply := board.reply) is not None:
             feedback.current_A = self._gripper.motor_direction * reply.current_A
             feedback.faults = in_words(reply.fault_flags)
@@ -136,9 +165,12 @@ class GripperBoard:
 
     def write(self, volts: float | None, now_s: float) -> None:
         """Command a voltage, opening positive, or an open circuit (None). A board on its way gets the next state command."""
-        board = self._board
-        wanted = State.OPERATION_ENABLED if self._is_wanted_enabled else State.SWITCH_ON_DISABLED
-        if self._is_resetting:
+        board, torque = self._board, self.torque.wanted
+        is_on = torque is Wanted.ENABLING or (torque is Wanted.ENABLED and self.feedback.is_enabled)
+        wanted = State.OPERATION_ENABLED if is_on else State.SWITCH_ON_DISABLED
+        if torque is Wanted.AS_FOUND:
+            board.ask_state()
+        elif self._is_resetting:
             self._is_resetting = not board.step_fault_reset()
         elif board.state is wanted or board.state is State.FAULT:
             if volts is None:
@@ -152,23 +184,23 @@ class GripperBoard:
             self._is_asked, self._asked_at_s = True, now_s
             board.ask_count()
 
-    def enable(self) -> None:
-        """Upload the parameters where the board does not have them, and let `write` bring it to OPERATION ENABLED. Waits."""
+    def has_torque(self) -> bool:
+        """Whether the board is in operation, or holds after its watchdog has expired."""
+        return self._board.has_torque
+
+    def prepare(self) -> None:
+        """Upload the parameters where the board does not have them. Waits."""
         board = self._board
         if self._configured_resets != board.resets:
             board.go_to(State.SWITCH_ON_DISABLED)
             for index, value in self._parameters():
                 board.write(index, value)
             self._configured_resets = board.resets
-        self._is_wanted_enabled = True
-
-    def disable(self) -> None:
-        """Let `write` bring the board to SWITCH ON DISABLED."""
-        self._is_wanted_enabled = False
 
     def reset_fault(self) -> None:
         """Let `write` acknowledge the board's fault, if it has one: the arm is held meanwhile, so nothing waits here."""
         self._is_resetting = True
+        self.torque.take_back()
 
     def emergency_stop(self) -> None:
         """The joints' stop is a broadcast, which this board hears, too."""

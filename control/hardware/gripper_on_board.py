@@ -7,7 +7,7 @@ import contextlib
 import math
 from typing import Protocol, cast
 
-from control.hardware.gripper_board import CountedTravel, GripperFeedback, in_words
+from control.hardware.gripper_board import CountedTravel, GripperFeedback, TorqueWithTheArm, in_words
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
 from control.hardware.roles import Drives, Encoders
@@ -29,7 +29,7 @@ class GripperOnBoard:
         self._encoder = encoder if gripper.encoder_counts_per_rev else None
         self._travel = CountedTravel(gripper)
         self._seen = Feedback(joint + 1)
-        self._is_wanted_enabled = False
+        self.torque = TorqueWithTheArm()
         self._was_known = False  # the count goes on from where it was
 
     def read(self, now_s: float) -> GripperFeedback:
@@ -39,6 +39,7 @@ class GripperOnBoard:
         feedback.problem = None
         feedback.current_A, feedback.reply_at_s = seen.current_A[joint], seen.reply_at_s[joint]
         feedback.is_enabled = seen.statusword[joint] & STATE_MASK == OPERATION_ENABLED
+        self.torque.note(feedback.is_enabled)
         feedback.faults = in_words(Fault(seen.drive_faults[joint]))
         if self._encoder is not None:
             self._take_count(self._encoder)
@@ -64,23 +65,23 @@ class GripperOnBoard:
         modes, output = [OutputMode.OFF] * self._joint, [0.0] * self._joint
         modes.append(mode)
         output.append(value)
-        self._drive.write(self._is_wanted_enabled, modes, output, output, self._seen)
+        self._drive.write(self.torque.wanted, modes, output, output, self._seen)
 
-    def enable(self) -> None:
-        """Upload what a restart has lost, and drive it from the next `write` on. Waits for answers."""
+    def has_torque(self) -> bool:
+        """Whether the board drives its motor, or holds it by itself."""
+        return self._drive.has_torque(self._joint)
+
+    def prepare(self) -> None:
+        """Upload what a restart has lost. Waits for answers."""
         self._drive.configure(self._fresh_count)
         if self._encoder is not None and not self._was_known:
             self._encoder.shift(self._joint, 0)  # the drivers tell by the zero whether a count goes on
             self._travel.forget()
             self._was_known = True
-        self._is_wanted_enabled = True
-
-    def disable(self) -> None:
-        """Let it go with the next `write`."""
-        self._is_wanted_enabled = False
 
     def reset_fault(self) -> None:
         """Acknowledge the board's fault; it stays where its cause persists."""
+        self.torque.take_back()
         with contextlib.suppress(BoardFaulted):
             self._drive.acknowledge_faults()
 

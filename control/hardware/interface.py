@@ -12,6 +12,7 @@ from typing import Protocol
 
 from control.hardware.gripper_board import GripperHardware
 from control.hardware.pins import NamedPins
+from control.hardware.words import Wanted
 
 
 class OutputMode(Enum):
@@ -48,6 +49,8 @@ class Feedback:
     temperature_C: list[float] = field(default_factory=list)
     statusword: list[int] = field(default_factory=list)
     drive_faults: list[int] = field(default_factory=list)
+    # whether the board drives its motor or holds it by itself, whatever its state is called, as far as it says so
+    has_torque: list[bool] = field(default_factory=list)
     # of the last COMMAND, in the joint's sign; NaN while the board finds the voltage itself, or drives nothing
     sent_V: list[float] = field(default_factory=list)
     # (joint, its count, its motor board's count in the same sense and of the same moment) that came in this cycle
@@ -61,6 +64,7 @@ class Feedback:
         for name in ("counted_at_s", "current_A", "supply_V", "temperature_C"):
             setattr(self, name, [0.0] * n)
         self.sent_V = [float("nan")] * n
+        self.has_torque = [False] * n
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,17 +74,12 @@ class EndBoards:
     gripper: GripperHardware | None = None
     pins: NamedPins | None = None
 
-    def enable(self) -> None:
-        """Upload what the boards do not have, and enable the gripper's; waits. Pins belong to boards that are not enabled yet."""
+    def prepare(self) -> None:
+        """Upload what the boards do not have; waits. Pins belong to boards that are not enabled yet."""
         if self.pins is not None:
             self.pins.configure()
         if self.gripper is not None:
-            self.gripper.enable()
-
-    def disable(self) -> None:
-        """The gripper's board goes off with the joints'."""
-        if self.gripper is not None:
-            self.gripper.disable()
+            self.gripper.prepare()
 
 
 class Hardware(Protocol):
@@ -110,9 +109,16 @@ class Hardware(Protocol):
         ...
 
     def write(
-        self, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
-    ) -> None:
-        """Command every joint in V, A or rad, as its entry of `modes` says; in POSITION mode the board adds `feedforward_V`."""
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
+    ) -> None:  # fmt: skip
+        """Take every drive, the gripper's too, a step towards what is wanted, and command those in operation.
+
+        `output` in V, A or rad, as each entry of `modes` says; in POSITION mode the board adds `feedforward_V`.
+        """
+        ...
+
+    def has_torque(self) -> bool:
+        """Whether a board drives its motor or holds it by itself, as far as it says so: in operation, or after a time-out."""
         ...
 
     def await_counts(self, made_s: float, until_s: float) -> float:
@@ -122,15 +128,11 @@ class Hardware(Protocol):
         """
         ...
 
-    def enable(self) -> None:
-        """Bring every drive, the gripper's too, to OPERATION ENABLED with 0 V output.
+    def prepare(self) -> None:
+        """Upload what the boards need before `write` takes them to OPERATION ENABLED; none is switched on or off by it. Waits.
 
         Raises a firmware_iface error that names each failed drive.
         """
-        ...
-
-    def disable(self) -> None:
-        """Open the circuits and bring every drive to SWITCH ON DISABLED. Only for an arm at rest."""
         ...
 
     def reset_drive_faults(self) -> None:

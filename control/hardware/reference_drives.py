@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from control.dynamics.gains import Gains
 from control.hardware.board_stop import board_stop, can_hold
 from control.hardware.interface import Feedback, OutputMode
+from control.hardware.words import Wanted
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
@@ -46,6 +47,7 @@ class ReferenceDrives:
         self._pairs = tuple(
             (wired.joint, wired.motor, float(wired.drive.motor_direction)) for wired in wiring
         )
+        self._motor_of = {wired.joint: wired.motor for wired in wiring}
         self._clock = clock
         self._period_s = period_s
         self._maps = {wired.joint: JointMap(wired.drive) for wired in wiring}
@@ -90,23 +92,33 @@ class ReferenceDrives:
             self._take_motor_count(*self._asked, feedback)
 
     def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Send one COMMAND to each board; a board not in its target state gets the next state command instead."""
-        wanted = State.OPERATION_ENABLED if wants_enabled else State.SWITCH_ON_DISABLED
         sent_V = feedback.sent_V
         for joint, motor, sign in self._pairs:
             mode = modes[joint]
-            is_driven = mode is OutputMode.VOLTAGE and motor.state is State.OPERATION_ENABLED
+            target = self._target(wanted, motor)
+            is_driven = mode is OutputMode.VOLTAGE and motor.state is target is State.OPERATION_ENABLED
             sent_V[joint] = output[joint] if is_driven else math.nan
-            if motor.state is wanted or motor.state is State.FAULT:
+            if wanted is Wanted.AS_FOUND:
+                motor.ask_state()
+            elif wanted is Wanted.DISABLED and motor.state is State.FAULT and motor.has_torque:
+                motor.step_fault_reset()  # the hold that its time-out began ends, as it was asked for
+            elif motor.state is target or motor.state is State.FAULT:
                 self._command(joint, motor, sign, mode, output[joint], feedforward_V[joint])
             else:
                 with contextlib.suppress(BoardFaulted):  # the watch sees it in the feedback
-                    motor.step_towards(wanted)
-        if wants_enabled:
+                    motor.step_towards(target)
+        if wanted.is_on:
             self._ask_motor_count(feedback)
+
+    def _target(self, wanted: Wanted, motor: MotorBoard) -> State:
+        is_on = wanted is Wanted.ENABLING or (
+            wanted is Wanted.ENABLED and motor.state is State.OPERATION_ENABLED
+        )
+        return State.OPERATION_ENABLED if is_on else State.SWITCH_ON_DISABLED
 
     def _command(
         self, joint: int, motor: MotorBoard, sign: float, mode: OutputMode, output: float, forward_V: float
@@ -154,6 +166,10 @@ class ReferenceDrives:
     def is_any_enabled(self) -> bool:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
         return any(motor.state is State.OPERATION_ENABLED for _, motor, _ in self._pairs)
+
+    def has_torque(self, joint: int) -> bool:
+        """Whether the board is in operation, or holds after its watchdog has expired."""
+        return self._motor_of[joint].has_torque
 
     # ---- outside of the cycle: these wait for answers
 

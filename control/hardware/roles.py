@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from control.hardware.interface import Feedback, OutputMode
+from control.hardware.words import Wanted
 
 
 class Line(Protocol):
@@ -118,19 +119,27 @@ class Drives(Protocol):
         ...
 
     def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
-        """Command every joint, or take its drive one step closer to the wanted state; notes `feedback.sent_V`."""
+        """Command every joint, or take its drive one step closer to what is wanted; notes `feedback.sent_V`.
+
+        The board's own word says whether it is in operation. Only ENABLING takes it there: who left it otherwise stays out.
+        """
         ...
 
     def is_any_enabled(self) -> bool:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
         ...
 
+    def has_torque(self, joint: int) -> bool:
+        """Whether the joint's board drives its motor, or holds it after a time-out, as far as it says so."""
+        ...
+
     def configure(self, fresh_count: Callable[[int], int]) -> None:
         """Upload limits, time-outs and gains where a board does not have them; waits. `fresh_count`: of a joint's encoder.
 
+        No torque is switched on by it, nor off, unless a board takes its parameters in no other way.
         WrongIdentity if a board that was reset is another one.
         """
         ...

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from control.hardware.connect import Connection, connect
+from control.hardware.words import Wanted
 from control.model.arm import CanBus
 from control.model.cell import Cell
 from firmware_iface.can_link import open_can
@@ -48,10 +49,14 @@ class CellConnection:
         self.of_arms, self._buses = of_arms, buses
 
     def leave_safely(self) -> None:
-        """Brake if drives are still on, however the loop ended; their watchdogs would do it a little later."""
+        """Brake if drives are still on, however the loop ended; their watchdogs would do it a little later.
+
+        An arm that boards held when they were found, and that nobody has taken over, is left so.
+        """
         for connection in self.of_arms.values():
-            if connection.hardware.is_any_enabled():
-                connection.hardware.emergency_stop()
+            hardware = connection.hardware
+            if hardware.is_any_enabled() and hardware.wanted is not Wanted.AS_FOUND:
+                hardware.emergency_stop()
         self.close()
 
     def close(self) -> None:

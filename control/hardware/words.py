@@ -1,6 +1,25 @@
-"""Flags, states and faults in the loop's `Feedback`: those of the reference boards, into which other boards' are translated."""
+"""What loop and drivers say to each other of a drive: what is wanted of it; flags, states and faults in the loop's `Feedback`.
 
+The latter are those of the reference boards, into which other boards' are translated.
+"""
+
+from enum import Enum
 from typing import Final
+
+
+class Wanted(Enum):
+    """What is wanted of every drive of an arm. The loop says it in each cycle, with what is to be commanded."""
+
+    AS_FOUND = "nothing is commanded: each board goes on with what it did when it was connected"
+    DISABLED = "no torque; a board that has it all the same is switched off"
+    ENABLING = "all are taken to OPERATION ENABLED: by a person's request only"
+    ENABLED = "those in operation are commanded; one that has left it is not taken back"
+
+    @property
+    def is_on(self) -> bool:
+        """Whether drives in operation are commanded."""
+        return self is Wanted.ENABLING or self is Wanted.ENABLED
+
 
 # Flags of an encoder channel, docs/encoder_board.md.
 HOME_SWITCH: Final = 1 << 2

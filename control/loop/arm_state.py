@@ -8,11 +8,11 @@ import math
 
 from control.hardware.averaging import Averaging
 from control.hardware.board_stop import Bridge
+from control.loop.drives import Bound, DriveStates
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.parts import NOWHERE, Parts
 from control.loop.punctuality import Punctuality
-from control.loop.readiness import DriveReadiness
 from control.loop.standstill import Standstill
 from control.motion.lookout import Lookout
 from control.motion.pace import Paced
@@ -41,7 +41,7 @@ class ArmState:
         self.averaging: Averaging | None = None
         self.camera_m = self.new_camera_m = NOWHERE  # of the last frame; of this cycle's frame
         self.camera_at_s = -math.inf
-        self.drives = DriveReadiness(parts.joint_names)
+        self.drives = DriveStates(parts.joint_names)
         self.stillness = Standstill()
         # set-points (set_points)
         self.no_motion = (0.0,) * n  # speeds or accelerations
@@ -60,9 +60,10 @@ class ArmState:
         self.is_weightless = False  # gravity compensation during hand guiding
         self.unrecorded = ""  # why cycles are not recorded now; empty while they are
         self.stated_payload_kg = 0.0  # by a client; the model's payload follows it
-        # requested mode (shutdown)
-        self.is_hold_pending = self.is_shutting_down = self.is_quitting = False
+        self.bound = Bound.NOWHERE  # where the arm is on its way to by itself (shutdown)
         self.fault_rows: tuple[bytes, ...] = ()  # the cycles before the first fault (fault_reactions)
+        if parts.hardware.has_torque():
+            self.on(Event.FOUND_HELD)
 
     def on(self, event: Event) -> None:
         """Raise an event; IllegalTransition if the mode does not allow it, and then nothing changes."""
@@ -70,6 +71,11 @@ class ArmState:
         self.monitor.on(event)
         if self.monitor.mode is not before or event is Event.BRAKE:
             self.stillness.enter_mode(self.now_s)
+
+    def end_way_to_hold(self) -> None:
+        """What was asked since, or a fault, ends it; a way off goes on."""
+        if self.bound.is_hold:
+            self.bound = Bound.NOWHERE
 
     def is_controlled(self) -> bool:
         """Whether the servo works on the set-point."""
@@ -87,7 +93,7 @@ class ArmState:
     def stands(self) -> bool:
         """Whether the arm is left to its boards, or to shorted windings, is to stay so, and has come to rest."""
         is_left = not self.is_controlled() and self.monitor.mode is not Mode.GUIDING
-        return is_left and not (self.is_hold_pending or self.is_shutting_down) and self.is_still()
+        return is_left and self.bound is Bound.NOWHERE and self.is_still()
 
     def is_off(self) -> bool:
         """Whether its drives are off."""

@@ -18,13 +18,15 @@ import contextlib
 from collections.abc import Sequence
 
 from control.hardware.interface import Hardware, OutputMode
+from control.hardware.words import Wanted
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown
 from control.loop.arm_state import ArmState
+from control.loop.drives import Bound, drives_wanted
 from control.loop.parts import NOWHERE
 from control.loop.row import row_of
 from control.loop.watch import Expectation
 from control.safety.fault import Fault, Reaction
-from control.safety.table import Mode
+from control.safety.table import Event, Mode
 from firmware_iface.errors import AnotherHost, BoardReset, LinkError
 
 # Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
@@ -72,7 +74,7 @@ class Cycle(ArmState):
         except Exception as error:  # whatever fails here, the arm must not be left moving
             self._break_down(error)
         self._record(late_s)
-        return not (self.is_quitting and shutdown.has_left(self))
+        return not (self.bound is Bound.QUIT and shutdown.has_left(self))
 
     def _control(self, missed_in_row: int) -> None:
         if self.bridge is not None:
@@ -109,7 +111,9 @@ class Cycle(ArmState):
             for fault in wrong:
                 self.fail(fault)
             return
-        if self.monitor.mode is Mode.OFF:
+        if self.monitor.mode is Mode.HELD and not self.bound.is_hold and not self.parts.hardware.has_torque():
+            self.on(Event.RELEASED)
+        if self.monitor.mode in (Mode.OFF, Mode.HELD):
             return
         aim, paused_s = self.aim, self.elapsed_s - self.parts.period_s
         q_set_rad: Sequence[float] = aim.q_rad
@@ -161,12 +165,11 @@ class Cycle(ArmState):
         elif mode is not Mode.HOLDING:
             set_points.stay(self)
             shutdown.follow_hold(self)
-        if self.is_shutting_down:
-            shutdown.follow(self)
+        shutdown.follow(self)
 
     def _follow_loads(self) -> None:
         """Let the model's masses follow tool and payload as stated: at once while nothing depends on them, else slowly."""
-        if self.monitor.mode in (Mode.OFF, Mode.BRAKED):
+        if self.monitor.mode in (Mode.OFF, Mode.HELD, Mode.BRAKED):
             self.parts.loads.take_at_once()
         else:
             self.parts.loads.follow(PAYLOAD_RATE_kg_s * self.elapsed_s)
@@ -194,27 +197,35 @@ class Cycle(ArmState):
         parts, mode = self.parts, self.monitor.mode
         if parts.gripper is not None:
             fault = parts.gripper.cycle(
-                self.now_s, self.drives.is_ready, mode is Mode.FAULT, mode is Mode.OFF
+                self.now_s, self.drives.is_ready, mode is Mode.FAULT, mode in (Mode.OFF, Mode.HELD)
             )
             if fault is not None:
                 self.fail(fault)
-        if parts.outputs is not None:
+        if parts.outputs is not None and self.drives.wanted is not Wanted.AS_FOUND:
             parts.outputs.cycle(self.now_s, mode in (Mode.OFF, Mode.FAULT) or not self.drives.is_ready)
 
     def _mode_without_control(self) -> OutputMode:
-        """0 V, or the boards' own hold after a fault that leaves them their feedback."""
-        return OutputMode.HOLD if self.monitor.reaction is Reaction.HOLD else OutputMode.VOLTAGE
+        """0 V; or the boards' own hold, after a fault that leaves them their feedback, and while they hold already."""
+        is_held = self.monitor.reaction is Reaction.HOLD or self.monitor.mode is Mode.HELD
+        return OutputMode.HOLD if is_held else OutputMode.VOLTAGE
 
     def _servo(self) -> None:
         measured, servo, set_point = self.parts.measurement, self.parts.servo, self.set_point
         fraction = HOMING_CURRENT_FRACTION if self.is_searching() else 1.0
         joints = None if self.aim is set_point else set_point
         servo.update(self.aim, measured.q_rad, measured.speed_rad_s, self.monitor.is_homed, fraction, joints)
-        self.parts.hardware.write(servo.modes, servo.output, servo.feedforward_V)
+        self._command(servo.modes, servo.output)
 
     def _write_all(self, mode: OutputMode, output: Sequence[float]) -> None:
         """Command all joints in one mode, whatever their own is."""
-        self.parts.hardware.write((mode,) * len(output), output, self.parts.servo.feedforward_V)
+        self._command((mode,) * len(output), output)
+
+    def _command(self, modes: Sequence[OutputMode], output: Sequence[float]) -> None:
+        """The only place that commands the drives: what is wanted of them by the mode, and what those in operation do."""
+        wanted = self.drives.want(
+            self.now_s, drives_wanted(self.monitor.mode, self.bound, self.drives.wanted)
+        )
+        self.parts.hardware.write(wanted, modes, output, self.parts.servo.feedforward_V)
 
     def _watch_the_hand(self) -> None:
         """An arm that moves faster than a hand guides it falls, or is carried away: a fault."""
@@ -249,7 +260,7 @@ class Cycle(ArmState):
 
     def _leave_to_boards(self, fault: Fault) -> None:
         """Nothing is to be controlled in this cycle: the boards hold; where a link is gone, they do so by themselves."""
-        if not (self.is_quitting and self.monitor.mode is Mode.OFF):
+        if not (self.bound is Bound.QUIT and self.monitor.mode is Mode.OFF):
             self.fail(fault)
         shutdown.follow(self)
         servo = self.parts.servo

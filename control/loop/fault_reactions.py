@@ -1,7 +1,7 @@
 """Reactions to a fault: a controlled stop or braking, and saving the cycles before it.
 
 Writes `fault_rows`, and ends motions and averages: `paced`, `jogging`, `homing`, `averaging`, `was_stopped`,
-`is_hold_pending`.
+`bound`.
 """
 
 from dataclasses import replace
@@ -32,7 +32,7 @@ def fail(state: ArmState, fault: Fault) -> None:
         state.fault_rows = state.parts.recorder.last_rows()
         state.homing = state.jogging = None
         state.averaging = None  # counts from before and after a fault have no mean
-        state.is_hold_pending = False
+    state.end_way_to_hold()
     state.was_stopped = True
     if monitor.is_held_fault and is_first:
         _stop(state, fault.code, was_on_path)

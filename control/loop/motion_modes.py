@@ -1,6 +1,7 @@
 """Motions, pauses, jogs and stops: how they start, and how they change the set-point each cycle.
 
-Writes `paced`, `jogging`, `run_number`, `was_stopped` and `stop_reason`; the set-point through control.loop.set_points.
+Writes `paced`, `jogging`, `run_number`, `was_stopped` and `stop_reason`, and ends a way to hold (`bound`); the set-point through
+control.loop.set_points.
 """
 
 from collections.abc import Sequence
@@ -143,7 +144,7 @@ def stop(state: ArmState, why: str = "") -> None:
     """Controlled stop, of a motion on its path where that is soon enough; legal in every mode."""
     before = state.monitor.mode
     state.on(Event.STOP)
-    state.is_hold_pending = False
+    state.end_way_to_hold()
     if state.monitor.mode is not before:
         state.stop_reason = why
     if state.monitor.mode is Mode.STOPPING and before is not Mode.STOPPING:
@@ -160,4 +161,4 @@ def brake(state: ArmState) -> None:
         fail(state, Fault("brake", "operator", "braked while moving", remedy, Reaction.BRAKE))
     else:
         state.on(Event.BRAKE)
-    state.is_hold_pending = False
+    state.end_way_to_hold()

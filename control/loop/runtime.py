@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from control.end_effector.grip_state import State as GripperState
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
+from control.hardware.words import Wanted
 from control.loop import homing, motion_modes, set_points, shutdown
 from control.loop.cycle import Cycle
 from control.loop.jogging import JogRequest
@@ -14,9 +15,17 @@ from control.safety.fault import Fault
 from control.safety.table import Event, Mode
 from firmware_iface.errors import BoardReset
 
-NO_GRIP_MODES = (Mode.OFF, Mode.BRAKED, Mode.FAULT)
+NO_GRIP_MODES = (Mode.OFF, Mode.HELD, Mode.BRAKED, Mode.FAULT)
+# Where an acknowledgement leads that the loop did not hold the arm.
+UNCONTROLLED = {
+    Wanted.AS_FOUND: Mode.HELD,
+    Wanted.DISABLED: Mode.OFF,
+    Wanted.ENABLING: Mode.BRAKED,
+    Wanted.ENABLED: Mode.BRAKED,
+}
 TOOL_MODES = (
     Mode.OFF,
+    Mode.HELD,
     Mode.BRAKED,
     Mode.HOLDING,
 )  # in which nothing moves, so that the tip may be another one
@@ -26,7 +35,7 @@ class Runtime(Cycle):
     """The arm under control with its requests; ArmError says why one is refused."""
 
     def acknowledge(self) -> tuple[Fault, ...]:
-        """Acknowledge the faults on a person's request. Faulted drives are reset and enabled again at 0 V."""
+        """Acknowledge the faults on a person's request. Faulted drives are reset; none is switched on by it."""
         if self.parts.gripper is not None and self.parts.gripper.state is GripperState.FAILED:
             self.parts.gripper.recover()
             self.has_waited = True
@@ -39,23 +48,20 @@ class Runtime(Cycle):
             except BoardReset:  # nobody saw it restart: it was silent
                 self.monitor.forget_home()
                 raise
-            if self.monitor.mode is Mode.FAULT:
-                self.drives.expect(self.now_s)
-            else:
-                self.drives.forget()
+            self.drives.doubt()
             if not self.monitor.faults:
                 return ()  # drives that were in FAULT before this runtime started
-        cleared = self.monitor.acknowledge()
+        cleared = self.monitor.acknowledge(UNCONTROLLED[self.drives.wanted])
         self.stillness.enter_mode(self.now_s)
         return cleared
 
     def want_hold(self) -> None:
-        """Get to HOLDING from OFF, BRAKED or GUIDING, through the modes in between."""
+        """Get to HOLDING from OFF, HELD, BRAKED or GUIDING, through the modes in between. ArmError says why not."""
         shutdown.want_hold(self)
 
-    def go_off(self, quits: bool) -> None:
-        """Start the shutdown: stop, hold, brake, off. The cycle continues it."""
-        shutdown.begin(self, quits)
+    def go_off(self, quits: bool, lets_go: bool = False) -> None:
+        """Start the shutdown: stop, hold, brake, off. `lets_go`: an arm that is held by its boards, too."""
+        shutdown.begin(self, quits, lets_go)
 
     def require_recording(self) -> None:
         """ArmError if nothing is recorded now, and arm.toml says that no motion begins then."""
@@ -66,11 +72,8 @@ class Runtime(Cycle):
             )
 
     def require_staying(self) -> None:
-        """ArmError if the arm is being switched off: nothing begins then."""
-        if self.is_shutting_down:
-            raise ArmError(
-                "the arm is being switched off, so nothing begins: wait until it is off, then enable it"
-            )
+        """ArmError while the arm goes on or off by itself: nothing else begins then."""
+        shutdown.require_staying(self)
 
     def state_payload(self, mass_kg: float) -> None:
         """State the mass in the gripper. ArmError if it is more than the arm may carry."""
@@ -146,7 +149,7 @@ class Runtime(Cycle):
         if action == "stop":
             gripper.stop()
             return
-        if self.monitor.mode in NO_GRIP_MODES or self.is_shutting_down:
+        if self.monitor.mode in NO_GRIP_MODES or self.bound.is_off:
             raise ArmError(
                 f"the arm is {self.monitor.mode.name}, so the gripper does not move: the arm must hold, move or be guided"
             )
@@ -165,6 +168,9 @@ class Runtime(Cycle):
         and boards that take a current: ArmError if not.
         """
         self.monitor.require(Event.GUIDE)
+        self.require_staying()
+        if not self.drives.is_ready:
+            raise ArmError("not all drives are in operation: `armwright enable` first, then guide")
         if weightless and OutputMode.CURRENT not in self.parts.hardware.offers:
             raise ArmError(
                 "weightless hand guiding is not possible: not all of this arm's boards take a current as command"

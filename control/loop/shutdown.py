@@ -1,68 +1,127 @@
-"""Shutdown from any mode to OFF (stop, hold, brake, off; a step whenever the arm is at rest), and from OFF back to HOLDING.
+"""The ways on and off that the arm takes by itself: from OFF, HELD, BRAKED or GUIDING to HOLDING, and from any mode to OFF.
 
-Writes `is_shutting_down`, `is_quitting` and `is_hold_pending`.
+Off: stop, hold, brake, off; a step whenever the arm is at rest. Writes `bound`, in which the latest request wins; what is wanted
+of the drives follows from it (control.loop.drives).
 """
 
+from control.errors import ArmError
+from control.hardware.words import WATCHDOG, Wanted
 from control.loop.arm_state import ArmState
+from control.loop.drives import CHANGE_LIMIT_S, Bound
 from control.loop.homing import require_plausible, take_known_zeros
 from control.loop.motion_modes import stop
-from control.loop.readiness import ENABLE_LIMIT_S, is_any_enabled
-from control.safety.table import Event, Mode
+from control.safety.table import CONTROLLED_MODES, Event, Mode
 
 
-def begin(state: ArmState, quits: bool) -> None:
-    """Start the shutdown: stop, hold, brake, off. The cycle continues it."""
-    state.is_shutting_down = True
-    state.is_hold_pending = False
-    state.is_quitting = state.is_quitting or quits
+def begin(state: ArmState, quits: bool, lets_go: bool) -> None:
+    """Start the shutdown: stop, hold, brake, off. The cycle continues it. An end of the runtime is not taken back.
+
+    Boards that hold the arm as they were found let it go only with `lets_go`; without, the end of the runtime leaves them so.
+    ArmError if they would have to.
+    """
+    is_ending = quits or state.bound is Bound.QUIT
+    if is_left_held(state):
+        if not (lets_go or quits):
+            raise ArmError(
+                "the arm is held by its boards, and falls when they let go: somebody must hold it, then `armwright off` lets it"
+                " go (socket: `lets_go`); `armwright enable` takes it over"
+            )
+        if lets_go:
+            state.on(Event.SWITCH_OFF)
+    elif state.bound is Bound.ON:
+        state.on(Event.SWITCH_OFF)  # it was off a moment ago: nothing is held that could sink
+    state.bound = Bound.QUIT if is_ending else Bound.OFF
+    if state.monitor.mode is Mode.OFF and not is_ending:
+        state.bound = Bound.NOWHERE
 
 
 def follow(state: ArmState) -> None:
     """Take the next step of the shutdown when the arm is ready for it."""
-    if not state.is_shutting_down or (event := state.monitor.next_towards_off(state.is_still())) is None:
+    if not state.bound.is_off or is_left_held(state):
+        return
+    if (event := state.monitor.next_towards_off(state.is_still())) is None:
         return
     if event is Event.STOP:
         stop(state)
         return
     state.on(event)
-    if state.monitor.mode is Mode.OFF:
-        state.is_shutting_down = False
-        state.drives.forget()
-        state.parts.hardware.disable()
+    if state.monitor.mode is Mode.OFF and state.bound is Bound.OFF:
+        state.bound = Bound.NOWHERE
+
+
+def is_left_held(state: ArmState) -> bool:
+    """Whether the arm is held by its boards, which this runtime has not taken over."""
+    return state.monitor.mode is Mode.HELD or (
+        state.monitor.mode is Mode.FAULT and state.drives.wanted is Wanted.AS_FOUND
+    )
 
 
 def has_left(state: ArmState) -> bool:
-    """Whether the arm is off and its drives have confirmed it or have had enough time to."""
+    """Whether the runtime may end: the arm is off and its drives have confirmed it, or had time to; or it is left held."""
+    if is_left_held(state):
+        return True
     if state.monitor.mode is not Mode.OFF:
         return False
-    has_waited_long = state.now_s - state.stillness.mode_from_s > ENABLE_LIMIT_S
-    return has_waited_long or not is_any_enabled(state.parts.hardware.feedback)
+    has_waited_long = state.now_s - state.stillness.mode_from_s > CHANGE_LIMIT_S
+    return has_waited_long or not state.parts.hardware.has_torque()
+
+
+def require_staying(state: ArmState) -> None:
+    """ArmError while the arm goes on or off by itself: nothing else begins then."""
+    if state.bound.is_off:
+        raise ArmError(
+            "the arm is being switched off, so nothing begins: wait until it is off, then enable it"
+        )
+    if state.bound.is_hold:
+        raise ArmError(f"the arm is being {state.bound.value}, so nothing begins: wait until it holds")
 
 
 def want_hold(state: ArmState) -> None:
-    """Get to HOLDING from OFF, BRAKED or GUIDING, through the modes in between."""
-    if state.monitor.mode is Mode.OFF:
+    """Get to HOLDING from OFF, HELD, BRAKED or GUIDING. ArmError if the mode or the drives do not allow it."""
+    mode = state.monitor.mode
+    if state.bound is Bound.QUIT or (state.bound is Bound.OFF and mode in CONTROLLED_MODES):
+        require_staying(state)
+    if mode not in (Mode.OFF, Mode.HELD, Mode.BRAKED, Mode.GUIDING):
+        state.monitor.require(Event.ENABLE)  # raises the reason
+    if mode in (Mode.OFF, Mode.HELD) or not state.drives.is_ready:
         state.monitor.require_no_faults("ENABLE")
         require_plausible(state)
-        state.has_waited = True
-        state.parts.hardware.enable()
-        state.drives.expect(state.now_s)
-    elif state.monitor.mode is Mode.GUIDING:
+        _prepare(state)
+    if mode is Mode.OFF:
+        state.on(Event.CONNECT)
+    elif mode is Mode.GUIDING:
         state.on(Event.BRAKE)
-    elif state.monitor.mode is not Mode.BRAKED:
-        state.monitor.on(Event.ENABLE)  # raises the reason
-    state.is_shutting_down = False
-    state.is_hold_pending = True
+    is_from_off = mode in (Mode.OFF, Mode.HELD) or state.bound is Bound.ON
+    state.bound = Bound.ON if is_from_off else Bound.HOLD
+
+
+def _prepare(state: ArmState) -> None:
+    """Let the boards have all that they need. Those that hold after the time-out of another host are taken out of it.
+
+    ArmError if a drive is in FAULT otherwise.
+    """
+    hardware, is_held = state.parts.hardware, state.monitor.mode is Mode.HELD
+    bits_of = hardware.feedback.drive_faults
+    expected = (0, WATCHDOG) if is_held else (0,)
+    if any(bits not in expected for bits in bits_of):
+        names = zip(state.parts.joint_names, bits_of, strict=True)
+        raise ArmError(
+            f"the drive of {', '.join(name for name, bits in names if bits not in expected)} is in FAULT: make the arm safe, then"
+            " `armwright acknowledge`, which resets it: what it holds may sink"
+        )
+    state.has_waited = True
+    if any(bits_of):
+        hardware.reset_drive_faults()
+    hardware.prepare()
 
 
 def follow_hold(state: ArmState) -> None:
     """Take the next step towards HOLDING if it is requested and the drives are ready."""
-    if not (state.is_hold_pending and state.drives.is_ready):
+    if not (state.bound.is_hold and state.drives.is_ready):
         return
-    if state.monitor.mode is Mode.OFF:
-        state.on(Event.CONNECT)
-        take_known_zeros(state)
-    elif state.monitor.mode is Mode.BRAKED:
-        state.is_hold_pending = False
+    if state.monitor.mode in (Mode.BRAKED, Mode.HELD):
+        if state.bound is Bound.ON:
+            take_known_zeros(state)
+        state.bound = Bound.NOWHERE
         state.parts.servo.reset()
         state.on(Event.ENABLE)

@@ -5,7 +5,12 @@ from control.safety.fault import LOSES_ZERO, Fault, Reaction
 from control.safety.table import CONTROLLED_MODES, TRANSITIONS, Event, Mode, legal_events, next_towards_off
 
 _FAULT_EVENTS = (Event.FAULT_CONTROLLED, Event.FAULT_BRAKE)
-_ACKNOWLEDGEMENTS = (Event.ACKNOWLEDGE_HELD, Event.ACKNOWLEDGE_BRAKED)
+_ACKNOWLEDGED = {
+    Mode.HOLDING: Event.ACKNOWLEDGE_HELD,
+    Mode.BRAKED: Event.ACKNOWLEDGE_BRAKED,
+    Mode.OFF: Event.ACKNOWLEDGE_OFF,
+    Mode.HELD: Event.ACKNOWLEDGE_FOUND,
+}
 
 
 class IllegalTransition(ArmError):
@@ -82,7 +87,7 @@ class Monitor:
 
     def require(self, event: Event) -> Mode:
         """Return the mode that `event` leads to; raises as `on` and changes nothing."""
-        if event in _FAULT_EVENTS or event in _ACKNOWLEDGEMENTS:
+        if event in _FAULT_EVENTS or event in _ACKNOWLEDGED.values():
             raise self._refusal(event.name, "use fault() and acknowledge()")
         following = TRANSITIONS.get((self._mode, event))
         if following is None:
@@ -100,9 +105,11 @@ class Monitor:
 
     def fault(self, fault: Fault) -> Mode:
         """Go to FAULT, list `fault` (once per code and place), use the more severe reaction. Always legal."""
-        # The boards hold only what the loop controlled before.
+        # The boards hold only what the loop controlled before, or what they hold already.
         can_control = self._mode in CONTROLLED_MODES or self._reaction in (Reaction.CONTROLLED, Reaction.HOLD)
         wanted = fault.reaction if can_control else Reaction.BRAKE
+        if self._mode is Mode.HELD:
+            wanted = max(fault.reaction, Reaction.HOLD)
         if self._mode is not Mode.FAULT:
             # Even at rest the loop plans a stop, and ends it with STOPPED at once.
             self._is_at_rest = False
@@ -115,8 +122,10 @@ class Monitor:
         self._mode = TRANSITIONS[(self._mode, event)]
         return self._mode
 
-    def acknowledge(self) -> tuple[Fault, ...]:
-        """Clear and return the faults. The mode becomes HOLDING if the arm was held, else BRAKED; OFF stays.
+    def acknowledge(self, uncontrolled: Mode = Mode.BRAKED) -> tuple[Fault, ...]:
+        """Clear and return the faults. The mode becomes HOLDING if the loop held the arm, else `uncontrolled`; OFF stays.
+
+        `uncontrolled`: BRAKED, OFF or HELD, by what is wanted of the drives.
 
         Raises:
             IllegalTransition: there is no fault, or the controlled stop has not ended; nothing changes.
@@ -125,8 +134,10 @@ class Monitor:
             raise self._refusal("ACKNOWLEDGE", "there is no fault")
         if self.is_held_fault and not self._is_at_rest:
             raise self._refusal("ACKNOWLEDGE", "the stop has not ended, try again when the arm is at rest")
-        event = Event.ACKNOWLEDGE_HELD if self.is_held_fault else Event.ACKNOWLEDGE_BRAKED
-        self._mode = TRANSITIONS[(self._mode, event)]
+        leads_to = (
+            Mode.OFF if self._mode is Mode.OFF else Mode.HOLDING if self.is_held_fault else uncontrolled
+        )
+        self._mode = TRANSITIONS[(self._mode, _ACKNOWLEDGED[leads_to])]
         cleared, self._faults, self._reaction = self._faults, (), None
         return cleared
 

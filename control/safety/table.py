@@ -19,12 +19,15 @@ class Mode(Enum):
     )
     JOGGING = "position control along a jog that a client keeps renewing"
     PAUSED = "position control: slowing to rest along the motion, then holding there"
+    HELD = "held by its boards: they had torque when the runtime connected; nothing is commanded, and no limit is watched"
 
 
 class Event(Enum):
     """An event; the value says who raises it and when."""
 
-    CONNECT = "all boards answered, their identities match, drives are at 0 V"
+    FOUND_HELD = "loop, when it has connected: a board has torque that this runtime did not switch on"
+    RELEASED = "loop: no board has torque any more"
+    CONNECT = "operator: all boards answered, their identities match; drives go on, at 0 V"
     ENABLE = "operator: hold the present position"
     HOME = "operator: search the reference positions"
     HOMED = "loop: every joint has its zero (found, or still stored in the boards)"
@@ -37,11 +40,13 @@ class Event(Enum):
     STOPPED = "loop: the jerk-limited stop has ended at rest"
     GUIDE = "operator: let a hand move the arm"
     BRAKE = "operator or shutdown: from position control or hand guiding to 0 V"
-    SWITCH_OFF = "shutdown: the arm is at rest; drives may switch off"
+    SWITCH_OFF = "shutdown: the arm is at rest; drives switch off. From HELD: the operator lets it go"
     FAULT_CONTROLLED = "a fault while feedback is good"
     FAULT_BRAKE = "a fault that makes feedback unreliable: the boards hold, or 0 V"
     ACKNOWLEDGE_HELD = "operator has read the faults; the arm was held"
-    ACKNOWLEDGE_BRAKED = "operator has read the faults; the arm was braked or off"
+    ACKNOWLEDGE_BRAKED = "operator has read the faults; the arm was braked, or its boards held it"
+    ACKNOWLEDGE_OFF = "operator has read the faults; the drives were off"
+    ACKNOWLEDGE_FOUND = "operator has read the faults; its boards still hold the arm as they were found"
 
 
 # What is missing here is illegal and changes nothing. Why some rows are as they are:
@@ -50,12 +55,13 @@ class Event(Enum):
 # - FAULT accepts BRAKE (shutdown from a held fault) and SWITCH_OFF; the faults stay listed until
 #   acknowledged.
 TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
+    (Mode.OFF, Event.FOUND_HELD): Mode.HELD,
     (Mode.OFF, Event.CONNECT): Mode.BRAKED,
     (Mode.OFF, Event.SWITCH_OFF): Mode.OFF,
     (Mode.OFF, Event.STOP): Mode.OFF,
     (Mode.OFF, Event.FAULT_CONTROLLED): Mode.FAULT,
     (Mode.OFF, Event.FAULT_BRAKE): Mode.FAULT,
-    (Mode.OFF, Event.ACKNOWLEDGE_BRAKED): Mode.OFF,
+    (Mode.OFF, Event.ACKNOWLEDGE_OFF): Mode.OFF,
     (Mode.BRAKED, Event.ENABLE): Mode.HOLDING,
     (Mode.BRAKED, Event.HOMED): Mode.BRAKED,
     (Mode.BRAKED, Event.GUIDE): Mode.GUIDING,
@@ -99,6 +105,8 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.FAULT, Event.FAULT_BRAKE): Mode.FAULT,
     (Mode.FAULT, Event.ACKNOWLEDGE_HELD): Mode.HOLDING,
     (Mode.FAULT, Event.ACKNOWLEDGE_BRAKED): Mode.BRAKED,
+    (Mode.FAULT, Event.ACKNOWLEDGE_OFF): Mode.OFF,
+    (Mode.FAULT, Event.ACKNOWLEDGE_FOUND): Mode.HELD,
     (Mode.JOGGING, Event.JOG): Mode.JOGGING,
     (Mode.JOGGING, Event.ARRIVED): Mode.HOLDING,
     (Mode.JOGGING, Event.STOP): Mode.STOPPING,
@@ -110,6 +118,13 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.PAUSED, Event.STOP): Mode.STOPPING,
     (Mode.PAUSED, Event.FAULT_CONTROLLED): Mode.FAULT,
     (Mode.PAUSED, Event.FAULT_BRAKE): Mode.FAULT,
+    (Mode.HELD, Event.RELEASED): Mode.OFF,
+    (Mode.HELD, Event.HOMED): Mode.HELD,
+    (Mode.HELD, Event.ENABLE): Mode.HOLDING,
+    (Mode.HELD, Event.STOP): Mode.HELD,
+    (Mode.HELD, Event.SWITCH_OFF): Mode.OFF,
+    (Mode.HELD, Event.FAULT_CONTROLLED): Mode.FAULT,
+    (Mode.HELD, Event.FAULT_BRAKE): Mode.FAULT,
 }
 
 # Modes in which the arm executes a request (or is paused); a stop ends them.
@@ -128,13 +143,13 @@ def next_towards_off(mode: Mode, is_still: bool, is_held_fault: bool = False) ->
 
     Called each cycle from Ctrl-C on. It never drops the arm: stop, hold, 0 V when at rest, off when at rest
     at 0 V. `is_still`: the measured speed of every joint was zero for long enough. `is_held_fault`: FAULT,
-    position held.
+    position held. HELD is never left by itself: somebody must hold the arm before it is let go.
     """
     if mode in TRAVELLING_MODES:
         return Event.STOP
     if mode is Mode.GUIDING:
         return Event.BRAKE
-    if not is_still or mode in (Mode.OFF, Mode.STOPPING):
+    if not is_still or mode in (Mode.OFF, Mode.STOPPING, Mode.HELD):
         return None
     if mode is Mode.HOLDING or is_held_fault:
         return Event.BRAKE
@@ -179,6 +194,11 @@ _NOTES: Final = (
     "- CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.",
     "- A jog that is not renewed slows to rest (ARRIVED); one whose connection closes gets a STOP.",
     "- PAUSED begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED.",
-    "- A person acknowledges, after the controlled stop. In OFF it only clears the list.",
-    "- Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest.",
+    "- A person acknowledges, after the controlled stop. It switches no drive on: one that is out of operation comes back with",
+    "  `enable`. In OFF it only clears the list.",
+    "- Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest. Ctrl-C in HELD leaves the arm held.",
+    "- In OFF no drive has torque. One that has it all the same is switched off, and is a fault after a second.",
+    "- From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then, and there is no step.",
+    "- While the arm goes on or off by itself, nothing else begins. `stop` and `off` end switching on, `enable` and `hold` catch",
+    "  an arm that sinks on its way off, unless the runtime ends, too.",
 )

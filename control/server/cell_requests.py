@@ -44,7 +44,7 @@ class CellRequests:
             if request.do == "move_together":
                 return self._move_together(request, client)
             arm = self._named(request.arm)
-            if request.do in WAITING | BEGINNING:
+            if request.do in WAITING | BEGINNING | {"hold"}:
                 self._require_possible(arm, request.do)
             if request.do == "off":
                 return self._off(request, arm, client)
@@ -148,7 +148,8 @@ class CellRequests:
     def _require_possible(self, arm: str, do: str) -> None:
         """ArmError says which other arm is in the way of a request."""
         runtimes, what = self._runtime.runtimes, do.replace("_", " ")
-        if do in WAITING and (other := self._runtime.moving_beside(arm)):
+        waits = do in WAITING or (do == "hold" and runtimes[arm].monitor.mode in (Mode.OFF, Mode.HELD))
+        if waits and (other := self._runtime.moving_beside(arm)):
             mode = runtimes[other].monitor.mode.name
             raise ArmError(
                 f"arm {other!r} is {mode}, so arm {arm!r} cannot {what}: it waits for its boards, and the loop with it; try"

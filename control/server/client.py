@@ -173,7 +173,7 @@ class ArmClient:
     def stop(self) -> None:
         """Controlled stop; returns when the arm holds."""
         self.ask("stop")
-        self.until(["HOLDING", "BRAKED", "OFF", "GUIDING"], 5.0)
+        self.until(["HOLDING", "BRAKED", "OFF", "GUIDING", "HELD"], 5.0)
 
     def tool(self, name: str) -> None:
         """Another of the arm's tools is on. RequestRefused unless the arm is at rest."""
@@ -260,9 +260,12 @@ class ArmClient:
             if answer["mode"] == "FAULT":
                 raise ArmFaulted(f"acknowledged, but the cause persists: {fault_text(self.status())}")
 
-    def off(self, quit_runtime: bool = False, timeout_s: float = 60.0) -> None:
-        """Stop, hold, brake until the arm has sunk to rest, drives off; optionally end the runtime."""
-        self.ask("off", quit=quit_runtime)
+    def off(self, quit_runtime: bool = False, timeout_s: float = 60.0, lets_go: bool = False) -> None:
+        """Stop, hold, brake until the arm has sunk to rest, drives off; optionally end the runtime.
+
+        `lets_go`: boards that hold the arm as they were found, too, so somebody must hold it. RequestRefused without it.
+        """
+        self.ask("off", quit=quit_runtime, lets_go=lets_go)
         try:
             self.until(["OFF"], timeout_s, is_fault_known=True)
         except RuntimeGone:

@@ -18,6 +18,7 @@ POLLED = frozenset(
 )  # requests that are not events: frequent, or without effect
 BEGUN = {
     Mode.OFF: "drives off",
+    Mode.HELD: "held by its boards: `armwright enable` takes it over, `armwright off` lets it go",
     Mode.BRAKED: "windings shorted",
     Mode.HOLDING: "holding",
     Mode.JOGGING: "jog begun",
@@ -39,6 +40,8 @@ class Events:
         self._is_homed = runtime.monitor.is_homed
         self._next_step_s = 0.0
         self._gripper: object = None  # its state
+        if self._mode is Mode.HELD:
+            say(BEGUN[Mode.HELD])
 
     def look(self) -> None:
         """Report changes since the last call."""
@@ -54,7 +57,7 @@ class Events:
             self._gripper = gripper.state
             lost = "; it has lost what it held" if gripper.has_lost else ""
             self._say(f"gripper: {gripper.state.value}{f' ({gripper.why})' if gripper.why else ''}{lost}")
-        if runtime.is_shutting_down and runtime.now_s >= self._next_step_s:
+        if runtime.bound.is_off and runtime.now_s >= self._next_step_s:
             self._say_step()
 
     def requested(self, do: str, client: int) -> None:

@@ -172,9 +172,10 @@ class SetOutput(_Message, tag="digital", kw_only=True):
 
 
 class Off(_Message, tag="off", kw_only=True):
-    """Shutdown."""
+    """Shutdown. `lets_go`: of an arm that is held by its boards, too: somebody holds it."""
 
     quit: bool = False
+    lets_go: bool = False
 
 
 class Control(_Message, tag="control", kw_only=True):

@@ -32,8 +32,11 @@ BEGINS = {
     "run_path": Event.MOVE,
     "run_joints": Event.MOVE,
 }  # refused by mode unread
+# Served while the arm goes on or off by itself; whatever else is asked then is refused, so that no answer is overtaken.
+WHILE_ON_ITS_WAY = messages.WATCHING | messages.STOPPING | {"enable", "hold", "digital"}
 ADVICE = {
     Mode.OFF: "switch its drives on first (`armwright enable`)",
+    Mode.HELD: "it is held by its boards: take it over (`armwright enable`), or let it go (`armwright off`)",
     Mode.BRAKED: "switch position control on first (`armwright enable`)",
     Mode.HOLDING: "it already holds",
     Mode.MOVING: "wait until it has arrived, or stop it (`armwright stop`)",
@@ -123,6 +126,8 @@ class Requests:
             self._require_this_arm(request.arm)
             mode = self._runtime.monitor.mode
             self._right.require(client, do, mode)
+            if do not in WHILE_ON_ITS_WAY:
+                self._runtime.require_staying()
             if (event := BEGINS.get(do)) is not None:
                 self._runtime.monitor.require(event)
             answer = {"ok": True, **serve(decoded(request), client)}
@@ -170,7 +175,7 @@ class Requests:
             "was_stopped": runtime.was_stopped,
             "stop_reason": runtime.stop_reason,
             "step": step_of(runtime),
-            "is_settled": not runtime.drives.is_awaited,
+            "is_settled": not runtime.bound.is_hold,
         }
 
     def _control(self, request: messages.Control, client: int) -> Message:
@@ -187,11 +192,12 @@ class Requests:
         return {"client": client, "in_control": self._right.holder(mode)}
 
     def _enable(self, request: Any, client: int) -> Message:
-        if self._runtime.monitor.mode in CONTROLLED_MODES:
+        was_enabled = self._runtime.monitor.mode in CONTROLLED_MODES
+        if was_enabled:
             self._runtime.require_staying()
-            return {"was_enabled": True}
-        self._runtime.want_hold()
-        return {"was_enabled": False}
+        else:
+            self._runtime.want_hold()
+        return {"was_enabled": was_enabled}
 
     def _home(self, request: messages.Home, client: int) -> Message:
         runtime = self._runtime
@@ -204,6 +210,7 @@ class Requests:
     def require_may_begin(self, do: str, client: int) -> None:
         """ArmError unless this client's right and the mode allow a motion now."""
         self._right.require(client, do, self._runtime.monitor.mode)
+        self._runtime.require_staying()
         try:
             self._runtime.monitor.require(Event.MOVE)
         except IllegalTransition as error:
@@ -269,7 +276,9 @@ class Requests:
         return {}
 
     def _hold(self, request: Any, client: int) -> Message:
-        if self._runtime.monitor.mode is not Mode.HOLDING:
+        if self._runtime.monitor.mode is Mode.HOLDING:
+            self._runtime.require_staying()
+        else:
             self._runtime.want_hold()
         return {}
 
@@ -311,7 +320,7 @@ class Requests:
         return {"rows": rows, "names": layout.names, "packing": layout.packing.format}
 
     def _off(self, request: messages.Off, client: int) -> Message:
-        self._runtime.go_off(request.quit)
+        self._runtime.go_off(request.quit, request.lets_go)
         return {}
 
 

@@ -22,6 +22,7 @@ SHUTDOWN_STEPS = {
     Mode.BRAKED: "lowering: windings shorted until the arm is at rest",
     Mode.FAULT: "in FAULT, waiting for the arm to come to rest",
     Mode.OFF: "waiting for the drives to switch off",
+    Mode.HELD: "leaving the arm held by its boards",
 }
 NEAR = 0.9  # of a limit: warn below
 
@@ -32,6 +33,7 @@ def status_of(runtime: Runtime) -> dict[str, Any]:
     recorder = runtime.parts.recorder.state()
     return {
         "mode": monitor.mode.name,
+        "drives": runtime.drives.wanted.name,
         "run": runtime.run_number,
         "is_homed": monitor.is_homed,
         "t_s": runtime.now_s,
@@ -91,10 +93,12 @@ def _digital(runtime: Runtime) -> dict[str, Any]:
 
 
 def step_of(runtime: Runtime) -> str:
-    """The present step of homing or shutdown, as text; empty if neither runs."""
+    """The present step of homing, or of the way on or off, as text; empty if there is none."""
     if runtime.homing is not None:
         return runtime.homing.step_text
-    return SHUTDOWN_STEPS.get(runtime.monitor.mode, "") if runtime.is_shutting_down else ""
+    if runtime.bound.is_off:
+        return SHUTDOWN_STEPS.get(runtime.monitor.mode, "")
+    return "switching the drives on" if runtime.bound.is_hold else ""
 
 
 def _angles(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:

@@ -140,6 +140,11 @@ class Cia402Drive:
         self._controlword = int(DriveCommand.QUICK_STOP)
         self._send(CYCLIC_POSITION, self.count, 0)
 
+    def resume(self) -> None:
+        """From QUICK STOP ACTIVE back to OPERATION ENABLED, where the motor is: transition 16 of a drive that stays there."""
+        self._controlword = int(DriveCommand.ENABLE_OPERATION)
+        self._send(CYCLIC_POSITION, self.count, 0)
+
     def _send(self, mode: int, position: int, permille: int) -> None:
         wrapped = (position + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
         send = self._bus.link.send
@@ -205,10 +210,15 @@ class Cia402Drive:
         self.write(cob, base + self.node)
 
     def acknowledge_fault(self, timeout_s: float = 0.5) -> None:
-        """Reset a fault by a rising edge of bit 7; ends in SWITCH ON DISABLED and never beyond. Raises BoardFaulted."""
+        """Reset a fault by a rising edge of bit 7; ends in SWITCH ON DISABLED and never beyond. Raises BoardFaulted.
+
+        Without a fault nothing is commanded.
+        """
         clock = self._bus.clock
         deadline_s = clock.now_s() + timeout_s
         self.errors.clear()
+        if not self._is_in_fault():
+            return
         while True:
             for command in (
                 DriveCommand.DISABLE_VOLTAGE,
@@ -221,12 +231,15 @@ class Cia402Drive:
                 self._bus.sync()
                 clock.wait_until_s(clock.now_s() + 4 * _STEP_s)
                 self._bus.update()
-            if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            if not self._is_in_fault():
                 return
             if clock.now_s() >= deadline_s:
                 raise BoardFaulted(
                     f"{self.where}: its fault ({self.error_text()}) cannot be acknowledged: the cause persists"
                 )
+
+    def _is_in_fault(self) -> bool:
+        return self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
 
     def error_text(self) -> str:
         """The codes of its emergency messages."""

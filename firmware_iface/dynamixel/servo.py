@@ -52,9 +52,10 @@ class DynamixelLine(ServoLine):
         super().__init__(link, clock, self.servos, self._goal_positions, self._all_values)
 
     def _goal_positions(self) -> bytes:
-        return wire.sync_write(
-            GOAL_POSITION, {servo.number: struct.pack("<i", servo.goal) for servo in self.servos}
-        )
+        goals = {
+            servo.number: struct.pack("<i", servo.goal) for servo in self.servos if servo.goal is not None
+        }
+        return wire.sync_write(GOAL_POSITION, goals) if goals else b""
 
     def _all_values(self) -> bytes:
         return wire.sync_read([servo.number for servo in self.servos], *VALUES_SPAN)
@@ -107,8 +108,7 @@ class DynamixelServo(SmartServo):
         return ", ".join(notes)
 
     def set_up(self, watchdog_s: float) -> None:
-        """Torque off, no motion profile, and the bus watchdog, which a restart clears. Nothing is stored."""
-        self._write(TORQUE_ENABLE, b"\0")
+        """No motion profile, and the bus watchdog, which a restart clears. Nothing is stored, and the torque stays as it is."""
         self._write(BUS_WATCHDOG, b"\0")
         self._write(PROFILE, bytes(8))
         steps = min(max(math.floor(watchdog_s / WATCHDOG_STEP_s + 1e-9), 1), LONGEST_WATCHDOG)

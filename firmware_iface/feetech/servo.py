@@ -33,14 +33,18 @@ class FeetechLine(ServoLine):
         super().__init__(link, clock, self.servos, self._goal_positions, self._all_states)
 
     def _goal_positions(self) -> bytes:
-        return wire.sync_write(GOAL_POSITION, {servo.number: wire.raw(servo.goal) for servo in self.servos})
+        goals = {servo.number: wire.raw(servo.goal) for servo in self.servos if servo.goal is not None}
+        return wire.sync_write(GOAL_POSITION, goals) if goals else b""
 
     def _all_states(self) -> bytes:
         return wire.sync_read([servo.number for servo in self.servos], *STATE_SPAN)
 
 
 class FeetechServo(SmartServo):
-    """One STS servo. It has no bus watchdog: without the host it holds its last goal."""
+    """One STS servo. It has no bus watchdog: without the host it holds its last goal.
+
+    A goal position that is written switches its torque on, whatever was written to the switch before.
+    """
 
     CALLED = "STS servo"
     WIRE: ClassVar[ServoWire] = wire
@@ -51,6 +55,10 @@ class FeetechServo(SmartServo):
         self._is_wanted = self._must_be_on = False  # the torque
         self.values_question = self.state_question = self._reading(STATE_SPAN, self._take_state)
         line.servos.append(self)
+
+    def _switching_on(self) -> bytes:
+        """Torque on, no ramp, and the goal where it is: in one instruction, so that no older goal is ever gone to."""
+        return b"\x01\0" + wire.raw(self.position)
 
     def post_torque(self, is_on: bool) -> None:
         """Queue switching the torque, if it is not so already."""
@@ -89,9 +97,7 @@ class FeetechServo(SmartServo):
         return ", ".join(notes)
 
     def set_up(self, watchdog_s: float) -> None:
-        """Torque off, no ramp and no speed limit. Nothing is stored; there is no watchdog to set."""
-        self._is_wanted = self._must_be_on = False
-        self._write(TORQUE, b"\0")
+        """No ramp and no speed limit. Nothing is stored, the torque stays as it is; there is no watchdog to set."""
         self._write(ACCELERATION, b"\0")
         self._write(GOAL_SPEED, b"\0\0")
         self._force.forget()

@@ -35,8 +35,8 @@ class Moteus:
         if number not in wire.IDS:
             raise MisuseError(f'moteus "{name}": ids are 1 to {wire.IDS.stop - 1}, got {number}')
         self.number, self.name, self.counts_per_turn = number, name, counts_per_turn
-        self.wanted: Frame = wire.brake(number)
-        """The command of the next cycle."""
+        self.wanted: Frame = wire.ask(number)
+        """The command of the next cycle; at first none, so that nothing changes by connecting."""
         self.count = 0
         self.current_A, self.supply_V, self.temperature_degC = 0.0, math.nan, 0.0
         self.mode, self.fault = int(Mode.STOPPED), 0
@@ -66,6 +66,11 @@ class Moteus:
     def is_driving(self) -> bool:
         """Whether it was in position mode at its last reply."""
         return self.mode == Mode.POSITION
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it obeyed commands at its last reply: neither stopped, nor in FAULT, nor past its time-out."""
+        return self.mode not in _NOT_RUNNING
 
     def frames(self) -> tuple[Frame, ...]:
         """The command of this cycle."""
@@ -116,7 +121,7 @@ class Moteus:
         self.await_status()
         self._bus.waits(lambda: self._bus.clock.now_s() >= end_s, SETTLE_s)
         self.await_status()
-        return self.mode not in _NOT_RUNNING
+        return self.is_running
 
     def _asks(self, frame: Frame, is_answered: Callable[[], bool]) -> None:
         for _ in range(ATTEMPTS):

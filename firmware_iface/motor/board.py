@@ -68,6 +68,10 @@ class MotorBoard:
         self._command_id = wire.COMMAND_ID + node
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         self._last_state: State | None = None
+        self._holds_alone = (
+            True  # without a host, by its watchdog's action, unless it was found to do something else
+        )
+        self._is_as_found = True  # no state was commanded since it was connected
         self._order = ReplyOrder()
         self._parameters = ParameterChannel(bus, node, lambda: self.where)
         bus.add_node(node, self._take_reply, self._take_answer)
@@ -82,6 +86,13 @@ class MotorBoard:
     def state(self) -> State | None:
         """The state in the latest reply; None before the first, and after a reset."""
         return self._last_state
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether it is in operation, or holds by itself after its watchdog has expired."""
+        if self._last_state is State.FAULT and self.reply is not None:
+            return self._holds_alone and self.reply.faults == wire.Fault.WATCHDOG
+        return self._last_state is State.OPERATION_ENABLED
 
     @property
     def reply_lag(self) -> int:
@@ -143,9 +154,31 @@ class MotorBoard:
         """Command the board to come to rest and hold, by its own encoder."""
         self.command(4)
 
+    def ask_state(self) -> None:
+        """Ask for a REPLY, and change nothing: a board in operation stops and holds, every other one stays out of operation."""
+        before = self._controlword
+        is_between = self._last_state in (State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
+        self._controlword = int(DriveCommand.DISABLE_VOLTAGE if is_between else DriveCommand.ENABLE_OPERATION)
+        self.command(Mode.HOLD)
+        self._controlword = before
+
+    def find_state(self) -> None:
+        """Wait for what the board does now, which is not changed. BoardSilent."""
+        deadline_s = self._bus.clock.now_s() + 3.0 * ANSWER_TIMEOUT_s
+        while self.reply is None:
+            if self._is_due():
+                self._sent_at_s = self._bus.clock.now_s()
+                self.ask_state()
+            self._wait_step(deadline_s, "does not reply to COMMAND")
+        if self._last_state is State.FAULT and self.reply.faults == wire.Fault.WATCHDOG:
+            self._holds_alone = self.read(Parameter.WATCHDOG_ACTION) == wire.Output.HOLD
+
     def _keep(self) -> None:
         """While the loop waits for another board: brake or turn freely as before, else hold."""
-        if self._last_state is State.OPERATION_ENABLED:
+        if self._last_state is State.OPERATION_ENABLED and self._is_as_found:
+            with contextlib.suppress(LinkError):
+                self.ask_state()
+        elif self._last_state is State.OPERATION_ENABLED:
             with contextlib.suppress(LinkError):
                 self.command(self._last[0] if self._last in ((0, 0), (1, 0)) else 4)
 
@@ -201,7 +234,7 @@ class MotorBoard:
             self._send_walking(command)
 
     def _send_walking(self, controlword: int) -> None:
-        self._controlword = controlword
+        self._controlword, self._is_as_found = controlword, False
         self._sent_at_s = self._bus.clock.now_s()
         self.command(Mode.VOLTAGE)
 
@@ -214,10 +247,16 @@ class MotorBoard:
     def acknowledge_fault(self, timeout_s: float = 0.2) -> None:
         """Reset a fault by a rising edge of controlword bit 7; ends in SWITCH ON DISABLED.
 
-        Call this only on a person's request. Does nothing without a fault.
+        Call this only on a person's request. Without a fault the board answers, and stays as it is.
         Raises BoardFaulted if the cause persists.
         """
         deadline_s = self._bus.clock.now_s() + timeout_s
+        if self._last_state is State.OPERATION_ENABLED and self._is_as_found:
+            return
+        if self._last_state is State.OPERATION_ENABLED:
+            self._send_and_wait(self._controlword, deadline_s)
+            if self._last_state is State.OPERATION_ENABLED:
+                return
         while True:
             # 0 first, so that there is an edge whatever was sent before
             self._send_and_wait(DriveCommand.DISABLE_VOLTAGE, deadline_s)

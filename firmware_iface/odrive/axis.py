@@ -54,7 +54,7 @@ class OdriveAxis:
         self.state = 0
         self.resets = 0
         self._at_s = dict.fromkeys(_SETTINGS, -math.inf)
-        self._wanted = AxisState.IDLE
+        self._wanted: AxisState | None = None
         self._control: Control | None = None  # as the axis has it
         self._input: tuple[Control, Frame] = (Control.TORQUE, wire.torque(node, 0.0))
         self._asked_s = -math.inf
@@ -99,8 +99,14 @@ class OdriveAxis:
         self._wanted = AxisState.IDLE
         self._input = (Control.TORQUE, wire.torque(self.node, 0.0))
 
+    def want_nothing(self) -> None:
+        """Send nothing: the axis goes on with what it does."""
+        self._wanted = None
+
     def frames(self) -> list[Frame]:
         """The input, which feeds the axis's watchdog too; before it matters, what changes its meaning and the state."""
+        if self._wanted is None:
+            return []
         control, given = self._input
         now_s = self._bus.clock.now_s()
         asks = self.state != self._wanted and now_s - self._asked_s > ASK_AGAIN_s
@@ -202,7 +208,7 @@ class OdriveAxis:
         was_driving, before_s = self.is_driving, self._at_s[Command.HEARTBEAT]
         self.errors, self.state = heartbeat.errors & ~Error.INITIALIZING, heartbeat.state
         # An operation that ends by an error says so; one that ends without was ended by the host, or by a restart.
-        is_unasked = self._wanted is not AxisState.IDLE or now_s - before_s > GAP_s
+        is_unasked = self._wanted is AxisState.CLOSED_LOOP_CONTROL or now_s - before_s > GAP_s
         if Error.INITIALIZING in heartbeat.errors or (
             was_driving and not self.is_driving and not self.errors and is_unasked
         ):

@@ -36,6 +36,9 @@ class RoboClaw:
         self.address = address
         self.duty = [0, 0]
         """Wanted duties, -32767 to 32767 of the supply."""
+        self.is_commanded = False
+        """Whether duties are sent; until then the motors go on with what they were found with."""
+        self.found_duty = (0, 0)
         self.sent_duty = (0, 0)
         self.counts = (0, 0)
         self.counted_at_s = -math.inf
@@ -98,6 +101,7 @@ class RoboClaw:
             )
         pins = tuple(self._read(Command.READ_PIN_MODES, wire.PIN_MODE_BYTES))
         modes = struct.unpack(">BB", self._read(Command.READ_ENCODER_MODES, 2))
+        self.found_duty = struct.unpack(">hh", self._read(Command.READ_DUTIES, 4))
         self.identity = RoboClawIdentity(version, pins, modes)
         return self.identity
 

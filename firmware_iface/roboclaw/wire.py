@@ -38,6 +38,7 @@ class Command(IntEnum):
     SET_ENCODER_2 = 23
     READ_MAIN_BATTERY = 24  # u16 in 0.1 V
     DUTY_M1_M2 = 34  # i16, i16
+    READ_DUTIES = 48  # i16, i16: "PWM" in the manual
     READ_CURRENTS = 49  # i16, i16 in 10 mA
     SET_DUTY_ACCELERATION_1 = 68  # u32 of rise; and u32 of fall where READ_PIN_MODES says five
     SET_DUTY_ACCELERATION_2 = 69

@@ -58,8 +58,10 @@ class Vesc:
         if number not in wire.IDS:
             raise MisuseError(f'VESC "{name}": controller ids are 0 to {wire.IDS.stop - 1}, got {number}')
         self.number, self.name = number, name
-        self.wanted: Frame = wire.current(number, 0.0)
-        """The command of the next cycle."""
+        self.wanted: Frame | None = None
+        """The command of the next cycle; None: it goes on with what it does until its own time-out."""
+        self.is_driving = False
+        """Whether it gave its motor a voltage at its last status."""
         self.count = 0
         self.is_counted = True
         """Whether anybody uses its count: without, turns that it loses matter to nobody."""
@@ -98,7 +100,7 @@ class Vesc:
 
     def frames(self) -> tuple[Frame, ...]:
         """The command of this cycle."""
-        return (self.wanted,)
+        return () if self.wanted is None else (self.wanted,)
 
     # ---- outside of the cycle
 
@@ -163,7 +165,7 @@ class Vesc:
         match packet:
             case Packet.STATUS:
                 _, current_A, duty = wire.status(payload)
-                self.current_A = self._directed(current_A, duty)
+                self.current_A, self.is_driving = self._directed(current_A, duty), duty != 0.0
             case Packet.STATUS_4:
                 fets_degC, motor_degC, _, raw = wire.status_4(payload)
                 self.temperature_degC = max(fets_degC, motor_degC)

@@ -1,5 +1,6 @@
 """What a fault of a scenario changes in a mock board itself; its wires, its motor and its shaft are the robot's."""
 
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -10,13 +11,20 @@ from hil_mocks.scenario import FaultTable
 _FORCED = {"over_current": 1, "over_temperature": 2, "encoder_fault": 32}  # bits of the motor board's faults
 
 
-def switch_motor_board(board: MotorBoardHardware, fault: FaultTable, is_on: bool) -> None:
+# Controlwords that another program would send to take a board out of operation, and into it to hold (docs/motor_board.md).
+_SENT = {"switched_off": (0x00,), "switched_on": (0x06, 0x07, 0x0F)}
+
+
+def switch_motor_board(board: MotorBoardHardware, fault: FaultTable, is_on: bool, now_s: float) -> None:
     """Begin or end a fault of a motor board; kinds that it does not have change nothing."""
     if fault.kind.startswith("says_"):
         board.says[fault.kind] = fault.value if is_on else None
     elif fault.kind in _FORCED:
         bit = _FORCED[fault.kind]
         board.forced_faults = board.forced_faults | bit if is_on else board.forced_faults & ~bit
+    elif fault.kind in _SENT and is_on:  # unheard by the host: not on its bus
+        for controlword in _SENT[fault.kind]:
+            board.receive(0x100 + board.setup.node, struct.pack("<BBih", controlword, 4, 0, 0), now_s)
     elif fault.kind == "board_reset" and is_on:
         board.power_up()
     elif fault.kind == "wrong_identity" and is_on:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hil_mocks.devices.motor_inputs import OPEN, Frame, Output
-from hil_mocks.devices.motor_states import NEXT, State, word_of
+from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
 
 INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05
 CSP, CSV, CST = 8, 9, 10
@@ -200,7 +200,14 @@ class Cia402Mock:
         return word | 0x200 | (0x10 if self.state in (State.SWITCHED_ON, State.ENABLED) else 0)
 
     def _control(self, controlword: int) -> None:
-        new = NEXT.get((self.state, word_of(controlword, self._word_before)))
+        word = word_of(controlword, self._word_before)
+        new = NEXT.get((self.state, word))
+        if (
+            self.state is State.QUICK_STOP
+            and word is Word.ENABLE_OPERATION
+            and self.objects[0x605A, 0][1] >= 5
+        ):
+            new = State.ENABLED  # transition 16
         self._word_before = controlword
         if new is None or (self.state is State.FAULT and self._cause()):
             return
@@ -210,6 +217,13 @@ class Cia402Mock:
         if new in (State.ENABLED, State.QUICK_STOP):
             self._integral_V, self._held = 0.0, self.position
         self.state = new
+
+    def switch_torque(self, is_on: bool, now_s: float) -> None:
+        """Another program takes the drive into operation, to hold its position, or out of it."""
+        if is_on:
+            self.objects[0x6060, 0], self.objects[0x607A, 0] = ("i8", CSP), ("i32", self.position)
+        for controlword in (0x06, 0x07, 0x0F) if is_on else (0x00,):
+            self._control(controlword)
 
     def _fault(self, code: int) -> None:
         self.error, self.state = code, State.FAULT_REACTION

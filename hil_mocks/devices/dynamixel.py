@@ -163,6 +163,10 @@ class DynamixelMock:
             self._motor.goal_turns = control_table.value(self.table, GOAL) / COUNTS_PER_TURN
         return 0
 
+    def switch_torque(self, is_on: bool, now_s: float) -> None:
+        """Another program writes the switch."""
+        self.write(TORQUE, bytes((is_on,)))
+
     def crc_error(self, now_s: float) -> bytes | None:
         """The answer to a packet whose CRC is wrong."""
         is_there = now_s >= self._deaf_until_s and self.table[RETURN_LEVEL] == 2

@@ -1,8 +1,10 @@
 """Feetech STS servos on a half-duplex line, written from the vendor's protocol manual and the memory table of the STS3215.
 
 A servo is a memory table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period. It has no
-watchdog: without the host it holds its last goal. Of what is sent to all only PING is answered, by all servos at once. Of
-several servos that are read at once each waits for the one before it: after a silent one nobody answers.
+watchdog: without the host it holds its last goal. A goal position that is written switches the torque on: Feetech's own examples
+(FTServo_Arduino, WritePos) move servos after power-up and never write the torque switch. Of what is sent to all only PING is
+answered, by all servos at once. Of several servos that are read at once each waits for the one before it: after a silent one
+nobody answers.
 """
 
 from __future__ import annotations
@@ -129,6 +131,8 @@ class FeetechMock:
             return
         was_on = self.table[TORQUE]
         self.table[address:end] = data
+        if address <= GOAL < end and not address <= TORQUE < end:
+            self.table[TORQUE] = 1
         if self.table[TORQUE] and not was_on:
             self._motor.engage()
             if not address <= GOAL < end:
@@ -138,6 +142,10 @@ class FeetechMock:
             goal = _signed(struct.unpack_from("<H", self.table, GOAL)[0])
             goal = min(max(goal, least), most) if most > least else goal
             self._motor.goal_turns = (goal + self._turned_on - self.position) / COUNTS_PER_TURN
+
+    def switch_torque(self, is_on: bool, now_s: float) -> None:
+        """Another program writes the switch."""
+        self.write(TORQUE, bytes((is_on,)), now_s)
 
     limit_A = math.inf  # it limits its duty, not its current
 

@@ -144,6 +144,11 @@ class MoteusMock:
         elif mode == POSITION:
             self._control(COMMAND | written, self._now_s)
 
+    def switch_torque(self, is_on: bool, now_s: float) -> None:
+        """Another program holds the motor where it is, without a time-out, or stops it."""
+        self._now_s = now_s
+        self._obey(POSITION if is_on else STOPPED, {0x020: math.nan, 0x027: math.nan})
+
     def _control(self, command: dict[int, float], now_s: float) -> None:
         motor = self._motor
         if self.mode != POSITION:

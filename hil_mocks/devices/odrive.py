@@ -94,6 +94,10 @@ class OdriveMock:
         elif command == REBOOT:
             self.power_up(now_s)
 
+    def switch_torque(self, is_on: bool, now_s: float) -> None:
+        """Another program asks for closed-loop control, or for idle."""
+        self._ask(CLOSED_LOOP if is_on else IDLE, now_s)
+
     def _ask(self, state: int, now_s: float) -> None:
         """Leave the state, the one that is asked for too; closed-loop control is entered a little later."""
         self.state, self.result = IDLE, SUCCESS

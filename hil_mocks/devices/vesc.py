@@ -84,6 +84,10 @@ class VescMock:
         elif packet == SHORT_BUFFER and len(payload) >= 3 and payload[1] == 0:
             self._answer(payload[0], payload[2:])
 
+    def switch_torque(self, is_on: bool, now_s: float) -> None:
+        """Another program gives it a duty, or shorts the windings; it obeys until its time-out."""
+        self._command, self._heard_s = ("duty", 0.1 if is_on else 0.0), now_s
+
     def _answer(self, asker: int, command: bytes) -> None:
         """COMM_GET_VALUES_SELECTIVE for the fault code; other commands are left out here."""
         if command[0] == 50 and command[1:] == struct.pack(">I", 1 << 15):

@@ -14,7 +14,7 @@ from typing import Final, Literal, Self
 from control.errors import ArmError
 from control.hardware.connect import connect
 from control.hardware.interface import OutputMode
-from control.hardware.words import OPERATION_ENABLED, STATE_MASK
+from control.hardware.words import OPERATION_ENABLED, STATE_MASK, Wanted
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
@@ -60,7 +60,7 @@ class BoughtBench:
         self._target = 0.0  # of the driven joint in counts, where its board closes the loop
         self._last: dict[Channel, tuple[float, int]] = {}
         self._speeds: dict[Channel, float] = {}
-        self._is_on = False
+        self._wanted = Wanted.AS_FOUND
         self._kept_at_s = clock.now_s()  # when the driven motor's current was last within its limit
         self.observe(SETTLE_S)
 
@@ -68,10 +68,11 @@ class BoughtBench:
 
     def prepare(self) -> None:
         """Acknowledge faults, enable, and wait for all boards."""
-        if self._is_on:
+        if self._wanted is Wanted.ENABLED:
             return
         self._hardware.reset_drive_faults()
-        self._hardware.enable()
+        self._hardware.prepare()
+        self._wanted = Wanted.ENABLING
         end_s = self.clock.now_s() + ENABLE_S
         while not all(word & STATE_MASK == OPERATION_ENABLED for word in self._hardware.feedback.statusword):
             self._exchanged(0.0)
@@ -80,10 +81,10 @@ class BoughtBench:
                 raise SafetyTrip(
                     f"not all boards went into operation within {ENABLE_S:g} s; run `armwright doctor`"
                 )
-        self._is_on = True
+        self._wanted = Wanted.ENABLED
 
     def observe(self, duration_s: float) -> Sample:
-        """Read all boards for a while; nothing is driven, and boards that are on hold."""
+        """Read all boards for a while; nothing is driven, and boards that are on hold. Before `prepare` nothing is commanded."""
         end_s = self.clock.now_s() + duration_s
         sample = self._exchanged(0.0)
         while self.clock.now_s() < end_s:
@@ -153,7 +154,7 @@ class BoughtBench:
             else:
                 is_limited = self._lead(joint, volts)
                 output[joint] = self._maps[joint].radians(round(self._target))
-        hardware.write(modes, output, [0.0] * len(modes))
+        hardware.write(self._wanted, modes, output, [0.0] * len(modes))
         hardware.attend(self.clock.now_s() + self._period_s)
         hardware.read()
         return self._sampled(joint, volts, is_limited)
@@ -231,14 +232,14 @@ class BoughtBench:
 
     def _switch_off(self) -> None:
         """All drives off; if a line fails, the boards' own watchdogs do it."""
-        self._joint, self._is_on = None, False
-        self._hardware.disable()
+        self._joint, self._wanted = None, Wanted.DISABLED
         with contextlib.suppress(LinkError):
             self.observe(3.0 * self._period_s)
 
     def close(self) -> None:
-        """Switch off, and close all lines."""
-        self._switch_off()
+        """Switch off what was switched on, and close all lines."""
+        if self._wanted.is_on:
+            self._switch_off()
         self._connection.close()
 
     def __enter__(self) -> Self:

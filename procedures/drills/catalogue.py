@@ -8,6 +8,7 @@ from typing import NamedTuple
 from control.errors import ArmError
 from control.model.arm import Arm
 from procedures.drills import injectors as do
+from procedures.drills.boards import BoardsDrill
 from procedures.drills.drill import Drill
 from procedures.drills.files import FileDrill
 from procedures.drills.injectors import MOTORS, Inject, fault
@@ -260,7 +261,7 @@ def drills() -> dict[str, Promise]:
     """Every drill, in the order of the table."""
     groups: tuple[Iterator[Promise], ...] = (
         _frames(), _buses(), _boards(), _gripper(), _encoders(), _motors(), _host(), _requests(), _in_real_time(),
-        PairDrill.all(), iter(FileDrill.all()),
+        BoardsDrill.all(), PairDrill.all(), iter(FileDrill.all()),
     )  # fmt: skip
     return {drill.name: drill for group in groups for drill in group}
 

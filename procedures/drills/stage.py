@@ -205,8 +205,9 @@ def stage(arm: Arm | None = None, scenario: Scenario | None = None) -> Iterator[
 
 def _started(arm: Arm, rig: SteppedRig) -> tuple[Connection, Assembly]:
     model = wired_as_real(arm, rig)
-    connection = connect(model, rig.clock, PERIOD_S)
-    return connection, assemble(model, connection.hardware, PERIOD_S, stopwatch_s=rig.clock.now_s)
+    period_s = 1.0 / arm.usual_rate_Hz if arm.boards else PERIOD_S
+    connection = connect(model, rig.clock, period_s)
+    return connection, assemble(model, connection.hardware, period_s, stopwatch_s=rig.clock.now_s)
 
 
 def wired_as_real(arm: Arm, rig: MockPorts) -> Arm:
@@ -215,8 +216,9 @@ def wired_as_real(arm: Arm, rig: MockPorts) -> Arm:
         replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
     )
     return replace(
-        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options)
-    )
+        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
+        boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
+    )  # fmt: skip
 
 
 @cache

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from control.hardware.interface import EndBoards, Feedback, Hardware, OutputMode
+from control.hardware.words import Wanted
 from firmware_iface.clock import Clock
 
 
@@ -65,12 +66,12 @@ class Probe:
         return self._hardware.read()
 
     def write(
-        self, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
-    ) -> None:
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float], feedforward_V: Sequence[float]
+    ) -> None:  # fmt: skip
         """As the hardware, with the signal added to one joint while the loop controls it."""
         joint = self._joint
         if joint is None:
-            self._hardware.write(modes, output, feedforward_V)
+            self._hardware.write(wanted, modes, output, feedforward_V)
             return
         trace = self.trace
         cycle = len(trace.t_s)
@@ -83,16 +84,16 @@ class Probe:
         trace.count.append(self.feedback.count[joint])
         trace.output.append(outputs[joint])
         trace.added.append(outputs[joint] - output[joint])
-        self._hardware.write(modes, outputs, feedforward_V)
+        self._hardware.write(wanted, modes, outputs, feedforward_V)
         self._on_cycle(cycle)
 
-    def enable(self) -> None:
+    def has_torque(self) -> bool:
         """As the hardware."""
-        self._hardware.enable()
+        return self._hardware.has_torque()
 
-    def disable(self) -> None:
+    def prepare(self) -> None:
         """As the hardware."""
-        self._hardware.disable()
+        self._hardware.prepare()
 
     def watch_indices(self, is_wanted: bool) -> None:
         """As the hardware."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from control.errors import ArmError
 from control.hardware.connect import connect
+from control.hardware.words import Wanted
 from control.model.arm import Arm
 from control.model.joint_map import JointMap
 from control.motion.setpoint import SetPoint, at_rest
@@ -90,7 +91,8 @@ class Session:
             with contextlib.suppress(ArmError):
                 self.client.off()
         finally:
-            if self._connection.hardware.is_any_enabled():
+            hardware = self._connection.hardware
+            if hardware.is_any_enabled() and hardware.wanted is not Wanted.AS_FOUND:
                 with contextlib.suppress(LinkError):
                     self._connection.hardware.emergency_stop()
             self._connection.close()

@@ -13,8 +13,10 @@ from console import waiting
 from console.commands import requests
 from console.main import main
 from control.errors import ArmError
+from control.safety.table import Mode
 from control.server.client import ArmClient
-from tests.cell import Cell, handled
+from tests.cell import Cell, handled, holding_cell, restarted, scenario
+from tests.kinds import ON_BOARDS
 
 
 class Typed(io.StringIO):
@@ -79,6 +81,25 @@ def test_guide_with_yes_does_not_ask_and_ends_when_somebody_holds_the_arm(
     assert main(["guide", "--yes"]) == 0
     assert modes.count("GUIDING") >= 50
     assert "hand-guiding has ended" in capsys.readouterr().out
+
+
+def test_off_asks_before_boards_let_an_arm_go_that_they_held(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on = ON_BOARDS["dynamixel"]
+    with (
+        holding_cell(scenario(q_rad=None), on.arm, period_s=on.period_s) as before,
+        restarted(before, on.arm, on.period_s) as cell,
+    ):
+        cell.run(0.1)
+        monkeypatch.setattr(requests, "connected", lambda given: cell.client)
+        monkeypatch.setattr(sys, "stdin", io.StringIO())
+        assert main(["off"]) == 2
+        assert "off: releases the arm" in capsys.readouterr().err
+        assert cell.mode is Mode.HELD
+        assert main(["off", "--yes"]) == 0
+        cell.run(0.3)
+        assert (cell.mode, cell.torques()) == (Mode.OFF, [False] * 3)
 
 
 def test_enable_and_home_say_that_there_was_nothing_to_do(

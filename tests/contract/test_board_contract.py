@@ -5,10 +5,11 @@ from collections.abc import Iterator
 import pytest
 
 from control.hardware.interface import OutputMode
+from control.safety.fault import Reaction
 from control.safety.table import Mode
 from hil_mocks.firmware.library import compiler
 from hil_mocks.scenario import Scenario
-from tests.cell import Cell, holding_cell, open_cell, scenario
+from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS, OnBoards
 
 
@@ -60,6 +61,75 @@ def test_nothing_is_driven_before_enable_nor_after_off(on_boards: OnBoards) -> N
         cell.run(0.2)
         assert not cell.connection.hardware.is_any_enabled()
         assert max(volts(cell)) == 0.0
+
+
+OBEYING = (
+    "vesc",
+    "roboclaw",
+    "moteus",
+)  # their next command drives them again, whatever somebody else has sent
+DURING_A_CYCLE = (
+    0.4  # of the period: at its end, a goal may switch a Feetech servo on again before its state is read
+)
+
+
+def test_off_is_without_torque_however_soon_it_follows_enable(on_boards: OnBoards) -> None:
+    with open_cell(mock_of(on_boards), on_boards.arm, period_s=on_boards.period_s) as cell:
+        cell.client.ask("enable")
+        cell.client.ask("off")
+        cell.until(lambda: cell.mode is Mode.OFF, 20.0)
+        cell.run(0.2)
+        assert not cell.connection.hardware.is_any_enabled()
+        assert cell.torques() == [False] * 3
+        cell.run(1.5)
+        assert (cell.mode, cell.faults) == (Mode.OFF, [])
+
+
+def test_a_held_arm_is_left_so_by_connecting_and_taken_over_without_a_step(
+    holding: Cell, on_boards: OnBoards
+) -> None:
+    with restarted(holding, on_boards.arm, on_boards.period_s) as cell:
+        is_held, before_rad = cell.torques(), cell.rig.joint_rad()
+        held_rad = [q for q, held in zip(before_rad, is_held, strict=True) if held]
+
+        def held_now_rad() -> list[float]:
+            return [q for q, held in zip(cell.rig.joint_rad(), is_held, strict=True) if held]
+
+        cell.run(1.0)
+        if not held_rad:  # these boards let go, or brake, without a host
+            assert cell.mode is Mode.OFF
+            return
+        assert (cell.mode, cell.faults) == (Mode.HELD, [])
+        assert cell.channel.request({"do": "status"})["drives"] == "AS_FOUND"
+        assert held_now_rad() == pytest.approx(held_rad, abs=1e-4)
+        assert "somebody must hold it" in cell.refusal(do="off")
+        cell.client.enable()
+        cell.run(0.5)
+        assert (cell.mode, cell.faults) == (Mode.HOLDING, [])
+        assert held_now_rad() == pytest.approx(held_rad, abs=5e-3)
+
+
+def test_a_drive_that_somebody_else_switched_off_is_a_fault_and_stays_off(
+    holding: Cell, on_boards: OnBoards
+) -> None:
+    if on_boards.first.startswith(OBEYING):
+        return
+    at_s = holding.rig.clock.now_s() + DURING_A_CYCLE * on_boards.period_s
+    holding.inject("switched_off", on_boards.first, at_s=at_s)
+    holding.until_fault(0.1)
+    assert {code for code, _ in holding.faults} <= {"drive_left", "link"}
+    for _ in range(50):
+        holding.run(0.01)
+        assert not holding.torques()[0]
+    assert holding.runtime.monitor.reaction is Reaction.HOLD
+
+
+def test_a_drive_that_somebody_else_switches_on_while_off_is_switched_off(on_boards: OnBoards) -> None:
+    with open_cell(mock_of(on_boards), on_boards.arm, period_s=on_boards.period_s) as cell:
+        cell.inject("switched_on", on_boards.first, at_s=cell.rig.clock.now_s())
+        cell.run(0.3)
+        assert cell.torques() == [False] * 3
+        assert (cell.mode, cell.faults) == (Mode.OFF, [])
 
 
 def test_a_jog_moves_the_joint_in_its_positive_direction(holding: Cell) -> None:

@@ -47,7 +47,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "control.safety.workspace": ("tests/control/safety/test_workspace.py",),
     "control.safety.body": ("tests/control/safety/test_collision.py",),
     "control.safety.collision": ("tests/control/safety/test_collision.py",),
-    "control.loop.readiness": ("tests/control/loop/test_readiness.py",),
+    "control.loop.drives": ("tests/control/loop/test_drives.py",),
     "control.loop.standstill": ("tests/control/loop/test_standstill.py",),
     "control.motion.lookout": ("tests/control/motion/test_lookout.py",),
     "control.loop.watch": ("tests/control/loop/test_reactions.py", "tests/control/loop/test_watch.py"),

@@ -15,6 +15,7 @@ from control.hardware.words import (
     OPERATION_ENABLED,
     SWITCH_ON_DISABLED,
     ZERO_SET,
+    Wanted,
     as_counter,
 )
 from control.model.arm import Arm, Board, Drive
@@ -117,7 +118,7 @@ class NodeEncoder(AskedEncoders):
 
 
 class NodeDrive(ABC):
-    """One motor of a board without states or with fewer than the loop's: they are kept here, and so are faults.
+    """One motor of a board without states or with fewer than the loop's: faults are kept here.
 
     Meets `control.hardware.roles.Drives`, with what a kind adds.
     """
@@ -137,11 +138,11 @@ class NodeDrive(ABC):
         """What the board reports, as the loop's faults."""
 
     def _is_driving(self) -> bool:
-        """Whether the board is in operation."""
+        """Whether the board is in operation, by its own word where it has one."""
         return self._is_enabled
 
     def take(self, feedback: Feedback) -> None:
-        """Write current, supply, temperature and the state kept here."""
+        """Write current, supply, temperature and state."""
         board, joint = self._node, self._joint
         feedback.reply_at_s[joint] = board.at_s
         if not board.is_known or math.isnan(board.supply_V):
@@ -155,12 +156,20 @@ class NodeDrive(ABC):
         state = OPERATION_ENABLED if self._is_driving() else SWITCH_ON_DISABLED
         feedback.statusword[joint] = FAULT if self._faults else state
 
-    def _may_drive(self, wants_enabled: bool) -> bool:
-        """Whether a board that is set up and without a fault is wanted to drive."""
-        return wants_enabled and self._configured_resets == self._node.resets and not self._faults
+    def _may_drive(self, wanted: Wanted, is_in_operation: bool = True) -> bool:
+        """Whether a board that is set up and without a fault is wanted to drive: one in operation, or all that are to be enabled.
+
+        A board without states of its own is in operation as long as it is obeyed.
+        """
+        is_wanted = wanted is Wanted.ENABLING or (wanted is Wanted.ENABLED and is_in_operation)
+        return is_wanted and self._configured_resets == self._node.resets and not self._faults
 
     def is_any_enabled(self) -> bool:
         """Whether the motor may be driven."""
+        return self._is_driving()
+
+    def has_torque(self, joint: int) -> bool:
+        """Whether the board drives its motor now, as far as it says so."""
         return self._is_driving()
 
     def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:  # noqa: B027

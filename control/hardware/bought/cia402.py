@@ -20,6 +20,7 @@ from control.hardware.words import (
     SUPPLY_HIGH,
     SUPPLY_LOW,
     WATCHDOG,
+    Wanted,
 )
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
@@ -86,42 +87,52 @@ class Cia402Joint:
         return next((bit for at, mask, bit in _FAULT_OF if codes[0] & mask == at), OWN_ENCODER)
 
     def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Send the set-point, or the next step towards the wanted state."""
         drive, joint = self._drive, self._joint
-        mode = modes[joint]
         feedback.sent_V[joint] = math.nan
-        wanted = (
-            State.OPERATION_ENABLED if wants_enabled and not self._is_stopped else State.SWITCH_ON_DISABLED
-        )
-        if drive.state is not wanted or wanted is not State.OPERATION_ENABLED:
+        is_in_operation = drive.state is State.OPERATION_ENABLED
+        if not (wanted.is_on and is_in_operation) or self._is_stopped:
             self._held = None
-            if self._is_stopped and drive.state is State.OPERATION_ENABLED:
-                drive.quick_stop()
+        if wanted is Wanted.AS_FOUND:
+            return  # SYNC alone asks for its values
+        if self._is_stopped and drive.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
+            drive.quick_stop()  # and it stays there until the stop is acknowledged
+        elif wanted is Wanted.DISABLED or self._is_stopped:
+            drive.step_towards(State.SWITCH_ON_DISABLED)
+        elif is_in_operation:
+            self._command(modes[joint], output[joint])
+        elif drive.state is State.QUICK_STOP_ACTIVE:
+            if wanted is Wanted.ENABLING:
+                drive.resume()
             else:
-                drive.step_towards(State.QUICK_STOP_ACTIVE if self._must_stay(drive.state) else wanted)
-        elif mode is OutputMode.POSITION:
-            self._held = None
-            drive.command_position(self._map.count(output[joint]) - self._encoder.offset)
-        elif mode is OutputMode.CURRENT:
-            self._held = None
-            drive.command_torque(round(self._sign * output[joint] * self._permille_per_A))
-        elif mode is OutputMode.OFF:
-            self._held = None
-            drive.command_torque(0)
+                drive.quick_stop()
         else:
+            is_wanted = wanted is Wanted.ENABLING
+            drive.step_towards(State.OPERATION_ENABLED if is_wanted else State.SWITCH_ON_DISABLED)
+
+    def _command(self, mode: OutputMode, output: float) -> None:
+        drive = self._drive
+        if mode not in (OutputMode.POSITION, OutputMode.CURRENT, OutputMode.OFF):
             self._held = drive.count if self._held is None else self._held
             drive.command_position(self._held)
-
-    def _must_stay(self, state: State | None) -> bool:
-        """Whether a stopped drive holds where it is, until the stop is acknowledged."""
-        return self._is_stopped and state is State.QUICK_STOP_ACTIVE
+            return
+        self._held = None
+        if mode is OutputMode.POSITION:
+            drive.command_position(self._map.count(output) - self._encoder.offset)
+        else:
+            current_A = output if mode is OutputMode.CURRENT else 0.0
+            drive.command_torque(round(self._sign * current_A * self._permille_per_A))
 
     def is_any_enabled(self) -> bool:
         """Whether the drive was in OPERATION ENABLED at the last SYNC."""
         return self._drive.state is State.OPERATION_ENABLED
+
+    def has_torque(self, joint: int) -> bool:
+        """Whether the drive is in operation, or holds after a quick stop: without a host it does so."""
+        return self._drive.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 
     def configure(self, fresh_count: Callable[[int], int]) -> None:
         """Map and start a drive that was not, or that has restarted."""

@@ -10,6 +10,7 @@ from typing import Final
 
 from control.hardware.bought.can_node import NodeEncoder, each, open_bus, own_encoder
 from control.hardware.bought.position_loop import PositionLoopDrive
+from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
 from control.hardware.words import (
     BAD_COMMAND,
@@ -20,6 +21,7 @@ from control.hardware.words import (
     SUPPLY_HIGH,
     SUPPLY_LOW,
     WATCHDOG,
+    Wanted,
 )
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_fd_can
@@ -55,6 +57,30 @@ class MoteusDrive(PositionLoopDrive):
             return _FAULT_OF.get(board.fault, OWN_ENCODER)
         return WATCHDOG if board.mode == Mode.TIMEOUT else 0
 
+    def _is_driving(self) -> bool:
+        return self._board.is_driving or self._is_in_operation()
+
+    def _is_in_operation(self) -> bool:
+        # Shorted windings are commanded out of operation, too: one that was stopped by somebody else stays out of it.
+        return self._is_enabled and self._board.is_running
+
+    def has_torque(self, joint: int) -> bool:
+        """Whether it drives its motor, or holds it after a time-out."""
+        return self._board.is_driving or self._board.mode == Mode.TIMEOUT
+
+    def write(
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
+        feedforward_V: Sequence[float], feedback: Feedback,
+    ) -> None:  # fmt: skip
+        """Set the command of this cycle; a hold that its time-out began ends by a stop alone."""
+        super().write(wanted, modes, output, feedforward_V, feedback)
+        if wanted is Wanted.DISABLED and self._board.mode == Mode.TIMEOUT:
+            self._board.wanted = wire.stop(self._board.number)
+
+    def _look(self) -> None:
+        self._held = None
+        self._board.wanted = wire.ask(self._board.number)
+
     def _go(self, count: int, speed_count_s: float) -> None:
         board, turn = self._board, self._board.counts_per_turn
         command = wire.Position(count / turn, speed_count_s / turn, 0.0, 1.0, self._most_Nm, self._watchdog_s)
@@ -75,7 +101,6 @@ class MoteusDrive(PositionLoopDrive):
 
     def acknowledge_faults(self) -> None:
         """End a fault or time-out; the windings stay shorted. Raises BoardFaulted if a fault comes back."""
-        self._is_enabled = False
         board = self._board
         if not board.reset_fault():
             raise BoardFaulted(

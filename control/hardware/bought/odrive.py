@@ -60,6 +60,12 @@ class OdriveDrive(PositionLoopDrive):
     def _is_driving(self) -> bool:
         return self._axis.is_driving
 
+    def _is_in_operation(self) -> bool:
+        return self._axis.is_driving
+
+    def _look(self) -> None:
+        self._axis.want_nothing()
+
     def _go(self, count: int, speed_count_s: float) -> None:
         self._axis.want_count(count, speed_count_s)
 
@@ -84,8 +90,8 @@ class OdriveDrive(PositionLoopDrive):
         axis.await_status()
 
     def acknowledge_faults(self) -> None:
-        """Clear the axis's errors; it stays idle. BoardFaulted if a cause persists."""
-        self._is_enabled = self._is_stopped = False
+        """Clear the axis's errors; one that is idle stays so. BoardFaulted if a cause persists."""
+        self._is_stopped = False
         if not self._axis.clear_errors():
             raise BoardFaulted(
                 f"{self._axis.where}: its error {self._axis.errors!r} cannot be acknowledged: the cause persists"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from control.hardware.bought.can_node import CanNode, NodeDrive, NodeEncoder
 from control.hardware.interface import Feedback, OutputMode
+from control.hardware.words import Wanted
 from control.model.arm import Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
@@ -50,6 +51,14 @@ class PositionLoopDrive(NodeDrive):
         self._held: int | None = None
 
     @abstractmethod
+    def _is_in_operation(self) -> bool:
+        """Whether the board obeys set-points, by its own word."""
+
+    @abstractmethod
+    def _look(self) -> None:
+        """Command nothing at all; only ask for values, where they are not sent unasked."""
+
+    @abstractmethod
     def _go(self, count: int, speed_count_s: float) -> None:
         """Command the board to be at a count that moves at a speed."""
 
@@ -62,13 +71,16 @@ class PositionLoopDrive(NodeDrive):
         """Command nothing: what the board does then, in operation and out of it."""
 
     def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Set the command of this cycle."""
         joint = self._joint
         feedback.sent_V[joint] = math.nan
-        self._is_enabled = self._may_drive(wants_enabled)
+        self._is_enabled = self._may_drive(wanted, self._is_in_operation())
+        if wanted is Wanted.AS_FOUND:
+            self._look()
+            return
         mode = modes[joint] if self._is_enabled else OutputMode.VOLTAGE
         if mode is not OutputMode.POSITION:
             self._speed.forget()

@@ -25,6 +25,7 @@ from control.hardware.words import (
     SWITCH_ON_DISABLED,
     WARNING,
     ZERO_SET,
+    Wanted,
 )
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.clock import Clock
@@ -132,7 +133,9 @@ class RoboClawDrives:
         if status is not None and status & wire.ERRORS:
             for channel in range(CHANNELS):
                 self._faults[channel] |= _faults(status, channel)
-        replied_at_s = min(board.obeyed_at_s, board.currents_at_s)
+        replied_at_s = (
+            min(board.obeyed_at_s, board.currents_at_s) if board.is_commanded else board.currents_at_s
+        )
         for joint, channel, sign in self._drives:
             feedback.reply_at_s[joint] = replied_at_s
             if status is None or board.supply_V is None:
@@ -147,17 +150,19 @@ class RoboClawDrives:
     def _statusword(self, channel: int, status: Status) -> int:
         if self._faults[channel]:
             return FAULT
-        state = OPERATION_ENABLED if self._is_enabled else SWITCH_ON_DISABLED
+        is_obeyed = math.isfinite(self._board.obeyed_at_s)
+        state = OPERATION_ENABLED if self._is_enabled and is_obeyed else SWITCH_ON_DISABLED
         return state | (WARNING if status & _LIMITS_CURRENT[channel] else 0)
 
     def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Set the duties; everything but a voltage is 0: the windings are shorted."""
         board = self._board
         is_well = board.supply_V is not None and self._configured_resets == board.resets
-        self._is_enabled = wants_enabled and is_well and not any(self._faults)
+        self._is_enabled = wanted.is_on and is_well and not any(self._faults)
+        board.is_commanded = wanted is not Wanted.AS_FOUND
         for joint, channel, sign in self._drives:
             is_driven = self._is_enabled and modes[joint] is OutputMode.VOLTAGE
             volts = output[joint] if is_driven else 0.0
@@ -167,6 +172,10 @@ class RoboClawDrives:
     def is_any_enabled(self) -> bool:
         """Whether duties other than 0 may be on."""
         return self._is_enabled
+
+    def has_torque(self, joint: int) -> bool:
+        """Whether a motor is driven: by a duty that was found when the board was identified, or by one of ours."""
+        return self._is_enabled or (not self._board.is_commanded and any(self._board.found_duty))
 
     def configure(self, fresh_count: Callable[[int], int]) -> None:
         """Set time-out and limits, which a restart of the board loses."""
@@ -178,7 +187,6 @@ class RoboClawDrives:
 
     def acknowledge_faults(self) -> None:
         """Forget the errors that are gone. Raises BoardFaulted for those that are not."""
-        self._is_enabled = False
         status = self._board.read_status()
         if status & wire.ERRORS:
             names = ", ".join(str(one.name).replace("_", " ").lower() for one in Status(status & wire.ERRORS))
@@ -229,7 +237,8 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
 
         def post_cycle() -> None:
             for board in found:
-                board.post_duties()
+                if board.is_commanded:
+                    board.post_duties()
             line.post_starved()
             for board in found:
                 board.post_cycle()

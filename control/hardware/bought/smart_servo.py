@@ -1,11 +1,13 @@
 """Smart servos as encoders and drives of an arm: the position loop is in the servo (docs/dynamixel.md, docs/feetech.md).
 
 The encoder is absolute and at the joint, so the arm knows its pose without homing: `zero_count` is the position at joint angle 0.
-Where the loop controls nothing, a servo holds its position.
+Where the loop controls nothing, a servo in operation holds its position. One whose torque is not on gets no goal: some servos
+switch it on by that alone.
 """
 
 import math
 from collections.abc import Callable, Sequence
+from enum import Enum
 from typing import TypeVar
 
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines
@@ -19,6 +21,7 @@ from control.hardware.words import (
     SWITCH_ON_DISABLED,
     WATCHDOG,
     ZERO_SET,
+    Wanted,
     as_counter,
 )
 from control.model.arm import Arm, Board, Drive
@@ -40,6 +43,15 @@ ANSWER_GAP_S = 0.0001  # between the answers of servos that are read together, w
 TORQUE_CYCLES = (
     20  # until a servo that was told to switch its torque on says that it did: asked in turn, some times
 )
+
+
+class Torque(Enum):
+    """What became of a servo's torque."""
+
+    OFF = "not asked for, or switched off by somebody else: only ENABLING switches it on"
+    COMING = "asked for, and not yet confirmed"
+    ON = "confirmed"
+    FREED = "switched off for a hand that guides the arm"
 
 
 class ServoEncoder(AskedEncoders):
@@ -97,8 +109,9 @@ class ServoDrive:
         self._configured_resets = -1
         self._faults = 0
         self._held: int | None = None
-        self._is_enabled = False
-        self._switching = 0  # cycles since the torque was wanted and is not on
+        self._wanted = Wanted.AS_FOUND
+        self._torque = Torque.OFF
+        self._coming = 0  # cycles since the torque was asked for
 
     def take(self, feedback: Feedback) -> None:
         """Write current, supply, temperature and state."""
@@ -113,30 +126,32 @@ class ServoDrive:
         feedback.supply_V[joint] = servo.supply_V
         feedback.temperature_C[joint] = servo.temperature_degC
         feedback.drive_faults[joint] = self._faults
-        state = OPERATION_ENABLED if self._is_enabled else SWITCH_ON_DISABLED
+        state = OPERATION_ENABLED if self.is_any_enabled() else SWITCH_ON_DISABLED
         feedback.statusword[joint] = FAULT if self._faults else state
 
     def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
-        """Set the goal position, and switch the torque as it is wanted."""
+        """Switch the torque as it is wanted, and set the goal position of a servo that has it."""
         servo, joint = self._servo, self._joint
-        mode = modes[joint]
         feedback.sent_V[joint] = math.nan
-        if self._configured_resets != servo.resets:
-            self._is_enabled = False
+        self._wanted, servo.goal = wanted, None
+        if wanted is Wanted.AS_FOUND:
             return
-        # A servo with an error of its own has let its joint go, and must not take it again when the error ends.
-        has_failed = bool(self._faults & ~(EMERGENCY_STOP | WATCHDOG))
-        is_free = not wants_enabled or has_failed or (mode is OutputMode.OFF and not self._faults)
-        servo.post_torque(not is_free)
-        self._switching = 0 if is_free or servo.is_torque_on else self._switching + 1
-        is_awaited = self._is_enabled and self._switching < TORQUE_CYCLES
-        self._is_enabled = wants_enabled and (is_free or bool(servo.is_torque_on) or is_awaited)
-        if is_free or not servo.is_torque_on:
+        # Only a servo that is set up is driven. One with an error of its own has let its joint go, and must not take it again
+        # when the error ends.
+        is_able = self._configured_resets == servo.resets and not self._faults & ~(EMERGENCY_STOP | WATCHDOG)
+        mode = modes[joint]
+        if not (wanted.is_on and is_able):
+            self._let_go(Torque.OFF)
+        elif mode is OutputMode.OFF and not self._faults:
+            is_lost = self._torque is Torque.OFF and not servo.is_torque_on and wanted is Wanted.ENABLED
+            self._let_go(Torque.OFF if is_lost else Torque.FREED)
+        else:
+            self._follow_torque(wanted)
+        if self._torque is not Torque.ON:
             self._held = None
-            servo.goal = servo.position
         elif mode is OutputMode.POSITION and not self._faults:
             self._held = None
             servo.goal = self._map.count(output[joint]) - self._encoder.offset
@@ -144,9 +159,35 @@ class ServoDrive:
             self._held = servo.position if self._held is None else self._held
             servo.goal = self._held
 
+    def _let_go(self, torque: Torque) -> None:
+        self._torque = torque
+        self._servo.post_torque(False)
+
+    def _follow_torque(self, wanted: Wanted) -> None:
+        """Torque that is on stays. It is switched on by ENABLING, and when a hand has ended guiding; not when it was lost."""
+        servo, before = self._servo, self._torque
+        if servo.is_torque_on:
+            self._torque = Torque.ON
+            return
+        if wanted is Wanted.ENABLING or before is Torque.FREED:
+            self._coming = 0 if before is not Torque.COMING else self._coming
+            self._torque = Torque.COMING
+        elif before is Torque.ON or (before is Torque.COMING and self._coming >= TORQUE_CYCLES):
+            self._torque, self._configured_resets = Torque.OFF, -1  # perhaps it has restarted
+        if self._torque is Torque.COMING:
+            self._coming += 1
+            servo.post_torque(True)
+
     def is_any_enabled(self) -> bool:
+        """Whether the torque was on when the servo was last asked, or is off for a hand, or on its way back from that."""
+        is_ours = self._torque is Torque.FREED or (
+            self._torque is Torque.COMING and self._wanted is Wanted.ENABLED
+        )
+        return is_ours or bool(self._servo.is_torque_on)
+
+    def has_torque(self, joint: int) -> bool:
         """Whether the torque was on when the servo was last asked."""
-        return self._is_enabled and bool(self._servo.is_torque_on)
+        return bool(self._servo.is_torque_on)
 
     def configure(self, fresh_count: Callable[[int], int]) -> None:
         """Set what a restart of the servo loses."""
@@ -167,7 +208,7 @@ class ServoDrive:
                 f"{servo.where}: its hardware error (0x{servo.hardware_error:02x}) cannot be acknowledged: the cause persists"
             )
         if self._faults & ~EMERGENCY_STOP:
-            self._configured_resets = -1  # set up anew: torque off, bus watchdog cleared
+            self._configured_resets = -1  # set up anew, which clears the bus watchdog
         self._faults, self._held = 0, None
 
     def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
@@ -184,7 +225,8 @@ class ServoDrive:
     def emergency_stop(self) -> None:
         """Hold where the joint is, until it is acknowledged: there are no windings to short."""
         self._faults |= EMERGENCY_STOP
-        self._servo.goal = self._held = self._servo.position
+        if self._torque is Torque.ON:
+            self._servo.goal = self._held = self._servo.position
 
 
 def line_s(servos: int, baud: int, line_bytes: int, servo_bytes: int, questions: int) -> float:

@@ -19,6 +19,7 @@ from control.hardware.words import (
     SUPPLY_HIGH,
     SUPPLY_LOW,
     WATCHDOG,
+    Wanted,
 )
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
@@ -46,18 +47,22 @@ class VescDrive(NodeDrive):
         super().__init__(board, encoder, joint, drive)
         self._board, self._bus = board, bus
         self._limit_A = drive.current_limit_A
+        self._was_driving = False  # when it was found
 
     def _faults_now(self) -> int:
         code = self._board.fault
         return _FAULT_OF.get(code, OWN_ENCODER) if code else 0
 
     def write(
-        self, wants_enabled: bool, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Set the command of this cycle; without one the windings are shorted."""
         board, joint = self._board, self._joint
-        self._is_enabled = self._may_drive(wants_enabled)
+        self._is_enabled = self._may_drive(wanted)
+        if wanted is Wanted.AS_FOUND:
+            board.wanted = None
+            return
         mode = modes[joint] if self._is_enabled else OutputMode.HOLD
         volts = output[joint] if mode is OutputMode.VOLTAGE else 0.0
         feedback.sent_V[joint] = volts if mode is OutputMode.VOLTAGE else math.nan
@@ -71,6 +76,11 @@ class VescDrive(NodeDrive):
         else:
             board.wanted = wire.duty(number, _share(self._sign * volts, board.supply_V))
 
+    def has_torque(self, joint: int) -> bool:
+        """Whether it was found giving its motor a voltage, which may pass through 0 while it holds; or is driven from here."""
+        self._was_driving |= self._board.is_driving
+        return self._is_enabled or (self._board.wanted is None and self._was_driving)
+
     def configure(self, fresh_count: Callable[[int], int]) -> None:
         """Limit the current, which a restart of the board forgets."""
         if self._configured_resets != self._board.resets:
@@ -82,7 +92,6 @@ class VescDrive(NodeDrive):
 
     def acknowledge_faults(self) -> None:
         """Forget a fault that is gone. Raises BoardFaulted for one that is not within the time in which a VESC ends it."""
-        self._is_enabled = False
         if not self._board.is_well_within(FAULT_STOP_S):
             raise BoardFaulted(
                 f"{self._board.where}: its fault {self._board.fault} (mc_fault_code) cannot be acknowledged: the cause persists"
@@ -92,8 +101,8 @@ class VescDrive(NodeDrive):
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
         self._faults |= EMERGENCY_STOP
-        self._board.wanted = wire.duty(self._board.number, 0.0)
-        self._bus.send(self._board.wanted)
+        shorted = self._board.wanted = wire.duty(self._board.number, 0.0)
+        self._bus.send(shorted)
 
 
 def _share(volts: float, supply_V: float) -> float:

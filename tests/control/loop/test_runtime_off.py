@@ -56,6 +56,9 @@ def test_off_while_a_stretched_arm_moves_stops_holds_brakes_and_lets_it_sink(
         {"do": "jog", "joint_speed_rad_s": [0.1, 0.0, 0.0]},
         {"do": "home", "again": True},
         {"do": "enable"},
+        {"do": "hold"},
+        {"do": "guide"},
+        {"do": "tool", "name": ""},
     ],
 )
 def test_nothing_begins_while_the_arm_is_being_switched_off(cell: Cell, request_: dict[str, object]) -> None:

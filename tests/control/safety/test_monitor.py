@@ -16,7 +16,7 @@ BRAKE = Fault("stale_encoder", "board enc0", "no report for 0.05 s", "check its 
 
 # Written out again on purpose, by mode: a change of the table must be made twice.
 EXPECTED = {
-    Mode.OFF: "CONNECT>BRAKED SWITCH_OFF>OFF STOP>OFF",
+    Mode.OFF: "FOUND_HELD>HELD CONNECT>BRAKED SWITCH_OFF>OFF STOP>OFF",
     Mode.BRAKED: "ENABLE>HOLDING HOMED>BRAKED GUIDE>GUIDING STOP>BRAKED BRAKE>BRAKED SWITCH_OFF>OFF",
     Mode.HOLDING: "HOME>HOMING HOMED>HOLDING MOVE>MOVING JOG>JOGGING STOP>HOLDING GUIDE>GUIDING BRAKE>BRAKED",
     Mode.MOVING: "ARRIVED>HOLDING STOP>STOPPING PAUSE>PAUSED RESUME>MOVING",
@@ -26,9 +26,11 @@ EXPECTED = {
     Mode.GUIDING: "STOP>BRAKED BRAKE>BRAKED",
     Mode.STOPPING: "STOPPED>HOLDING STOP>STOPPING",
     Mode.FAULT: "STOP>FAULT STOPPED>FAULT BRAKE>FAULT SWITCH_OFF>OFF",
+    Mode.HELD: "RELEASED>OFF HOMED>HELD ENABLE>HOLDING STOP>HELD SWITCH_OFF>OFF",
 }
 ROUTES = {
     Mode.OFF: (),
+    Mode.HELD: (Event.FOUND_HELD,),
     Mode.BRAKED: (Event.CONNECT,),
     Mode.HOLDING: (Event.CONNECT, Event.HOMED, Event.ENABLE),
     Mode.MOVING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE),
@@ -38,7 +40,17 @@ ROUTES = {
     Mode.GUIDING: (Event.CONNECT, Event.GUIDE),
     Mode.STOPPING: (Event.CONNECT, Event.HOMED, Event.ENABLE, Event.MOVE, Event.STOP),
 }
-INTERNAL = {Event.FAULT_CONTROLLED, Event.FAULT_BRAKE, Event.ACKNOWLEDGE_HELD, Event.ACKNOWLEDGE_BRAKED}
+INTERNAL = {
+    Event.FAULT_CONTROLLED, Event.FAULT_BRAKE, Event.ACKNOWLEDGE_HELD, Event.ACKNOWLEDGE_BRAKED, Event.ACKNOWLEDGE_OFF,
+    Event.ACKNOWLEDGE_FOUND,
+}  # fmt: skip
+# What the loop does not control it cannot stop; boards that hold by themselves go on.
+UNCONTROLLED = {
+    Mode.OFF: Reaction.BRAKE,
+    Mode.BRAKED: Reaction.BRAKE,
+    Mode.GUIDING: Reaction.BRAKE,
+    Mode.HELD: Reaction.HOLD,
+}
 
 
 def _monitor(mode):
@@ -90,9 +102,8 @@ def test_a_fault_is_taken_in_every_mode_and_brakes_where_nothing_is_controlled(m
     assert monitor.fault(fault) is Mode.FAULT
     assert monitor.mode is Mode.FAULT
     assert fault in monitor.faults
-    is_controlled = mode not in (Mode.OFF, Mode.BRAKED, Mode.GUIDING)
-    assert monitor.reaction is (fault.reaction if is_controlled else Reaction.BRAKE)
-    assert monitor.is_held_fault is (is_controlled and fault is CONTROLLED)
+    assert monitor.reaction is max(fault.reaction, UNCONTROLLED.get(mode, Reaction.CONTROLLED))
+    assert monitor.is_held_fault is (mode not in UNCONTROLLED and fault is CONTROLLED)
 
 
 @pytest.mark.parametrize("order", [(CONTROLLED, BRAKE), (BRAKE, CONTROLLED)])
@@ -149,6 +160,18 @@ def test_a_braked_fault_is_acknowledged_to_braked_at_any_time():
     monitor.fault(BRAKE)
     assert monitor.acknowledge() == (BRAKE,)
     assert (monitor.mode, monitor.faults, monitor.reaction) == (Mode.BRAKED, (), None)
+
+
+@pytest.mark.parametrize("leads_to", [Mode.OFF, Mode.HELD, Mode.BRAKED])
+def test_a_fault_of_an_arm_that_was_off_or_held_by_its_boards_is_acknowledged_to_that(leads_to):
+    monitor = _monitor(Mode.OFF if leads_to is Mode.BRAKED else leads_to)
+    monitor.fault(BRAKE)
+    monitor.acknowledge(leads_to)
+    assert monitor.mode is leads_to
+    monitor.fault(BRAKE)
+    monitor.on(Event.SWITCH_OFF)
+    monitor.acknowledge(leads_to)
+    assert monitor.mode is Mode.OFF
 
 
 @pytest.mark.parametrize("mode", [mode for mode in Mode if mode is not Mode.FAULT])
@@ -211,7 +234,11 @@ def test_a_board_that_lost_its_zero_takes_the_right_to_move():
         monitor.on(Event.MOVE)
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+def test_no_step_of_a_shutdown_lets_an_arm_go_that_its_boards_hold():
+    assert next_towards_off(Mode.HELD, is_still=True) is None
+
+
+@pytest.mark.parametrize("mode", [mode for mode in Mode if mode is not Mode.HELD])
 @pytest.mark.parametrize("fault", [None, CONTROLLED, BRAKE])
 def test_shutdown_reaches_off_from_every_mode_never_off_before_brake_and_brake_only_when_still(mode, fault):
     monitor = _monitor(mode)
@@ -271,9 +298,10 @@ def test_every_mode_takes_both_kinds_of_fault_and_stop():
     )
 
 
-def test_no_mode_but_off_braked_and_fault_can_be_switched_off():
+def test_no_mode_but_off_held_braked_and_fault_can_be_switched_off():
     assert {mode for mode in Mode if (mode, Event.SWITCH_OFF) in TRANSITIONS} == {
         Mode.OFF,
+        Mode.HELD,
         Mode.BRAKED,
         Mode.FAULT,
     }
@@ -309,8 +337,7 @@ def test_the_boards_hold_only_an_arm_that_was_controlled(mode):
     monitor = _monitor(mode)
     monitor.fault(HOLD)
     monitor.fault(HOLD)  # the next cycle finds it again
-    is_controlled = mode not in (Mode.OFF, Mode.BRAKED, Mode.GUIDING)
-    assert monitor.reaction is (Reaction.HOLD if is_controlled else Reaction.BRAKE)
+    assert monitor.reaction is max(Reaction.HOLD, UNCONTROLLED.get(mode, Reaction.CONTROLLED))
     assert not monitor.is_held_fault
     assert monitor.acknowledge()
     assert monitor.mode in (Mode.BRAKED, Mode.OFF)

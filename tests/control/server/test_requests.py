@@ -26,10 +26,9 @@ def snapshot(cell: Cell) -> tuple[object, ...]:
     """What a request could change."""
     runtime = cell.runtime
     return (
-        runtime.monitor.mode, runtime.motion, runtime.run_number, runtime.set_point, runtime.averaging, runtime.is_quitting,
+        runtime.monitor.mode, runtime.motion, runtime.run_number, runtime.set_point, runtime.averaging, runtime.bound,
         runtime.jogging, runtime.override, runtime.is_weightless,
-        runtime.parts.loads.masses_kg, runtime.parts.tool, runtime.monitor.is_homed, runtime.is_hold_pending,
-        runtime.is_shutting_down,
+        runtime.parts.loads.masses_kg, runtime.parts.tool, runtime.monitor.is_homed,
     )  # fmt: skip
 
 

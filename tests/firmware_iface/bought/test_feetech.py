@@ -130,3 +130,33 @@ def test_what_is_stored_of_its_position_is_told_and_counts_of_another_size_are_r
     table[30] = 3
     with pytest.raises(WrongIdentity, match=r"angular resolution 1 .*4096 counts a turn\), it is 3"):
         servo.identify()
+
+
+def test_a_servo_without_torque_gets_no_goal_because_that_would_switch_it_on() -> None:
+    cable = Cable()
+    line = FeetechLine(cable.link, cable)
+    servo = FeetechServo(line, 3, "elbow")
+    for _ in range(20):
+        line.post_cycle()
+        line.update()
+        cable.wait_until_s(cable.now_s() + 0.005)
+    assert (servo.is_torque_on, cable.servo.table[42:44]) == (False, bytes(2))
+    servo.goal = 1100
+    for _ in range(4):
+        line.post_cycle()
+        line.update()
+        cable.wait_until_s(cable.now_s() + 0.005)
+    assert servo.is_torque_on  # the vendor's rule, in the mock
+
+
+def test_torque_comes_with_the_goal_where_the_servo_stands() -> None:
+    cable = Cable()
+    line = FeetechLine(cable.link, cable)
+    servo = FeetechServo(line, 3, "elbow")
+    cable.servo.table[42:44] = wire.raw(7)  # an old goal
+    servo.read_state()
+    servo.post_torque(True)
+    for _ in range(4):
+        line.update()
+        cable.wait_until_s(cable.now_s() + 0.005)
+    assert (servo.is_torque_on, bytes(cable.servo.table[42:44])) == (True, wire.raw(1024))

@@ -48,6 +48,7 @@ def test_all_values_come_with_the_reply_to_a_command() -> None:
     cell = Cell()
     assert cell.board.identify(False) == "firmware 0x010304, serial number 000000030000000200000001"
     cell.mock.is_home = True
+    cell.board.wanted = wire.brake(cell.board.number)
     cell.run(0.008)
     board = cell.board
     assert (board.count, board.supply_V, board.current_A) == (CPR // 4, pytest.approx(24.0), 0.5)

@@ -77,3 +77,20 @@ def test_mixed_boards_are_refused_before_anything_moves(tmp_path: Path) -> None:
     )
     with pytest.raises(ArmError, match=r"takes reference motor boards or \[\[board\]\]s, not both"):
         brought(tmp_path, beside, SURVEY)
+
+
+@pytest.mark.parametrize("kind", ["feetech", "odrive"])
+def test_a_bench_leaves_boards_that_hold_as_they_are_until_the_operator_allows_a_motion(kind: str) -> None:
+    draft = on_boards(RIGHT, kind)
+    with SteppedRig(draft, scenario(homed=True)) as rig:
+        for name in rig.robot.drive_names:
+            rig.inject(FaultTable("switched_on", name))
+        rig.clock.wait_until_s(0.3)
+        before_rad = rig.joint_rad()
+        arm = wired_to(draft, rig)
+        currents_A = {drive.joint: 1.0 for drive in arm.drives}
+        with open_bench(arm, rig.clock, MockOperator(rig, is_silent=True), currents_A) as bench:
+            bench.observe(0.5)
+            assert rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)
+        rig.clock.wait_until_s(rig.clock.now_s() + 0.3)
+        assert rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)

@@ -34,6 +34,10 @@ AT_EACH_CHANGE = (
     "power-arm",
     "revoke-pair",
     "guided-into-pair",
+    "off-at-once-odrive",
+    "restarted-feetech",
+    "torque-lost-cia402",
+    "torque-in-off-dynamixel",
 )
 AT_NIGHT = (
     "drift-20000-rest",

@@ -1,0 +1,121 @@
+"""What is wanted of the drives, and whether they are there: the one record of it, and the comparison in every cycle.
+
+`drives_wanted` derives it from the mode and from where the arm is on its way to; nothing else sets it. So OFF cannot leave a
+drive on, whatever was asked before and however requests cross. The loop hands it to the boards with each command.
+"""
+
+import math
+from collections.abc import Sequence
+from enum import Enum
+
+from control.hardware.interface import Feedback
+from control.hardware.words import OPERATION_ENABLED, STATE_MASK, Wanted
+from control.safety.fault import Fault, Reaction
+from control.safety.table import Mode
+
+CHANGE_LIMIT_S = 1.0  # a drive takes three cycles; a second means an emergency stop, or another program
+
+
+class Bound(Enum):
+    """Where the arm is on its way to by itself, by the last request about it: one at a time."""
+
+    NOWHERE = ""
+    ON = "switched on"  # from OFF or HELD, and then held
+    HOLD = "brought to hold"  # from BRAKED or GUIDING
+    OFF = "switched off"
+    QUIT = "switched off, and the runtime ends"
+
+    @property
+    def is_hold(self) -> bool:
+        """Whether the arm will hold."""
+        return self is Bound.ON or self is Bound.HOLD
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the drives will go off."""
+        return self is Bound.OFF or self is Bound.QUIT
+
+
+def drives_wanted(mode: Mode, bound: Bound, before: Wanted) -> Wanted:
+    """What is wanted of the drives in a mode. Only on the way to hold are they switched on; a fault ends that.
+
+    In HELD boards go on by themselves until the arm is taken over; in FAULT what was off stays off.
+    """
+    if mode is Mode.OFF:
+        return Wanted.DISABLED
+    if mode is not Mode.FAULT and bound.is_hold:
+        return Wanted.ENABLING
+    if mode in (Mode.FAULT, Mode.HELD) and not before.is_on:
+        return before
+    return Wanted.ENABLED
+
+
+class DriveStates:
+    """Compares what the boards say with what is wanted of them; `is_ready` while all of them are in operation, as wanted."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        self.wanted = Wanted.AS_FOUND
+        self.is_ready = False
+        self._names = joint_names
+        self._since_s = math.inf
+        self._unwanted_since_s = [math.inf] * len(joint_names)
+
+    def want(self, now_s: float, wanted: Wanted) -> Wanted:
+        """What is wanted from now on; ENABLING of drives that are all in operation is done."""
+        if wanted is Wanted.ENABLING and self.is_ready and self.wanted.is_on:
+            wanted = Wanted.ENABLED
+        if wanted is not self.wanted:
+            self._since_s = now_s
+            self.is_ready &= wanted.is_on and self.wanted.is_on
+        self.wanted = wanted
+        return wanted
+
+    def doubt(self) -> None:
+        """Drives were reset or have left operation: they are ready again when all say so."""
+        self.is_ready = False
+
+    def follow(self, now_s: float, feedback: Feedback) -> list[Fault]:
+        """Look at the latest states: one fault for each drive that is too late on its way on or off."""
+        if self.wanted is Wanted.DISABLED:
+            return self._still_on(now_s, feedback)
+        if self.is_ready or not self.wanted.is_on:
+            return []
+        missing = [joint for joint in range(feedback.joint_count) if not _is_enabled(feedback, joint)]
+        self.is_ready = not missing
+        if not missing or self.wanted is not Wanted.ENABLING or now_s - self._since_s <= CHANGE_LIMIT_S:
+            return []
+        return [self._not_enabled(feedback, joint) for joint in missing]
+
+    def _still_on(self, now_s: float, feedback: Feedback) -> list[Fault]:
+        faults = []
+        for joint in range(feedback.joint_count):
+            if not feedback.has_torque[joint]:
+                self._unwanted_since_s[joint] = math.inf
+            elif now_s - min(self._unwanted_since_s[joint], now_s) > CHANGE_LIMIT_S:
+                faults.append(self._not_disabled(joint))
+            elif self._unwanted_since_s[joint] == math.inf:
+                self._unwanted_since_s[joint] = now_s
+        return faults
+
+    def _not_enabled(self, feedback: Feedback, joint: int) -> Fault:
+        return Fault(
+            "drive_not_enabled",
+            self._names[joint],
+            f"its drive did not reach OPERATION ENABLED within {CHANGE_LIMIT_S:.1f} s (statusword"
+            f" 0x{feedback.statusword[joint]:02x}, fault bits 0x{feedback.drive_faults[joint]:02x})",
+            "check its supply and the emergency stop",
+            Reaction.BRAKE,
+        )
+
+    def _not_disabled(self, joint: int) -> Fault:
+        return Fault(
+            "drive_not_disabled",
+            self._names[joint],
+            f"its drive has had torque for {CHANGE_LIMIT_S:.1f} s although the arm is off, and does not let it go",
+            "cut the supply before anybody touches the arm; then look for another program that commands it",
+            Reaction.BRAKE,
+        )
+
+
+def _is_enabled(feedback: Feedback, joint: int) -> bool:
+    return feedback.statusword[joint] & STATE_MASK == OPERATION_ENABLED

@@ -1,0 +1,119 @@
+"""Drills of arms whose boards hold them: torque that nobody asked for, that was found, and that somebody else switched off."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from math import dist
+
+from control.errors import ArmError
+from control.model.description import load_arm
+from control.safety.table import Mode
+from procedures.drills.drill import LOOKED
+from procedures.drills.promise import GOES_ON, Outcome, Promise, length_m, stood_s
+from procedures.drills.stage import REST, Stage, stage
+from procedures.on_boards import on_boards
+
+KINDS = ("dynamixel", "feetech", "odrive", "cia402", "moteus")
+OBEYING = "moteus"  # its next command drives it again, whatever somebody else has sent
+DURING_A_CYCLE_S = 0.004  # at its end, a goal may switch a Feetech servo on again before its state is read
+FALLS_mm = 900.0  # an arm without torque, or one of whose joints has none, falls as far as it can
+HELD_mm = 3.0
+OBEYS_S = 0.3  # until a board that was told to go off is off
+LANDS_S = 20.0
+ASKED_AFTER_S = 0.004  # of `enable`: its drives are on their way
+AWAY_S = 1.0  # longer than any board's time-out
+
+
+@dataclass(frozen=True, slots=True)
+class BoardsDrill(Promise):
+    """Something that befalls an arm on boards of one kind."""
+
+    kind: str = KINDS[0]
+    act: Callable[[Stage], str] = field(default=lambda played: "")  # what was wrong afterwards, as text
+
+    def run(self) -> Outcome:
+        """Run it on a fresh arm."""
+        with stage(on_boards(load_arm("right"), self.kind)) as played:
+            played.run(0.1)
+            played.way = played.way[-1:]
+            wrong = self.act(played)
+            way = played.way  # from what befell it on
+            begun_s, before = way[0]
+            return Outcome(
+                self, max(dist(before, tip) for _, tip in way) * 1e3, length_m(way) * 1e3,
+                None if played.noticed_s is None else played.noticed_s - begun_s, stood_s(way, begun_s, LOOKED),
+                "nothing", played.found, played.message, 0.0, wrong,
+            )  # fmt: skip
+
+    @classmethod
+    def all(cls) -> Iterator["BoardsDrill"]:
+        """The drills, each on every kind of boards that holds its joints."""
+        for name, says, codes, most_mm, act in (
+            ("off-at-once", "off pressed 4 ms after enable", GOES_ON, FALLS_mm, off_at_once),
+            ("restarted", "loop killed while it holds the arm, another started", GOES_ON, HELD_mm, restarted),
+            (
+                "torque-lost", "another program switches a drive off that holds", frozenset({"drive_left", "link"}),
+                FALLS_mm, torque_lost,
+            ),
+            ("torque-in-off", "another program switches a drive on while the arm is off", GOES_ON, FALLS_mm, torque_in_off),
+        ):  # fmt: skip
+            for kind in (kind for kind in KINDS if kind != OBEYING or act is not torque_lost):
+                yield cls(f"{name}-{kind}", f"{says}, on {kind}", REST, codes, 0.1, most_mm, kind, act)
+
+
+def _torques(played: Stage) -> list[bool]:
+    return [kind in ("voltage", "current") and value != 0.0 for kind, value in played.rig.robot.outputs]
+
+
+def off_at_once(played: Stage) -> str:
+    """`off` crosses an enabling: in OFF no joint has torque, and none gets it."""
+    played.client.ask("enable")
+    played.run(ASKED_AFTER_S)
+    played.client.ask("off")
+    end_s = played.now_s + LANDS_S
+    while played.mode is not Mode.OFF and played.now_s < end_s:
+        played.run(0.01)
+    played.run(OBEYS_S)
+    if played.mode is not Mode.OFF:
+        return f"off was not reached: {played.mode.name}"
+    return "a joint had torque in OFF" if any(_torques(played)) else ""
+
+
+def restarted(played: Stage) -> str:
+    """Boards that hold when a runtime connects are left so, are let go by no mere `off`, and are taken over without a step."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    played.away(AWAY_S)
+    held = any(_torques(played))
+    played.restart()
+    played.run(1.0)
+    if not held:
+        return "the boards did not hold without a host"
+    connected = played.mode
+    if connected is not Mode.HELD:
+        return f"the arm was {connected.name}, not HELD"
+    try:
+        played.client.ask("off")
+        return "off let the arm go without a question"
+    except ArmError:
+        played.client.enable()
+    played.run(0.5)
+    return "" if played.mode is Mode.HOLDING else f"it was not taken over: {played.mode.name}"
+
+
+def torque_lost(played: Stage) -> str:
+    """A drive that somebody else has switched off stays off, until a person enables it."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    played.inject("switched_off", played.rig.robot.drive_names[1], at_s=played.now_s + DURING_A_CYCLE_S)
+    for _ in range(50):
+        played.run(0.01)
+        if _torques(played)[1]:
+            return "the torque came back by itself"
+    return ""
+
+
+def torque_in_off(played: Stage) -> str:
+    """A drive that somebody else has switched on is switched off again."""
+    played.inject("switched_on", played.rig.robot.drive_names[1], at_s=played.now_s)
+    played.run(OBEYS_S)
+    return "the torque stayed" if any(_torques(played)) else ""

@@ -1,0 +1,122 @@
+"""An arm that its boards held when the runtime connected, and ways on and off that requests cross."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from control.hardware.shared_bus import CellConnection, SharedBuses
+from control.hardware.words import Wanted
+from control.safety.fault import Fault, Reaction
+from control.safety.table import Mode
+from tests.cell import Cell, holding_cell, restarted, scenario
+from tests.kinds import ON_BOARDS
+
+JUMP = Fault("encoder_leap", "joint 1", "its encoder jumped", "look at it", Reaction.CONTROLLED)
+
+
+@contextmanager
+def held_on(kind: str) -> Iterator[Cell]:
+    """The runtime of an arm was killed while it held; another one has connected."""
+    on = ON_BOARDS[kind]
+    with (
+        holding_cell(scenario(q_rad=None), on.arm, period_s=on.period_s) as before,
+        restarted(before, on.arm, on.period_s) as cell,
+    ):
+        cell.run(0.1)
+        assert cell.mode is Mode.HELD
+        yield cell
+
+
+@pytest.fixture
+def held() -> Iterator[Cell]:
+    with held_on("dynamixel") as cell:
+        yield cell
+
+
+def test_the_end_of_the_runtime_leaves_it_held(held: Cell) -> None:
+    before_rad = held.rig.joint_rad()
+    held.runtime.go_off(quits=True)  # as Ctrl-C
+    held.run(0.1)
+    assert not held.channel.is_running
+    CellConnection({"right": held.connection}, SharedBuses(held.rig.clock)).leave_safely()
+    held.rig.clock.wait_until_s(held.rig.clock.now_s() + 1.0)
+    assert all(held.torques())
+    assert held.rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "reference", "moteus", "cia402"])
+def test_off_with_consent_lets_it_go_at_once_and_may_end_the_runtime(kind: str) -> None:
+    """Also boards that hold in a state of their own: after the time-out of the host that was killed."""
+    with held_on(kind) as held:
+        assert held.channel.request({"do": "off", "lets_go": True, "quit": True})["ok"]
+        assert held.mode is Mode.OFF
+        held.run(0.5)
+        assert held.torques() == [False] * 3
+        assert not held.channel.is_running
+
+
+def test_boards_that_let_go_by_themselves_end_it(held: Cell) -> None:
+    for name in held.rig.robot.drive_names:
+        held.inject("switched_off", name, at_s=held.rig.clock.now_s())
+    held.run(0.2)
+    assert (held.mode, held.faults) == (Mode.OFF, [])
+
+
+def test_a_stop_while_it_is_taken_over_leaves_it_held(held: Cell) -> None:
+    before_rad = held.rig.joint_rad()
+    held.client.ask("enable")
+    held.client.ask("stop")
+    held.run(1.0)
+    assert held.mode is Mode.HELD
+    assert held.rig.joint_rad() == pytest.approx(before_rad, abs=2e-3)
+    assert "somebody must hold it" in held.refusal(do="off")
+
+
+def test_a_fault_changes_nothing_and_is_acknowledged_to_it(held: Cell) -> None:
+    before_rad = held.rig.joint_rad()
+    held.runtime.fail(JUMP)
+    held.run(0.3)
+    assert (held.mode, held.runtime.monitor.reaction) == (Mode.FAULT, Reaction.HOLD)
+    assert held.runtime.drives.wanted is Wanted.AS_FOUND
+    assert "somebody must hold it" in held.refusal(do="off")
+    held.client.acknowledge()
+    assert held.mode is Mode.HELD
+    assert held.rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)
+
+
+@pytest.mark.parametrize("do", ["guide", "brake", "gripper"])
+def test_nothing_else_is_done_with_it(held: Cell, do: str) -> None:
+    held.refusal(do=do, **({"action": "open"} if do == "gripper" else {}))
+    assert held.mode is Mode.HELD
+
+
+# ---- ways that cross, on the reference arm
+
+
+@pytest.mark.parametrize("do", ["enable", "hold"])
+def test_a_runtime_that_ends_is_not_held_back(cell: Cell, do: str) -> None:
+    cell.client.ask("off", quit=True)
+    cell.until(lambda: cell.mode is Mode.BRAKED, 2.0)
+    assert "being switched off" in cell.refusal(do=do)
+    cell.client.ask("off")  # takes nothing back
+    cell.until(lambda: not cell.channel.is_running, 20.0)
+
+
+def test_a_way_off_that_was_caught_is_forgotten(cell: Cell) -> None:
+    cell.client.ask("off")
+    cell.until(lambda: cell.mode is Mode.BRAKED, 2.0)
+    cell.client.hold()
+    cell.run(2.0)
+    assert (cell.mode, cell.channel.is_running) == (Mode.HOLDING, True)
+
+
+@pytest.mark.parametrize("do", ["stop", "brake"])
+def test_a_stop_ends_the_way_on(cell: Cell, do: str) -> None:
+    cell.client.ask("brake")
+    cell.client.ask("hold")
+    cell.client.ask(do)
+    cell.run(1.5)
+    assert (cell.mode, cell.faults) == (Mode.BRAKED, [])
