@@ -121,6 +121,6 @@ def _processor_s(pid: int) -> float:
 
 def _p99_us(cycles: NDArray[np.float64], spans: list[tuple[float, float]]) -> float:
     """Median over the phases of each phase's 99th percentile: one pause of the host spoils one phase."""
-    time_s, _, late_s = cycles
+    time_s, _, late_s, _ = cycles
     parts = [late_s[(time_s >= start) & (time_s <= end)] for start, end in spans]
     return 1e6 * float(np.median([np.percentile(part, 99.0) for part in parts]))

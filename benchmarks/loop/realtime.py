@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -135,7 +135,8 @@ def runtime(folder: Path, rate_Hz: float) -> Iterator[ArmClient]:
         ]  # fmt: skip
         runtime = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
         try:
-            yield ArmClient(_connected(socket_path, runtime))
+            with closing(ArmClient(_connected(socket_path, runtime))) as client:
+                yield client
             runtime.wait(START_LIMIT_S)
         finally:
             if runtime.poll() is None:
