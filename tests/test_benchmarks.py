@@ -40,11 +40,10 @@ NIGHTLY = {
 REALTIME = {"realtime", "console_load"}
 
 
-def arc(arm: Arm, turns: int = 1) -> PlannedPath:
-    """The beginning of the benchmarks' circle."""
-    return plan_path(
-        arm, Waypoints(circle(table_of(arm), height_m=HEIGHT_m).points[:3], None), CIRCLE_SPEED_m_s
-    )
+def short_circuit(arm: Arm, turns: int = 1) -> PlannedPath:
+    """Some cavities of the benchmarks' circle, and back to the first."""
+    points = circle(table_of(arm), height_m=HEIGHT_m).points
+    return plan_path(arm, Waypoints((*points[:3], points[0]), None), CIRCLE_SPEED_m_s)
 
 
 def no_peer(*given: object) -> None:
@@ -68,7 +67,7 @@ def test_a_section_of_the_benchmarks_measures_its_rows(name: str, monkeypatch: p
     section = importlib.import_module(SECTIONS[name][1])
     for size, value in SMALLEST[name].items():
         monkeypatch.setattr(section, size, value)
-    monkeypatch.setattr(section, "circle_path", arc, raising=False)
+    monkeypatch.setattr(section, "circle_path", short_circuit, raising=False)
     monkeypatch.setattr(section, "Peer", no_peer, raising=False)
     rows = list(section.rows())
     assert rows

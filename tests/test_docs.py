@@ -17,7 +17,10 @@ from firmware_iface.installation import PACKAGES
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-DOCUMENTS = [*PAGES, ROOT / "README.md", ROOT / "ARCHITECTURE.md", ROOT / "CHANGELOG.md"]
+DOCUMENTS = [
+    *PAGES,
+    *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CONTRIBUTING", "CHANGELOG")),
+]
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FILE_IN_TEXT = re.compile(r"\bdocs/[\w.-]+\.(?:md|png)\b")
 CALL = re.compile(r"(?:^|\s|/)armwright ([a-z][a-z0-9-]*)\b(.*)")
