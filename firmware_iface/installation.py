@@ -45,11 +45,14 @@ def command(module: str, *arguments: str) -> list[str]:
 
 def run_command() -> int:
     """The command `armwright`: a sentence and exit status 2 where another package is in the way."""
-    from firmware_iface import interrupts
-
-    interrupts.end_at_once("armwright")
     try:
+        from firmware_iface import interrupts
+
+        interrupts.end_at_once("armwright")
         claim()
+    except KeyboardInterrupt:  # Python's own handler was still in force
+        sys.stderr.write("armwright: interrupted\n")
+        return 130
     except ImportError as error:
         sys.stderr.write(f"armwright: {error}\n")
         return 2

@@ -16,7 +16,6 @@ from firmware_iface.installation import command
 SAID = "armwright: interrupted\n"
 PROGRAM = """
 import os, sys
-import firmware_iface.interrupts
 from firmware_iface.installation import run_command
 
 number, left = int(sys.argv.pop(1)), int(sys.argv.pop(1))
