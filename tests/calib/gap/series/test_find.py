@@ -48,8 +48,14 @@ def names(found: GapFinding) -> list[EffectName]:
 
 
 @pytest.fixture(scope="module")
-def null() -> DynamicOutcome:
-    return examine(ARM, log_of(ARM))
+def told() -> list[float]:
+    """The shares of the work that `null` has told of."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def null(told: list[float]) -> DynamicOutcome:
+    return examine(ARM, log_of(ARM), lambda what, share: told.append(share))
 
 
 def test_nothing_is_found_where_nothing_is_hidden(null: DynamicOutcome) -> None:
@@ -78,6 +84,12 @@ def test_repeats_stay_together_and_reporting_runs_decide_nothing(null: DynamicOu
     assert not np.any(null.split.deciding & null.split.reporting)
     for group in null.split.groups:
         assert not np.any(group & null.split.reporting)
+
+
+def test_progress_is_told_from_start_to_end(null: DynamicOutcome, told: list[float]) -> None:
+    assert told[0] == 0.0
+    assert told[-1] == 1.0
+    assert told == sorted(told)
 
 
 def test_load_friction_is_named_with_its_joint_and_fraction() -> None:
@@ -210,14 +222,6 @@ def test_one_run_alone_is_said_and_judged_by_its_parts() -> None:
     outcome = examine(ARM, Log(log.runs[1:2]), candidates=FEW)
     assert any("one run only" in text for text in outcome.warnings)
     assert not any(name.joint != 2 for name in names(outcome.finding))
-
-
-def test_progress_is_told_from_start_to_end() -> None:
-    shares: list[float] = []
-    find(ARM, log_of(ARM), lambda what, share: shares.append(share), ("coulomb_friction",))
-    assert shares[0] == 0.0
-    assert shares[-1] == 1.0
-    assert shares == sorted(shares)
 
 
 def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:
