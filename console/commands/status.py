@@ -90,6 +90,8 @@ def _tip_lines(status: Message) -> list[str]:
         lines.append(f"tip at {', '.join(_numbers(status['tip_m'], 4))} m{mark} by the arm's model")
     if status["camera_m"]:
         lines.append(f"tip at {', '.join(_numbers(status['camera_m'], 4))} m by the camera")
+    if status["camera_problem"]:
+        lines.append(f"tip not measured now: {status['camera_problem']}")
     return lines
 
 

@@ -1,5 +1,6 @@
 """The runtime's state as a JSON object, the answer of `status` (docs/socket.md)."""
 
+import math
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -120,8 +121,16 @@ def _angles(runtime: Runtime, kinematics: PoseKinematics) -> dict[str, Any]:
         "tip_set_m": kinematics.kinematics.tip(*joint_set_rad) if is_homed else None,
         "tip_orientation": quaternion_of(rotation) if is_homed else None,
         "camera_m": runtime.camera_m if sees_tip else None,
-        "camera_problem": runtime.parts.camera.problem() if runtime.parts.camera is not None else "",
+        "camera_problem": _camera_problem(runtime, sees_tip),
     }
+
+
+def _camera_problem(runtime: Runtime, sees_tip: bool) -> str:
+    """Why the tip is not measured; a camera that has gone says nothing any more."""
+    camera = runtime.parts.camera
+    problem = camera.problem() if camera is not None else ""
+    age_s = runtime.now_s - runtime.camera_at_s
+    return problem or ("" if sees_tip or math.isinf(age_s) else f"its last frame came {age_s:.1f} s ago")
 
 
 def _boards(runtime: Runtime) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from console.commands.status import described
 from control.errors import ArmError
 from control.hardware.averaging import Target
 from control.hardware.tip_camera import BodyCamera, open_camera
@@ -102,6 +103,16 @@ def test_a_frame_of_known_place_gives_the_tip_in_the_base_frame_and_a_wrong_name
         monkeypatch.setattr(ports, "CAMERA_PATIENCE_S", 0.02)
         with pytest.raises(ArmError, match=r"no camera frame within .* \(body tooll is not in the stream"):
             ports.RuntimePort(cell.client).measure(0.02)
+        assert "tip not measured now: body tooll is not in the stream" in described(cell.client.status())
+
+
+def test_a_camera_that_has_gone_is_said_with_when_it_was_heard_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    orientation = quaternion_of(rotation_of(BASE_turn_rad).tolist())
+    with seen_by("vicon", origin_m=BASE_m, orientation=orientation) as cell:
+        assert "tip not measured" not in described(cell.client.status())
+        monkeypatch.setattr(type(cell.connection.camera), "newest", lambda self: None)
+        cell.run(0.6)
+        assert "tip not measured now: its last frame came 0.6 s ago" in described(cell.client.status())
 
 
 def test_packets_of_another_format_are_said() -> None:
