@@ -301,4 +301,6 @@ class OperatingScreen(Screen[None]):
         event.stop()
         if event.value:
             await self._operator.line(event.value)
+        else:
+            self.set_focus(None)
         await asyncio.sleep(0)

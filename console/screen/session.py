@@ -58,7 +58,8 @@ class SessionScreen(Screen[None]):
                 yield Panel("heading")
                 yield EventLog("records", "")
         yield Panel("question", "Question")
-        yield CommandBox("Enter: yes; or redo, skip, bad, note TEXT, jog z -5, quit")
+        answers = "Enter: yes; or redo, skip, bad, note TEXT, jog z -5, quit"
+        yield CommandBox(answers, answers)
         yield Panel("hints")
 
     def on_mount(self) -> None:

@@ -87,6 +87,7 @@ class JogPad(Vertical):
 
 
 BOX_HINT = ": a line, as in `armwright script`, e.g. jog --joint 1 --by 0.05"
+BOX_HINT_FOCUSED = "keys are typed here: Escape, or Enter in the empty box, gives them back to the arm"
 
 
 class CommandBox(Input):
@@ -98,14 +99,23 @@ class CommandBox(Input):
         Binding("down", "recall(1)", show=False),
     ]
 
-    def __init__(self, hint: str = BOX_HINT) -> None:
+    def __init__(self, hint: str = BOX_HINT, focused_hint: str = BOX_HINT_FOCUSED) -> None:
         super().__init__(
             placeholder=hint,
             id="command",
             compact=True,
         )
+        self._hint, self._focused_hint = hint, focused_hint
         self._lines: list[str] = []
         self._at = 0
+
+    def on_focus(self) -> None:
+        """Say how to get out, as long as nothing is typed."""
+        self.placeholder = self._focused_hint
+
+    def on_blur(self) -> None:
+        """Say what it is for."""
+        self.placeholder = self._hint
 
     async def action_submit(self) -> None:
         """Send the line and clear the box at once: keys that are typed before it is handled belong to the next line."""

@@ -330,7 +330,13 @@ def test_keys_and_the_command_box_do_what_lines_do(tmp_path: Path) -> None:
         await press(pilot, "colon", *"override", "space", *"0.5", "enter")
         await until(pilot, lambda: served.cell.runtime.override == 0.5)
         await until(pilot, lambda: "override 50 %" in shown(app, "jog"))  # the next press counts from there
-        await press(pilot, "escape")
+        box = app.operating.query_one(CommandBox)
+        assert app.focused is box  # what is typed next is no key
+        assert "Enter in the empty box, gives them back" in str(box.placeholder)
+        await press(pilot, "enter")
+        await until(pilot, lambda: "Enter" not in str(box.placeholder))
+        assert app.focused is None
+        await press(pilot, "colon", "escape")
         await until(pilot, lambda: app.focused is None)
         await press(pilot, ">", ">")
         await until(pilot, lambda: served.cell.runtime.override == 1.0)
