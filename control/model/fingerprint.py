@@ -73,7 +73,11 @@ def require_same(arm: Arm, described: Mapping[str, Any], cell: Cell | None = Non
 
     With a `cell`, in the places of its arms, too; an arm that is served alone has none.
     """
-    ours, theirs = content_of(arm), dict(described.get("content", {}))
+    if "content" not in described:
+        raise AnotherArm(
+            "the runtime does not say which arm it has: it is of an earlier version, start it again"
+        )
+    ours, theirs = content_of(arm), dict(described["content"])
     if cell is not None and "cell" in described:
         ours |= places_of(cell)
         theirs |= described["cell"]

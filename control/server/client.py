@@ -64,7 +64,7 @@ class ArmClient:
         is_placed = cell is not None and "cell" in status
         if status.get("fingerprint") == fingerprint(arm) and not is_placed:
             return
-        require_same(arm, self.ask("arm"), cell)
+        require_same(arm, self._channel.request({"do": "arm"}), cell)
 
     def status(self) -> Message:
         """Return the state of the arm: mode, angles, set-points, currents, faults, cycle statistics (docs/socket.md)."""

@@ -122,6 +122,11 @@ def test_a_difference_names_the_key_and_both_values_and_the_way_out() -> None:
         require_same(replace(FULL, effects=FULL.effects[1:], path=Path("my.toml")), theirs)
 
 
+def test_a_runtime_of_an_earlier_version_is_no_guess() -> None:
+    with pytest.raises(AnotherArm, match="does not say which arm it has"):
+        require_same(FULL, {"ok": False, "error": "unknown request 'arm'"})
+
+
 def test_of_two_effects_of_a_name_both_are_compared() -> None:
     effects = tuple(Effect("encoder_sine", 1, {"amplitude_rad": a}) for a in (1e-3, 2e-3))
     both = replace(FULL, effects=effects)
