@@ -11,6 +11,7 @@ help:  ## what can be made
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "armwright needs Python 3.11 or newer; got $$($(PYTHON) --version). Try: make PYTHON=python3.12 ..."; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "python3 has no venv module here: apt-get install python3-venv"; exit 2; }
+	@echo "Making .venv with $$($(PYTHON) --version); once."
 	@$(PYTHON) -c 'import runpy, signal; signal.signal(signal.SIGINT, signal.SIG_DFL); runpy.run_module("venv", {}, "__main__")' .venv
 	@$(call add,requirements.lock)
 	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
@@ -26,7 +27,7 @@ add = echo "Installing what $(1) names into .venv:"; rm -f $@; \
   { PYTHONUNBUFFERED=1 $(BIN)/pip install --disable-pip-version-check --no-deps --require-hashes --no-compile -r $(1) && touch $@; } \
   | { n=0; while read -r said what rest; do case $$said in \
     Collecting) n=$$((n + 1)); printf ' %s' "$${what%%=*}"; [ $$((n % 8)) != 0 ] || echo;; \
-    Installing) printf '\n... unpacking %s packages\n' $$n;; esac; done; }; \
+    Installing) [ $$((n % 8)) = 0 ] || echo; echo "... unpacking and compiling";; esac; done; }; \
   [ -e $@ ] && { $(BIN)/python -m compileall -q -j 0 .venv/lib >/dev/null 2>&1 || true; }
 
 .DELETE_ON_ERROR:  # an installation that failed half-way is begun again
