@@ -6,6 +6,7 @@ What is read here may come from anywhere: a pipe that never ends, a device, a fi
 import contextlib
 import errno
 import fcntl
+import io
 import json
 import os
 import re
@@ -15,12 +16,13 @@ import tempfile
 from collections.abc import Callable, Iterator
 from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 PROBE_bytes = 1 << 18  # size of the trial file: some full disks still accept a small one
 APART = ".partial-"  # begins the names of folders in which files are made
 TEXT_MOST_bytes = 1 << 26  # of a file that is read as a whole: 64 MB; the largest of ours has some 100 kB
+TOML_MOST_characters = 1 << 20  # the largest of ours, with maps, has some 100 kB
 DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){32}")
 # A number of more digits is no float: 309 are in base 10, 256 in base 16.
 LONG_INTEGER = re.compile(r"[\da-fA-F_]{256,}")
@@ -44,7 +46,7 @@ class NotReadable(OSError):
     """A file that is none, or is too large; `strerror` says so."""
 
 
-def open_file(path: Path) -> BinaryIO:
+def open_file(path: Path) -> io.BufferedReader:
     """Open a file for reading without waiting. NotReadable for a pipe or a device; OSError as usual."""
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     mode = os.fstat(fd).st_mode
@@ -89,10 +91,14 @@ def _integer(text: str) -> int:
 def parsed_toml(text: str) -> dict[str, Any]:
     """tomllib.loads, with a TOMLDecodeError for whatever is nested too deeply: it needs memory by the square of the depth.
 
-    For integers beyond a float, too.
+    For integers beyond a float, and for text that would take it more than some seconds, too.
     """
     import tomllib
 
+    if len(text) > TOML_MOST_characters:
+        raise tomllib.TOMLDecodeError(
+            f"{1e-6 * len(text):.1f} MB, expected at most {1e-6 * TOML_MOST_characters:.0f} MB of TOML"
+        )
     if LONG_INTEGER.search(text):
         raise tomllib.TOMLDecodeError("a number of more than 255 digits")
     if DEEP_KEY.search(text):

@@ -19,7 +19,8 @@ from calib.arrays import Array, frozen
 from calib.errors import PointsFileError
 from calib.points.covariance import COVARIANCE
 from calib.points.points import ORIENTATION
-from calib.points.reading import opened_text, require_commas
+from calib.points.reading import require_commas
+from control.tables import opened_rows
 
 REQUIRED = ("setup", "marker", "x_m", "y_m", "z_m")
 
@@ -48,8 +49,7 @@ class Markers:
 
 def read_markers(path: Path) -> Markers:
     """Read the measurements of a file. PointsFileError names file, line and column."""
-    with opened_text(path) as file:
-        reader = csv.reader(file)
+    with opened_rows(path, PointsFileError) as reader:
         header = [name.strip() for name in next(reader, [])]
         require_commas(path, header)
         places = _places(path, header)

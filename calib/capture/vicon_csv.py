@@ -9,7 +9,6 @@ Names stand over the first column of each. Empty, or all zero: not seen.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,9 +17,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.capture.tracks import FRAMES_MOST, Body, Capture, CaptureError
-from calib.errors import PointsFileError
-from calib.points.reading import opened_text
 from control.kinematics.rotation import exponentials, matrices
+from control.tables import SAMPLES_MOST, opened_rows
 
 OF_BODIES, OF_MARKERS = ("Objects", "Segments"), ("Trajectories",)
 LAYOUTS = {
@@ -38,19 +36,14 @@ def read_vicon_csv(path: Path) -> Capture:
     bodies: dict[str, Body] = {}
     markers: dict[str, Array] = {}
     clock: list[tuple[float, Array]] = []
-    try:
-        with opened_text(path) as file:
-            lines = (
-                (number, [cell.strip() for cell in row]) for number, row in enumerate(csv.reader(file), 1)
-            )
-            for number, row in lines:
-                title = row[0] if row else ""
-                if title in (*OF_BODIES, *OF_MARKERS):
-                    rate_Hz, frames, found = _section(path, number, lines)
-                    clock.append((rate_Hz, frames))
-                    (bodies if title in OF_BODIES else markers).update(found)  # type: ignore[arg-type]
-    except PointsFileError as error:
-        raise CaptureError(str(error)) from error
+    with opened_rows(path, CaptureError, SAMPLES_MOST) as rows:
+        lines = ((number, [cell.strip() for cell in row]) for number, row in enumerate(rows, 1))
+        for number, row in lines:
+            title = row[0] if row else ""
+            if title in (*OF_BODIES, *OF_MARKERS):
+                rate_Hz, frames, found = _section(path, number, lines)
+                clock.append((rate_Hz, frames))
+                (bodies if title in OF_BODIES else markers).update(found)  # type: ignore[arg-type]
     if not clock:
         raise CaptureError(
             f"{path}: no section Objects, Segments or Trajectories: expected a CSV as Tracker or Nexus exports it"

@@ -7,10 +7,10 @@ Comma-separated, .csv or .csv.gz. Runs are separate recordings, each from rest.
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 import re
+import sys
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -22,7 +22,8 @@ import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, PointsFileError
-from calib.points.reading import opened_text, require_commas
+from calib.points.reading import require_commas
+from control.tables import SAMPLES_MOST, opened_rows
 
 REQUIRED = ("run", "t_s")
 TIP = ("x_m", "y_m", "z_m")
@@ -128,13 +129,12 @@ def is_repeat(first: Run, second: Run) -> bool:
 def read_log(path: Path, joint_count: int | None = None) -> tuple[Log, tuple[str, ...]]:
     """The runs of a file and warnings about it. LogFileError names file, line and column."""
     try:
-        with opened_text(path) as file:
-            reader = csv.reader(file)
+        with opened_rows(path, LogFileError, SAMPLES_MOST) as reader:
             table = _Table(path, next(reader, []), joint_count)
             for row in reader:
                 if row:
                     table.add(row, reader.line_num)
-    except PointsFileError as error:
+    except PointsFileError as error:  # of its header
         raise LogFileError(str(error)) from error
     if not table.names:
         raise LogFileError(f"{path}: a header and no samples: expected one line per sample")
@@ -211,7 +211,7 @@ class _Table:
         for column, values in self._columns.items():
             values.append(self._number(row[self._place[column]], line, column))
         for column, texts in self._extra.items():
-            texts.append(row[self._place[column]].strip())
+            texts.append(sys.intern(row[self._place[column]].strip()))  # most are alike
         times = self._columns["t_s"]
         if not begins and times[-1] <= times[-2]:
             raise LogFileError(
@@ -222,7 +222,7 @@ class _Table:
             raise LogFileError(
                 f"{self._path}, line {line}: x_m, y_m, z_m: expected all three or none, got {seen}"
             )
-        self.names.append(name)
+        self.names.append(sys.intern(name))
         self._ended.add(name)
 
     def _number(self, text: str, line: int, column: str) -> float:
@@ -249,8 +249,8 @@ class _Table:
 
     def runs(self) -> tuple[Run, ...]:
         """The runs in the file's order."""
-        names = np.array(self.names)
-        begins = [0, *(np.flatnonzero(names[1:] != names[:-1]) + 1).tolist(), len(names)]
+        changes = enumerate(itertools.pairwise(self.names), 1)
+        begins = [0, *(k for k, (before, name) in changes if name != before), len(self.names)]
         return tuple(self._run(slice(a, b)) for a, b in itertools.pairwise(begins))
 
     def _run(self, rows: slice) -> Run:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
-import io
 import itertools
 import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 import numpy.typing as npt
@@ -24,10 +20,11 @@ from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.files import SET, TIP
 from calib.points.points import Points, make_points
 from calib.points.reading import require_commas
-from control.files import open_file, parsed_json, read_text
+from control.files import parsed_json, read_text
 from control.kinematics.kinematics import Kinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
+from control.tables import SAMPLES_MOST, opened_rows
 
 ANGLES, ANGLES_SET, FORCE = (
     ("a_rad", "b_rad", "c_rad"),
@@ -297,23 +294,17 @@ class _Rows:
 
 def _rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
     """Rows of a .csv or .csv.gz by column, with the line number under an empty name."""
-    try:
-        with _opened(path) as file:
-            reader = csv.reader(file)
-            header = [name.strip() for name in next(reader, [])]
-            require_commas(path, header)
-            for name in required:
-                if name not in header:
-                    raise Iso9283Error(f"{path}, line 1: required column {name} is missing")
-            for row in reader:
-                if len(row) != len(header):
-                    where = f"{path}, line {reader.line_num}"
-                    raise Iso9283Error(f"{where}: {len(row)} values, line 1 names {len(header)}")
-                yield {**dict(zip(header, row, strict=True)), "": str(reader.line_num)}
-    except UnicodeDecodeError as error:
-        raise Iso9283Error(f"{path}: byte {error.start} is not UTF-8 text: save the file in UTF-8") from error
-    except (csv.Error, EOFError, gzip.BadGzipFile) as error:
-        raise Iso9283Error(f"{path}: not comma-separated text ({error})") from error
+    with opened_rows(path, Iso9283Error, SAMPLES_MOST) as reader:
+        header = [name.strip() for name in next(reader, [])]
+        require_commas(path, header)
+        for name in required:
+            if name not in header:
+                raise Iso9283Error(f"{path}, line 1: required column {name} is missing")
+        for row in reader:
+            if len(row) != len(header):
+                where = f"{path}, line {reader.line_num}"
+                raise Iso9283Error(f"{where}: {len(row)} values, line 1 names {len(header)}")
+            yield {**dict(zip(header, row, strict=True)), "": str(reader.line_num)}
 
 
 def _cell(path: Path, row: Mapping[str, str], name: str) -> float:
@@ -324,13 +315,6 @@ def _cell(path: Path, row: Mapping[str, str], name: str) -> float:
         raise Iso9283Error(
             f'{path}, line {row[""]}, column {name}: got "{text}", expected a number'
         ) from None
-
-
-def _opened(path: Path) -> TextIO:
-    file = open_file(path)
-    if path.suffix == ".gz":
-        return gzip.open(file, "rt", encoding="utf-8-sig", newline="")
-    return io.TextIOWrapper(file, "utf-8-sig", newline="")
 
 
 def read_rectangle(path: Path) -> tuple[Array, ...]:

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
-import io
 import math
 import re
 import sys
-import zlib
 from array import array
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -23,8 +17,8 @@ from calib.errors import PointsFileError
 from calib.points.covariance import COVARIANCE, POSITION, TURN, is_covariance
 from calib.points.points import ORIENTATION, REQUIRED, SCALARS, TIP, Points, make_points
 from control.errors import BadTarget
-from control.files import open_file
 from control.kinematics.rotation import checked_quaternion
+from control.tables import opened_rows
 
 OWN_EXTRAS = re.compile(
     r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_(of|m|sd_m)"
@@ -35,8 +29,7 @@ POINTS_MOST = 1_000_000  # poses, which take 0.7 GB to calibrate; calibrations h
 
 def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tuple[str, ...]]:
     """Read the points of a file; also returns warnings. PointsFileError names file, line and column."""
-    with opened_text(path) as file:
-        reader = csv.reader(file)
+    with opened_rows(path, PointsFileError, POINTS_MOST + 1) as reader:
         columns = _Columns.of(path, next(reader, []), joint_count)
         table = _Table(path, columns)
         for row in reader:
@@ -49,30 +42,6 @@ def read_points(path: Path, joint_count: int | None = None) -> tuple[Points, tup
     if not table.repeat:
         raise PointsFileError(f"{path}: a header and no points: expected one line per point")
     return table.points(), columns.warnings(path)
-
-
-@contextmanager
-def opened_text(path: Path) -> Iterator[TextIO]:
-    """Open the text of a .csv or .csv.gz; errors of the system or the file become a PointsFileError."""
-    try:
-        if path.name.endswith(".gz"):
-            with open_file(path) as file, gzip.open(file, "rt", encoding="utf-8-sig", newline="") as packed:
-                yield packed
-        else:
-            with open_file(path) as file, io.TextIOWrapper(file, "utf-8-sig", newline="") as plain:
-                yield plain
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise PointsFileError(f"{path}: not a whole gzip file ({error})") from error
-    except OSError as error:
-        raise PointsFileError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        is_recording = path.suffix == ".armlog"
-        remedy = "`armwright export` makes a log.csv.gz of it" if is_recording else "save the file in UTF-8"
-        raise PointsFileError(
-            f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz; {remedy}"
-        ) from error
-    except csv.Error as error:
-        raise PointsFileError(f"{path}: not comma-separated text ({error})") from error
 
 
 def require_commas(path: Path, header: Sequence[str]) -> None:

@@ -6,7 +6,6 @@ centre decouples the errors of position and orientation.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,11 +16,12 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.errors import VisionError
-from calib.points.reading import opened_text, require_commas
+from calib.points.reading import require_commas
 from calib.vision.edges import refined_square
 from calib.vision.opencv import Picture, opencv
 from control.errors import BadTarget
 from control.kinematics.rotation import checked_quaternion, matrices
+from control.tables import opened_rows
 
 BOARD_DICTIONARY = "4x4_250"
 TAG_DICTIONARY = "apriltag_36h11"
@@ -239,8 +239,7 @@ NOTHING = Corners(frozen(np.zeros((0, 3))), frozen(np.zeros((0, 2))))
 def read_tags(path: Path, dictionary: str = TAG_DICTIONARY) -> Tags:
     """Tags of a body from tags.csv. PointsFileError or VisionError names file, line and column."""
     found: dict[int, Array] = {}
-    with opened_text(path) as file:
-        reader = csv.reader(file)
+    with opened_rows(path, VisionError) as reader:
         header = [name.strip() for name in next(reader, [])]
         require_commas(path, header)
         missing = [name for name in TAG_COLUMNS if name not in header]

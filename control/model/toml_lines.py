@@ -43,7 +43,8 @@ class _Scanner:
 
     def __init__(self, text: str) -> None:
         self._text = text
-        self._at = 0
+        self._at = self._counted_to = 0
+        self._line = 1  # at `_counted_to`
         self._lines: dict[Path, int] = {}
         self._array_lengths: dict[Path, int] = {}
 
@@ -66,7 +67,9 @@ class _Scanner:
         return match.group()
 
     def _note(self, path: Path) -> None:
-        self._lines.setdefault(path, self._text.count("\n", 0, self._at) + 1)
+        self._line += self._text.count("\n", self._counted_to, self._at)
+        self._counted_to = self._at
+        self._lines.setdefault(path, self._line)
 
     def _dotted_key(self) -> list[str]:
         parts: list[str] = []

@@ -1,18 +1,17 @@
 """Way-points from a file, and the circle and line of the calibration table."""
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from control.errors import BadTarget, MissingModel
-from control.files import read_text
 from control.kinematics.rotation import Quaternion, checked_quaternion
 from control.model import table as tables
 from control.model.arm import Table
 from control.motion.errors import WaypointFileError
 from control.motion.setpoint import Vector
+from control.tables import opened_rows
 
 POSITION_COLUMNS = ("x_m", "y_m", "z_m")
 SPEED_COLUMN = "speed_m_s"
@@ -20,6 +19,7 @@ ORIENTATION_COLUMNS = ("qw", "qx", "qy", "qz")
 # No table-top arm reaches this far; a larger number is probably in millimetres.
 _FARTHEST_M = 10.0
 _FASTEST_M_S = 10.0
+WAYPOINTS_MOST = 2_000  # planning takes 0.1 MB and some milliseconds for each
 _FOREIGN_UNITS = {"_mm": "metres (column names end in _m)", "_cm": "metres (column names end in _m)"}
 
 
@@ -48,17 +48,8 @@ def read_waypoints(path: str | Path) -> Waypoints:
         WaypointFileError: names file, line and column.
     """
     file = Path(path)
-    try:
-        lines = read_text(file, "utf-8-sig").splitlines()
-        rows = [
-            (number, row)
-            for number, row in enumerate(csv.reader(lines), 1)
-            if any(cell.strip() for cell in row)
-        ]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        text = "comma-separated" if isinstance(error, csv.Error) else "UTF-8"
-        reason = error.strerror if isinstance(error, OSError) else f"it is not {text} text"
-        raise WaypointFileError(f"{file}: cannot read way-points: {reason}") from None
+    with opened_rows(file, WaypointFileError, WAYPOINTS_MOST) as reader:
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     if not rows:
         raise WaypointFileError(
             f"{file}: expected a header line {','.join(POSITION_COLUMNS)}, got an empty file"

@@ -5,7 +5,6 @@ A run file holds unaligned rows, one per cycle; `procedures.gap.timing` aligns t
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from calib.gap.log import LogFileError, Run
 from calib.points.writer import replace_file
 from control.model.arm import Arm
+from control.tables import SAMPLES_MOST, opened_rows
 from procedures.gap.timing import Aligned, Raw, aligned, clocks_of
 
 TIP = ("x_m", "y_m", "z_m")
@@ -54,15 +54,14 @@ class RunFile:
         """Read a run. LogFileError if it is not one that `write` has written."""
         try:
             return RunFile._read(path, joint_count)
-        except (OSError, ValueError, KeyError, IndexError, StopIteration, csv.Error) as error:
+        except (OSError, ValueError, KeyError, IndexError, StopIteration) as error:
             raise LogFileError(
                 f"{path}: not a run of `armwright gap record` ({error or 'empty'}): remove it, and record it again"
             ) from None
 
     @staticmethod
     def _read(path: Path, joint_count: int) -> Raw:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.reader(file)
+        with opened_rows(path, ValueError, SAMPLES_MOST) as reader:
             header = next(reader)
             table = np.array([[float(cell or "nan") for cell in row] for row in reader])
         column = {name: table[:, k] for k, name in enumerate(header)}

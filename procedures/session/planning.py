@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 from calib.errors import SessionError
-from calib.points.reading import opened_text
 from calib.session.moves.free_poses import chosen_free_poses, read_free_poses
 from calib.session.plan import (
     FREE,
@@ -23,6 +22,7 @@ from calib.session.plan import (
 )
 from control.model import table as tables
 from control.model.arm import Arm, Camera, Table
+from control.tables import opened_rows
 
 OPTIONS = ("setups", "points", "repeats", "approaches", "free", "plan", "payload", "seat", "board", "camera")
 MOST_FREE = 500
@@ -96,17 +96,18 @@ def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target,
             raise SessionError(f"--plan sets the points and repeats: omit --{name}")
     angles = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
     targets = []
-    with opened_text(path) as file:
-        reader = csv.DictReader(file)
-        if not {"setup", "point"} <= set(reader.fieldnames or ()):
+    with opened_rows(path, SessionError) as reader:
+        header = next(reader, [])
+        if not {"setup", "point"} <= set(header):
             raise SessionError(f"{path}, line 1: expected the columns setup and point")
-        for row in reader:
+        for cells in filter(None, reader):
+            row = dict(zip_longest(header, cells[: len(header)], fillvalue=""))
             where = f"{path}, line {reader.line_num}"
-            setup, point = (row["setup"] or "").strip(), (row["point"] or "").strip()
-            repeat = (row.get("repeat") or "").strip() or "1"
+            setup, point = row["setup"].strip(), row["point"].strip()
+            repeat = row.get("repeat", "").strip() or "1"
             if not repeat.isdecimal():
                 raise SessionError(f"{where}, column repeat: got {repeat!r}, expected a whole number")
-            q_rad = _posture(where, arm, [row.get(name) or "" for name in angles])
+            q_rad = _posture(where, arm, [row.get(name, "") for name in angles])
             if setup == FREE and q_rad is None:
                 raise SessionError(f"{where}: a free pose needs q1_rad to q{arm.joint_count}_rad")
             targets.append(Target(setup, point, int(repeat), 1, q_rad))

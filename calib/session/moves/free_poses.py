@@ -5,17 +5,17 @@ The choice is the same for the same arm and count.
 
 from __future__ import annotations
 
-import csv
 import math
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.errors import SessionError
-from calib.points.reading import opened_text
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
+from control.tables import opened_rows
 
 CANDIDATES = 4000
 MARGIN = 0.1  # of each joint's range, kept free at either end
@@ -49,12 +49,13 @@ def read_free_poses(path: Path, joint_count: int) -> dict[str, tuple[float, ...]
     """Poses of a file with the columns q1_rad ... and, optionally, point. SessionError names file and line."""
     wanted = [f"q{j}_rad" for j in range(1, joint_count + 1)]
     poses: dict[str, tuple[float, ...]] = {}
-    with opened_text(path) as file:
-        reader = csv.DictReader(file)
-        missing = [name for name in wanted if name not in (reader.fieldnames or ())]
+    with opened_rows(path, SessionError) as reader:
+        header = next(reader, [])
+        missing = [name for name in wanted if name not in header]
         if missing:
             raise SessionError(f"{path}, line 1: required column {missing[0]} is missing")
-        for row in reader:
+        for cells in filter(None, reader):
+            row = dict(zip_longest(header, cells[: len(header)], fillvalue=""))
             name = (row.get("point") or "").strip() or f"f{len(poses) + 1}"
             if name in poses:
                 raise SessionError(f"{path}, line {reader.line_num}: pose {name} appears twice")
