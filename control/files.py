@@ -14,7 +14,6 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
-from io import FileIO
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -214,7 +213,7 @@ def changing(path: Path) -> Iterator[None]:
             return
 
 
-def open_to_append(path: Path, is_alone: bool = False) -> FileIO:
+def open_to_append(path: Path, is_alone: bool = False) -> io.FileIO:
     """Open a file, or make it, for `append_whole`. A link is followed if it is this user's.
 
     NotWritten; BlockingIOError, if another program has it open `is_alone`.
@@ -223,7 +222,7 @@ def open_to_append(path: Path, is_alone: bool = False) -> FileIO:
         if path.is_symlink() and path.lstat().st_uid == os.geteuid():
             path = path.resolve()
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
-        file = FileIO(os.open(path, flags, 0o666), "a+")
+        file = io.FileIO(os.open(path, flags, 0o666), "a+")
     except OSError as error:
         raise NotWritten.of(error, path) from error
     if is_alone:

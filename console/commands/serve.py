@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import sys
 from pathlib import Path
 
 from console.commands.connection import socket_path
@@ -34,6 +35,13 @@ def run(given: argparse.Namespace) -> int:
     rate_Hz = given.rate or min(placed.arm.usual_rate_Hz for placed in cell.arms)
     if given.cell is not None:
         rate_Hz = _rate_for_the_bus(cell, rate_Hz, is_asked=given.rate is not None)
+    if (load := bus_load(cell, rate_Hz)) > USUAL_LOAD:
+        fixed = bus_load(cell, 0.0)
+        good_Hz = (USUAL_LOAD - fixed) / (load - fixed) * rate_Hz
+        sys.stderr.write(
+            f"armwright: --rate {rate_Hz:g}: the boards need {100 * load:.0f} % of their CAN bus, good is up to"
+            f" {100 * USUAL_LOAD:.0f} % (--rate {good_Hz:.0f}): frames may come late, which is a fault\n"
+        )
     ports = {placed.name: camera_port(given, placed.arm) for placed in cell.arms}
     serve(cell, ServeOptions(sockets, Path(given.log), 1.0 / rate_Hz, ports))
     return 0

@@ -1,6 +1,7 @@
 """Calls ruckig, the library for jerk-limited trajectories, so that every way in which it can fail is one error.
 
-Imported by the first motion, because it is slow to import. `intermediate_positions` is never set: the community version sends
+Slow to import, so a client imports it with its first motion; the loop's process does before its first cycle (`prepare`).
+`intermediate_positions` is never set: the community version sends
 them to a remote service.
 """
 
@@ -15,6 +16,13 @@ if TYPE_CHECKING:
 # ruckig 0.19.4 finds no trajectory over exactly 2 a^3 / j^2, where the acceleration limit is touched for no time: 0.05 rad with
 # 10 rad/s^2 and 200 rad/s^3. A little less jerk and it does.
 _JERK_SHARES = (1.0, 1.0 - 1e-7, 1.0 - 1e-4)
+
+
+def prepare() -> None:
+    """Import what motions need now: later it would cost cycles, or fail for want of memory or file descriptors."""
+    import ruckig
+
+    ruckig.Ruckig(1)
 
 
 def calculated(asked: Any, jerk: Sequence[float], what: str) -> "ruckig.Trajectory":

@@ -45,6 +45,7 @@ from control.motion.guard import Guard
 from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import Stop
+from control.motion.trajectory import prepare
 from control.recording.layout import layout_of
 from control.recording.record import NoSink, Recorder, RowSink
 from control.safety.limits import SetPointLimits, UniqueTurn
@@ -88,6 +89,7 @@ def assemble(
 
     `stopwatch_s` and `strain` (control.loop.punctuality) are what the recording says about the process.
     """
+    prepare()
     limits, loads = JointLimits.of(arm), Loads(arm)
     tools = {tool.name: _tool_parts(arm.with_tool(tool.name), limits) for tool in arm.tools}
     names = tuple(f"joint {drive.joint}" for drive in arm.drives)

@@ -55,3 +55,14 @@ def test_what_does_not_fit_a_cell_is_refused(
     assert main(["serve", "--cell", "pair", *arguments]) == 2
     assert said in capsys.readouterr().err
     assert served == []
+
+
+def test_a_rate_that_is_much_for_the_bus_of_one_arm_is_said(
+    served: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["serve", "--arm", "right", "--rate", "1000"]) == 0
+    said = capsys.readouterr().err
+    assert "--rate 1000: the boards need 81 % of their CAN bus, good is up to 70 % (--rate 864)" in said
+    assert main(["serve", "--arm", "right", "--rate", "800"]) == 0
+    assert capsys.readouterr().err == ""
+    assert len(served) == 2
