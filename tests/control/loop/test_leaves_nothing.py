@@ -21,6 +21,7 @@ from procedures.drills.injectors import COMMANDS, NONSENSE
 from tests.cell import PERIOD_S, Cell, holding_cell, open_cell, scenario
 from tests.kinds import ON_BOARDS
 from tests.leftovers import nothing_left_for_the_collector
+from tests.pair import PAIR, holding_pair
 
 FEW, MANY = 60, 20_000  # cycles
 WARM = 260  # until the recorder keeps as many rows as it ever does
@@ -243,6 +244,30 @@ def test_no_client_that_comes_and_goes_leaves_anything(tmp_path: Path, clients: 
             server.close()
             for client in waiting:
                 client.close()
+
+
+def test_two_arms_on_one_runtime_leave_nothing() -> None:
+    """Moved and stopped together, one stopped by the other's fault, and refused beside it."""
+    with holding_pair() as pair:
+        begun = {"do": "move_together", "moves": {arm: {"q_rad": [0.1, 0.1, 0.7]} for arm in pair.clients}}
+        requests = (
+            begun,
+            {"do": "stop"},
+            begun,
+            {"do": "acknowledge"},
+            {"do": "status"},
+            {"do": "home", "again": True},
+        )
+        seen = set()
+        with nothing_left_for_the_collector():
+            for number in range(80):
+                if number == 40:
+                    pair.rig.wires.serial[0].vanish()
+                for channel in pair.channels.values():
+                    channel.request(requests[number // 4 % len(requests)])
+                pair.run(pair.assembly.runtime.period_s)
+                seen |= {pair.mode(arm) for arm in PAIR.names}
+        assert {Mode.MOVING, Mode.STOPPING, Mode.FAULT} <= seen
 
 
 # ---- errors of the program itself
