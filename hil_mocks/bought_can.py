@@ -11,7 +11,7 @@ from control.model.arm import Drive
 from control.model.description import Arm
 from firmware_iface.link import CanFormat
 from hil_mocks.devices import cia402_drive, moteus, odrive, vesc
-from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
+from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.motor_inputs import Frame, Output
 from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
@@ -67,6 +67,8 @@ class CanKind(NamedTuple):
 
 
 def _cia402(node: int, joint: int, drive: Drive, shaft: Shaft) -> Cia402Mock:
+    """Every second joint has an EPOS4, the others a plain drive."""
+    is_epos4 = joint % 2 == 1
     setup = Cia402Setup(
         node=node,
         serial_number=0xC402_0000 + joint,
@@ -74,6 +76,7 @@ def _cia402(node: int, joint: int, drive: Drive, shaft: Shaft) -> Cia402Mock:
         torque_constant_Nm_A=drive.torque_constant_Nm_A,
         resistance_ohm=drive.resistance_ohm,
         current_limit_A=drive.current_limit_A,
+        **({"vendor": MAXON, "product": EPOS4} if is_epos4 else {}),
     )
     return Cia402Mock(setup, shaft.own_count)
 

@@ -1,5 +1,6 @@
 """One CiA 402 drive (IEC 61800-7-201) on a CANopen bus, seen from the host: SDO configuration, PDOs at SYNC, states."""
 
+import contextlib
 import math
 import struct
 from dataclasses import dataclass
@@ -26,7 +27,8 @@ CONTROLWORD, STATUSWORD = Entry(0x6040, 0, "u16"), Entry(0x6041, 0, "u16")
 MODE = Entry(0x6060, 0, "i8")
 POSITION, TARGET_POSITION = Entry(0x6064, 0, "i32"), Entry(0x607A, 0, "i32")
 TORQUE, TARGET_TORQUE = Entry(0x6077, 0, "i16"), Entry(0x6071, 0, "i16")
-RATED_TORQUE, MAX_TORQUE = Entry(0x6076, 0, "u32"), Entry(0x6072, 0, "u16")
+RATED_CURRENT, RATED_TORQUE = Entry(0x6075, 0, "u32"), Entry(0x6076, 0, "u32")
+MAX_TORQUE = Entry(0x6072, 0, "u16")
 SUPPLY, INPUTS = Entry(0x6079, 0, "u32"), Entry(0x60FD, 0, "u32")
 CYCLE_TIME, CYCLE_UNIT = Entry(0x60C2, 1, "u8"), Entry(0x60C2, 2, "i8")
 QUICK_STOP_WITHOUT_HOST, STAY_IN_QUICK_STOP = 3, 6  # of options 0x6007 and 0x605A
@@ -34,8 +36,29 @@ EVERY_SYNC = 1  # transmission type
 _RPDO_1 = struct.Struct("<Hbi")
 _RPDO_2 = struct.Struct("<h")
 _TPDO_1 = struct.Struct("<Hih")
-_TPDO_2 = struct.Struct("<II")
+_TPDO_2 = {(SUPPLY, INPUTS): struct.Struct("<II"), (INPUTS,): struct.Struct("<I")}
+SUPPLY_EVERY_s = 0.1  # where it is asked for by SDO; far below the time in which `[limits]` wants to know it
 HOME_INPUT = 1 << 2  # of 0x60FD
+
+
+@dataclass(frozen=True, slots=True)
+class Maker:
+    """How a maker's drives depart from CiA 402: unit of 0x6076; rated current, supply and limit of the current by own objects.
+
+    `most` limits the current in mA, where 0x6072 does it in 1/1000 of the rated torque.
+    """
+
+    rated_torque_unit_Nm: float = 1e-3
+    rated_current: Entry = RATED_CURRENT  # mA
+    supply: Entry | None = None  # where 0x6079 does not exist, by SDO
+    supply_unit_mV: int = 1
+    most: Entry | None = None
+
+
+# By vendor id, 0x1018:01. maxon: EDS of the EPOS4, firmware 0x0170, which has neither 0x6072 nor 0x6075 nor 0x6079.
+MAKERS: Final = {
+    0x0000_00FB: Maker(1e-6, Entry(0x3001, 1, "u32"), Entry(0x2200, 1, "u16"), 100, Entry(0x3001, 2, "u32"))
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +94,11 @@ class Cia402Drive:
         self.resets = 0
         self._heartbeat_ms = 0  # between its heartbeats, once it is set up
         self.identity: DriveIdentity | None = None
-        self.rated_torque_Nm = math.nan
+        self.rated_torque_Nm = self.rated_current_A = math.nan
+        """The current is NaN where the drive does not say it."""
+        self._maker = Maker()
+        self._slow: tuple[Entry, ...] = (SUPPLY, INPUTS)  # as TPDO 2 is mapped
+        self._supply_asked_at_s = -math.inf
         self._bus = bus
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         self._answers: dict[tuple[int, int], wire.SdoAnswer] = {}
@@ -123,17 +150,36 @@ class Cia402Drive:
         """Cyclic synchronous torque, in 1/1000 of the rated torque."""
         self._send(CYCLIC_TORQUE, self.count, min(max(permille, -32768), 32767))
 
-    def limit_torque(self, permille: int) -> None:
-        """At most so much of the rated torque, in every mode: told until the drive confirms it; does not wait."""
+    def ask_supply(self) -> None:
+        """Ask for the supply from time to time, where it cannot be mapped; does not wait."""
+        entry = self._maker.supply
+        if entry is None or SUPPLY in self._slow:
+            return
+        if (answer := self._answers.pop((entry.at, entry.sub), None)) is not None and not answer.abort:
+            self.supply_mV = wire.unpacked(entry.kind, answer.data) * self._maker.supply_unit_mV
         now_s = self._bus.clock.now_s()
-        answer = self._answers.pop((MAX_TORQUE.at, MAX_TORQUE.sub), None)
+        if now_s - self._supply_asked_at_s >= SUPPLY_EVERY_s and self._asked_max is None:
+            self._supply_asked_at_s = now_s
+            self._bus.link.send(wire.SDO_REQUEST + self.node, wire.read_request(entry))
+
+    @property
+    def force_limit(self) -> Entry:
+        """The object that limits torque or current in every mode."""
+        return self._maker.most or MAX_TORQUE
+
+    def limit_current(self, current_A: float, permille_per_A: float) -> None:
+        """At most so much current, in every mode: told until the drive confirms it; does not wait."""
+        entry = self.force_limit
+        permille = max(round(current_A * (permille_per_A if self._maker.most is None else 1e3)), 1)
+        now_s = self._bus.clock.now_s()
+        answer = self._answers.pop((entry.at, entry.sub), None)
         if answer is not None and self._asked_max is not None:
             self._max_torque = None if answer.abort else self._asked_max[0]
             self._asked_max = None
         is_told = self._asked_max is not None and now_s - self._asked_max[1] < ANSWER_TIMEOUT_s
         if self._max_torque != permille and not is_told:
             self._asked_max = permille, now_s
-            self._bus.link.send(wire.SDO_REQUEST + self.node, wire.write_request(MAX_TORQUE, permille))
+            self._bus.link.send(wire.SDO_REQUEST + self.node, wire.write_request(entry, permille))
 
     def quick_stop(self) -> None:
         """Quick stop: the drive slows down by its own ramp and holds."""
@@ -158,7 +204,10 @@ class Cia402Drive:
         profile = self.read(DEVICE_TYPE) & 0xFFFF
         parts = (self.read(entry) for entry in (VENDOR, PRODUCT, REVISION, SERIAL))
         self.identity = DriveIdentity(profile, *parts)
-        self.rated_torque_Nm = self.read(RATED_TORQUE) * 1e-3
+        self._maker = MAKERS.get(self.identity.vendor, Maker())
+        self.rated_torque_Nm = self.read(RATED_TORQUE) * self._maker.rated_torque_unit_Nm
+        with contextlib.suppress(RequestRefused):
+            self.rated_current_A = self.read(self._maker.rated_current) * 1e-3
         self._is_known = True
         return self.identity
 
@@ -186,7 +235,7 @@ class Cia402Drive:
         self._map(0x1400, 0x1600, wire.RPDO_1, (CONTROLWORD, MODE, TARGET_POSITION))
         self._map(0x1401, 0x1601, wire.RPDO_2, (TARGET_TORQUE,))
         self._map(0x1800, 0x1A00, wire.TPDO_1, (STATUSWORD, POSITION, TORQUE))
-        self._map(0x1801, 0x1A01, wire.TPDO_2, (SUPPLY, INPUTS))
+        self._map_slow_values()
         self.write(CYCLE_TIME, max(1, round(period_s * 1e3)))
         self.write(CYCLE_UNIT, -3)
         self.write(QUICK_STOP_OPTION, STAY_IN_QUICK_STOP)
@@ -197,6 +246,15 @@ class Cia402Drive:
         self._bus.heartbeat()
         self._bus.nmt(NmtCommand.START, self.node)
         self.state = self._max_torque = self._asked_max = None
+
+    def _map_slow_values(self) -> None:
+        """The supply where the drive has it as CiA 402 does, and the inputs."""
+        try:
+            self._slow = (SUPPLY, INPUTS)
+            self._map(0x1801, 0x1A01, wire.TPDO_2, self._slow)
+        except RequestRefused:
+            self._slow = (INPUTS,)
+            self._map(0x1801, 0x1A01, wire.TPDO_2, self._slow)
 
     def _map(self, communication: int, mapping: int, base: int, entries: tuple[Entry, ...]) -> None:
         """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid."""
@@ -284,8 +342,11 @@ class Cia402Drive:
             self.state = STATE_OF_STATUSWORD[self.statusword & 0xFF]
 
     def _take_slow_values(self, payload: bytes, now_s: float) -> None:
-        if len(payload) == _TPDO_2.size:
-            self.supply_mV, self._inputs = _TPDO_2.unpack(payload)
+        layout = _TPDO_2[self._slow]
+        if len(payload) == layout.size:
+            *supply_mV, self._inputs = layout.unpack(payload)
+            if supply_mV:
+                self.supply_mV = supply_mV[0]
 
     def _take_emergency(self, payload: bytes, now_s: float) -> None:
         if len(payload) >= 2 and (code := int.from_bytes(payload[:2], "little")):

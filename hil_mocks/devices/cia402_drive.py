@@ -21,7 +21,11 @@ OVER_CURRENT, OVER_HEATED, SUPPLY_LOW, HEARTBEAT_LOST = 0x2310, 0x4310, 0x3220, 
 _LOWEST_SUPPLY_V = 9.0
 _FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i"}
 NO_OBJECT, NO_SUB, READ_ONLY, LENGTH, STATE = 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x08000022
-_READ_ONLY = {0x1000, 0x1018, 0x603F, 0x6041, 0x6061, 0x6064, 0x606C, 0x6076, 0x6077, 0x6079, 0x60FD, 0x6502}
+NOT_MAPPABLE = 0x06040041
+MAXON, EPOS4 = 0x0000_00FB, 0x6050_0000
+_READ_ONLY = {
+    0x1000, 0x1018, 0x2200, 0x603F, 0x6041, 0x6061, 0x6064, 0x606C, 0x6075, 0x6076, 0x6077, 0x6079, 0x60FD, 0x6502,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +38,19 @@ class Cia402Setup:
     torque_constant_Nm_A: float
     resistance_ohm: float
     current_limit_A: float
-    rated_torque_mNm: int = 500
-    vendor: int = 0x0000_00FB
-    product: int = 0x6050_0000
+    rated_torque_Nm: float = 0.5
+    vendor: int = 0x0000_0402
+    product: int = 0x0000_0001
+
+    @property
+    def is_epos4(self) -> bool:
+        """Whether its dictionary is that of maxon's EDS (EPOS4, firmware 0x0170) and not the plain one of CiA 402."""
+        return self.vendor == MAXON
+
+    @property
+    def rated_current_A(self) -> float:
+        """With which the motor gives its rated torque."""
+        return self.rated_torque_Nm / self.torque_constant_Nm_A
 
 
 class Cia402Mock:
@@ -52,8 +66,10 @@ class Cia402Mock:
 
     @property
     def limit_A(self) -> float:
-        """The smaller of its current limit and its maximum torque."""
-        torque_Nm = self.objects[0x6072, 0][1] * 1e-6 * self.setup.rated_torque_mNm
+        """The smaller of its current limit and what the host allows."""
+        if self.setup.is_epos4:
+            return min(self.setup.current_limit_A, self.objects[0x3001, 2][1] * 1e-3)
+        torque_Nm = self.objects[0x6072, 0][1] * 1e-3 * self.setup.rated_torque_Nm
         return min(self.setup.current_limit_A, torque_Nm / self.setup.torque_constant_Nm_A)
 
     def power_up(self, now_s: float | None = None) -> None:
@@ -98,6 +114,8 @@ class Cia402Mock:
                 return self._torque_permille
             case 0x6079:
                 return round(self._supply_V * 1e3)
+            case 0x2200:
+                return round(self._supply_V * 10) if sub else 1
             case 0x60FD:
                 return 4 if self.is_home else 0
             case 0x603F:
@@ -185,6 +203,8 @@ class Cia402Mock:
             and (value >> 16, value >> 8 & 0xFF) not in self.objects
         ):
             return NO_OBJECT
+        if 0x1A00 <= at <= 0x1BFF and sub and value >> 16 == 0x2200:
+            return NOT_MAPPABLE
         self._write(at, sub, kind, value)
         return 0
 
@@ -240,7 +260,7 @@ class Cia402Mock:
         """Run one control period."""
         step_s = 0.001 if self._last_s is None else now_s - self._last_s
         self._last_s, self._supply_V = now_s, supply_V
-        rated_Nm = self.setup.rated_torque_mNm * 1e-3
+        rated_Nm = self.setup.rated_torque_Nm
         torque = round(1e3 * current_A * self.setup.torque_constant_Nm_A / rated_Nm)
         self._torque_permille = min(max(torque, -32768), 32767)
         if self.state is State.NOT_READY:
@@ -289,7 +309,7 @@ class Cia402Mock:
     def _by_mode(self, step_s: float) -> Output:
         match self.objects[0x6060, 0][1]:
             case 10:
-                torque_Nm = self.objects[0x6071, 0][1] * 1e-6 * self.setup.rated_torque_mNm
+                torque_Nm = self.objects[0x6071, 0][1] * 1e-3 * self.setup.rated_torque_Nm
                 limit_A = self.setup.current_limit_A
                 current_A = torque_Nm / self.setup.torque_constant_Nm_A
                 return Output("current", min(max(current_A, -limit_A), limit_A))
@@ -331,8 +351,8 @@ def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
         (0x1018, 3): ("u32", 0x0001_0000), (0x1018, 4): ("u32", setup.serial_number),
         (0x6007, 0): ("i16", 1), (0x603F, 0): ("u16", 0), (0x6040, 0): ("u16", 0), (0x6041, 0): ("u16", 0),
         (0x605A, 0): ("i16", 2), (0x6060, 0): ("i8", 0), (0x6061, 0): ("i8", 0), (0x6064, 0): ("i32", 0),
-        (0x606C, 0): ("i32", 0), (0x6071, 0): ("i16", 0), (0x6072, 0): ("u16", 10_000),
-        (0x6076, 0): ("u32", setup.rated_torque_mNm), (0x6077, 0): ("i16", 0), (0x6079, 0): ("u32", 0), (0x607A, 0): ("i32", 0),
+        (0x606C, 0): ("i32", 0), (0x6071, 0): ("i16", 0), (0x6077, 0): ("i16", 0), (0x607A, 0): ("i32", 0),
+        **(_of_epos4(setup) if setup.is_epos4 else _plain(setup)),
         (0x60C2, 0): ("u8", 2), (0x60C2, 1): ("u8", 1), (0x60C2, 2): ("i8", -3),
         (0x60FD, 0): ("u32", 0), (0x60FF, 0): ("i32", 0), (0x6502, 0): ("u32", 0x0380),
     }  # fmt: skip
@@ -344,6 +364,24 @@ def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
             objects[mapping + pdo, 0] = ("u8", 0)
             objects.update({(mapping + pdo, sub): ("u32", 0) for sub in range(1, 9)})
     return objects
+
+
+def _plain(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
+    """Maximum torque, rated current (mA) and torque (mNm), supply (mV), as CiA 402 has them."""
+    return {
+        (0x6072, 0): ("u16", 10_000), (0x6075, 0): ("u32", round(1e3 * setup.rated_current_A)),
+        (0x6076, 0): ("u32", round(1e3 * setup.rated_torque_Nm)), (0x6079, 0): ("u32", 0),
+    }  # fmt: skip
+
+
+def _of_epos4(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
+    """The same as maxon has it: nominal current and limit (mA), torque constant (uNm/A), rated torque (uNm), supply (0.1 V)."""
+    return {
+        (0x2200, 0): ("u8", 1), (0x2200, 1): ("u16", 0), (0x3001, 0): ("u8", 5),
+        (0x3001, 1): ("u32", round(1e3 * setup.rated_current_A)), (0x3001, 2): ("u32", round(1e3 * setup.current_limit_A)),
+        (0x3001, 3): ("u8", 1), (0x3001, 4): ("u16", 100), (0x3001, 5): ("u32", round(1e6 * setup.torque_constant_Nm_A)),
+        (0x6076, 0): ("u32", round(1e6 * setup.rated_torque_Nm)),
+    }  # fmt: skip
 
 
 def _packed(kind: str, value: int) -> bytes:

@@ -175,7 +175,7 @@ def cia402(content: bytes) -> None:
     _converse(asked)
 
     def cycle() -> None:
-        drive.limit_torque(500)
+        drive.limit_current(5.0, 100.0)
         drive.step_towards(State.OPERATION_ENABLED)
         bus.flush()
         bus.update()

@@ -26,7 +26,7 @@ from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_can
 from firmware_iface.canopen.bus import CanOpenBus
-from firmware_iface.canopen.drive import MAX_TORQUE, Cia402Drive
+from firmware_iface.canopen.drive import Cia402Drive
 from firmware_iface.clock import Clock
 from firmware_iface.errors import WrongIdentity
 from firmware_iface.link import FrameLink
@@ -34,6 +34,7 @@ from firmware_iface.motor.cia402 import State
 
 PROFILE = 402
 HEARTBEATS = 4  # within the drives' time-out
+ALIKE = 30.0  # times: a unit mistaken in the drive or in arm.toml is a thousand
 # Error codes of CiA 402 and CiA 301 by their first digits, as the loop's faults; the rest counts as a bad encoder or sensor.
 _FAULT_OF = (
     (0x2000, 0xF000, OVER_CURRENT),
@@ -68,6 +69,7 @@ class Cia402Joint:
     def take(self, feedback: Feedback) -> None:
         """Write torque as current, supply and state."""
         drive, joint = self._drive, self._joint
+        drive.ask_supply()
         feedback.reply_at_s[joint] = drive.at_s
         if drive.state is None:
             feedback.statusword[joint] = 0
@@ -152,12 +154,12 @@ class Cia402Joint:
         """The encoder's offset is used with every set-point."""
 
     def require_force_limit(self) -> None:
-        """Raise RequestRefused if the drive has no torque limit (0x6072)."""
-        self._drive.read(MAX_TORQUE)
+        """Raise RequestRefused if the drive has no limit of its torque or current."""
+        self._drive.read(self._drive.force_limit)
 
     def limit_force(self, current_A: float) -> None:
         """At most so much current from now on; does not wait."""
-        self._drive.limit_torque(max(round(current_A * self._permille_per_A), 1))
+        self._drive.limit_current(current_A, self._permille_per_A)
 
     def emergency_stop(self) -> None:
         """Quick stop: the drive slows down and holds until it is acknowledged."""
@@ -183,6 +185,18 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
         )
 
 
+def _require_same_motor(node: Cia402Drive, drive: Drive) -> None:
+    """WrongIdentity where rated torque and current of the drive contradict arm.toml: torques would be a thousandfold."""
+    by_current_Nm = node.rated_current_A * drive.torque_constant_Nm_A
+    if math.isnan(by_current_Nm) or 1.0 / ALIKE < by_current_Nm / node.rated_torque_Nm < ALIKE:
+        return
+    raise WrongIdentity(
+        f"{node.where}: its motor rated torque (0x6076) is {node.rated_torque_Nm:.3g} N m, but its rated current"
+        f" {node.rated_current_A:.3g} A times torque_constant_Nm_A makes {by_current_Nm:.3g} N m: correct the motor's data in"
+        " the drive, or torque_constant_Nm_A"
+    )
+
+
 def _open_drive(
     bus: CanOpenBus, described: Board, joint: int, drive: Drive, period_s: float, watchdog_s: float, opened: Opened
 ) -> None:  # fmt: skip
@@ -194,6 +208,7 @@ def _open_drive(
         raise WrongIdentity(
             f"{node.where}: its motor rated torque (0x6076) is 0: set the motor's data in the drive"
         )
+    _require_same_motor(node, drive)
     encoder = NodeEncoder(node, joint, is_asked=True)
     driven = Cia402Joint(node, encoder, joint, drive, period_s, watchdog_s, bus.sync)
     driven.configure(encoder.fresh_count)

@@ -5,8 +5,10 @@ from dataclasses import replace
 import pytest
 
 from control.safety.table import Mode
+from firmware_iface.canopen.drive import MAKERS
 from firmware_iface.errors import ConnectionFailed
 from firmware_iface.vesc import wire
+from hil_mocks.devices.cia402_drive import MAXON
 from hil_mocks.devices.vesc import VescMock, VescSetup
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, open_cell, scenario, with_drives
@@ -37,6 +39,18 @@ def test_a_roboclaw_is_not_told_a_current_beyond_its_peak() -> None:
     with pytest.raises(ConnectionFailed, match=r"current_limit_A = 40 is above the 30 A .*2x15A"), open_cell(
         scenario(), arm, period_s=0.01
     ):  # fmt: skip
+        pass
+
+
+def test_a_drive_whose_rated_torque_and_current_contradict_the_arm_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A rated torque in another unit would make a thousandth, or a thousandfold, of every torque."""
+    monkeypatch.setitem(MAKERS, MAXON, replace(MAKERS[MAXON], rated_torque_unit_Nm=1e-3))
+    with (
+        pytest.raises(ConnectionFailed, match=r"rated torque \(0x6076\) is 500 N m, but .* makes 0.5 N m"),
+        open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004),
+    ):
         pass
 
 

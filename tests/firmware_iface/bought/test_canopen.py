@@ -12,7 +12,7 @@ from firmware_iface.canopen.drive import STATUSWORD, Cia402Drive
 from firmware_iface.canopen.wire import Entry
 from firmware_iface.errors import BoardFaulted, BoardReset, BoardSilent, MisuseError, RequestRefused
 from firmware_iface.motor.cia402 import State
-from hil_mocks.devices.cia402_drive import Cia402Mock, Cia402Setup
+from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup
 from hil_mocks.devices.motor_states import State as MockState
 
 NODE = 5
@@ -66,8 +66,8 @@ def on(wired: Wire) -> Cia402Drive:
 class Cell:
     """A mock drive on a wire: its control period passes whenever the host waits."""
 
-    def __init__(self) -> None:
-        self.mock = Cia402Mock(Cia402Setup(NODE, 77, 2000, 0.05, 1.0, 10.0), lambda: 0)
+    def __init__(self, **maker: int) -> None:
+        self.mock = Cia402Mock(Cia402Setup(NODE, 77, 2000, 0.05, 1.0, 10.0, **maker), lambda: 0)
         self.states: list[MockState] = []
         self.wired = Wire(self._answer)
         self.bus = CanOpenBus(self.wired, self.wired)
@@ -134,6 +134,31 @@ def test_the_drive_is_brought_to_operation_at_its_present_position(cell: Cell) -
     assert (0x205, bytes.fromhex("0f 00 08 00 00 00 00")) in sent
     cell.drive.command_position(-2)
     assert cell.wired.sent[-1] == golden("RPDO 1 enable operation, CSP, -2")
+
+
+@pytest.mark.parametrize(
+    ("maker", "limit"), [({}, ((0x6072, 0), 800)), ({"vendor": MAXON, "product": EPOS4}, ((0x3001, 2), 8000))]
+)
+def test_each_drive_is_asked_for_what_it_has(
+    maker: dict[str, int], limit: tuple[tuple[int, int], int]
+) -> None:
+    """Rated torque 0.5 N m and 10 A, supply and limit of the current: by CiA 402, and by maxon's EDS of the EPOS4."""
+    cell = Cell(**maker)
+    cell.drive.identify()
+    cell.drive.set_up(0.002, 0.2)
+    assert cell.drive.rated_torque_Nm == pytest.approx(0.5)
+    assert cell.drive.rated_current_A == pytest.approx(10.0)
+    for _ in range(6):
+        cell.drive.ask_supply()
+        cell.cycle(State.OPERATION_ENABLED)
+    assert cell.drive.supply_mV == 24_000
+    cell.mock.is_home = True
+    cell.drive.limit_current(8.0, 100.0)
+    for _ in range(2):
+        cell.cycle(State.OPERATION_ENABLED)
+    assert cell.drive.is_switch_on
+    assert cell.mock.objects[limit[0]][1] == limit[1]
+    assert cell.mock.limit_A == pytest.approx(8.0)
 
 
 def test_a_fault_reset_never_leads_into_operation(cell: Cell) -> None:
