@@ -9,21 +9,22 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from typing import ClassVar
 
 from console import options
-from console.specs.table import COMMANDS
+from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
 from control.plain_text import prepare_streams
 from firmware_iface import interrupts
 
 
 class _CommandLine(argparse.ArgumentParser):
-    """Answers an unknown command with those that are spelt like it, not with all sixty."""
+    """Answers an unknown command with those for that task, or spelt like it, not with all sixty."""
 
     def _check_value(self, action: argparse.Action, value: str) -> None:
         if isinstance(action, argparse._SubParsersAction) and value not in action.choices:
             from difflib import get_close_matches
 
-            near = " or ".join(get_close_matches(value, action.choices, 2))
+            near = " or ".join(FOR_TASKS.get(value.lower()) or get_close_matches(value, action.choices, 2))
             meant = f" (did you mean {near}?)" if near else ""
             raise argparse.ArgumentError(
                 action, f"no command {value!r}{meant}; `armwright --help` lists them"
@@ -31,11 +32,22 @@ class _CommandLine(argparse.ArgumentParser):
         super()._check_value(action, value)
 
 
+class _ByJob(argparse.HelpFormatter):
+    """Lists the commands under their jobs."""
+
+    _titles: ClassVar = {group[0].name: title for title, group in GROUPS.items()}
+
+    def _format_action(self, action: argparse.Action) -> str:
+        title = self._titles.get(str(action.metavar)) if not action.option_strings else None
+        return (f"\n  {title}:\n" if title else "") + super()._format_action(action)
+
+
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = _CommandLine(
         prog="armwright",
         description="Control runtime, mock robot and calibration for a self-built robot arm.",
+        formatter_class=_ByJob,
         epilog="`armwright demo` shows the full workflow on a mock arm. Every command has its own --help.",
     )
     top.add_argument("--version", action="store_true", help="print the version and exit")

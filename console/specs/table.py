@@ -1,4 +1,4 @@
-"""Every subcommand, in the order of `armwright --help`."""
+"""Every subcommand, in the order of `armwright --help`, by job."""
 
 from console.specs.assessing import ASSESSING
 from console.specs.bringup import BRINGUP
@@ -13,17 +13,29 @@ from console.specs.recording import RECORDING
 from console.specs.trying import TRYING
 from console.specs.visualisation import VISUALISATION
 
-COMMANDS = (
-    *TRYING,
-    *BRINGUP,
-    *OPERATING,
-    *CELLS,
-    *END_EFFECTOR,
-    *RECORDING,
-    *CALIBRATING,
-    *PLANNING,
-    *ASSESSING,
-    *GAP,
-    *FILES,
-    *VISUALISATION,
-)
+GROUPS = {
+    "try it without an arm": TRYING,
+    "set up an arm": BRINGUP,
+    "operate it": (*OPERATING, *CELLS, *END_EFFECTOR),
+    "calibrate it": (*RECORDING, *CALIBRATING),
+    "know how far to trust it": (*ASSESSING, *PLANNING),
+    "find what the model lacks": GAP,
+    "files and recordings": (*FILES, *VISUALISATION),
+}
+COMMANDS = tuple(command for group in GROUPS.values() for command in group)
+
+FOR_TASKS = {
+    "accuracy": ("verify", "trust", "iso9283"), "animate": ("view",), "backlash": ("gap",), "boards": ("check", "doctor"),
+    "can": ("doctor", "check"), "cell": ("serve", "together"), "connect": ("check", "serve"), "convert": ("export", "export-arm"),
+    "create": ("new",), "csv": ("export", "import-capture"), "drift": ("trend", "check-up"), "e-stop": ("stop",),
+    "emergency": ("stop",), "exit": ("off",), "foxglove": ("view", "export"), "friction": ("gap", "bringup"), "gains": ("tune",),
+    "grip": ("gripper",), "gui": ("console",), "identify": ("calibrate", "gap"), "import": ("new", "import-capture"),
+    "init": ("new",), "learn": ("export",), "log": ("export", "plot"), "measure": ("session", "iso9283"),
+    "mjcf": ("new", "export-arm"), "path": ("run", "plan-path"), "pid": ("tune",), "place": ("mark", "go"),
+    "points": ("session", "calibrate"), "pose": ("mark", "status"), "power": ("enable", "off"), "quit": ("off",),
+    "record": ("gap", "session"), "report": ("calibrate", "verify"), "reset": ("acknowledge",), "setup": ("new", "bringup"),
+    "shutdown": ("off",), "sim": ("mock",), "simulate": ("mock",), "speed": ("override",), "start": ("serve", "enable"),
+    "state": ("status",), "test": ("doctor", "drill"), "ui": ("console",), "urdf": ("new", "export-arm"), "video": ("view",),
+    "waypoints": ("teach", "run"), "wiring": ("bringup", "doctor"), "zero": ("home",),
+}  # fmt: skip
+"""Words that are no command but a task, and the commands for it."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from console.main import main
+from console.main import main, parser
 from console.options import CommandSpec
-from console.specs.table import COMMANDS
+from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
 from control.model.description import load_arm, save_arm
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
@@ -40,8 +41,8 @@ def test_no_help_imports_anything_heavy_and_each_says_what_its_command_does() ->
     # One process for all: a module that one help had imported would be found by the check after the last.
     program = f"""
 import sys, io, contextlib
-from console.specs.table import COMMANDS
-from console.main import main
+from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
+from console.main import main, parser
 for arguments in [["--help"], *([command.name, "--help"] for command in COMMANDS)]:
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
@@ -85,6 +86,29 @@ def test_a_module_of_several_commands_has_a_line_for_each(name: str) -> None:
 def test_without_a_command_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     assert "usage: armwright" in capsys.readouterr().out
+
+
+def test_the_help_lists_each_command_once_under_its_job() -> None:
+    listed = parser().format_help().partition("COMMAND\n\n")[2].splitlines()
+    under, job = dict[str, str](), ""
+    for line in listed:
+        if found := re.fullmatch(r"  (\S.*):", line):
+            job = found[1]
+        elif found := re.match(r"    (\S+)(  |$)", line):
+            assert found[1] not in under
+            under[found[1]] = job
+    assert under == {command.name: job for job, group in GROUPS.items() for command in group}
+
+
+@pytest.mark.parametrize("word", FOR_TASKS)
+def test_a_word_for_a_task_leads_to_commands_that_there_are(
+    word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert word not in {command.name for command in COMMANDS}
+    assert set(FOR_TASKS[word]) <= {command.name for command in COMMANDS}
+    with pytest.raises(SystemExit):
+        main([word])
+    assert f"did you mean {' or '.join(FOR_TASKS[word])}?" in capsys.readouterr().err
 
 
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
