@@ -9,8 +9,8 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, rotation_of
-from calib.arm_problem.joint_effects import corrections, known_corrections
-from calib.arm_problem.link_bending import known_bending
+from calib.arm_problem.joint_effects import corrections, effect_key, known_corrections
+from calib.arm_problem.link_bending import FLEXURE, known_bending
 from calib.arm_problem.observations import Correction, Observations
 from calib.arm_problem.parameters import Bounds
 from calib.arm_problem.posed import TARGET
@@ -91,11 +91,16 @@ class Choice:
             raise CalibrationError("the base frame cannot be both fixed and free: omit one of the two")
 
 
-def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmProblem:
-    """The identification problem of the points. UnusablePointsError for a pose without a reference."""
+def problem_of(
+    arm: Arm, points: Points, choice: Choice | None = None, shaped: Arm | None = None
+) -> ArmProblem:
+    """The identification problem of the points. UnusablePointsError for a pose without a reference.
+
+    `shaped`: the arm at whose geometry and loads effects are evaluated, such as that of an identification before; else `arm`.
+    """
     wanted = choice or Choice()
     model = ArmModel(arm)
-    observed = observations_of(arm, points, wanted)
+    observed = observations_of(arm, points, wanted, shaped)
     is_tool_free = "tool" in wanted.freed or not arm.tool.known
     tool_m = started_tool(model, observed) if is_tool_free else model.nominal_tool_m
     return ArmProblem(
@@ -108,7 +113,7 @@ def problem_of(arm: Arm, points: Points, choice: Choice | None = None) -> ArmPro
     )
 
 
-def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
+def observations_of(arm: Arm, points: Points, choice: Choice, shaped: Arm | None = None) -> Observations:
     """Each pose with its reference: the measured tip in the base frame, or the cavity in its board's frame.
 
     Joint angles are encoder angles corrected by the static effects that the arm already has.
@@ -126,15 +131,18 @@ def observations_of(arm: Arm, points: Points, choice: Choice) -> Observations:
         else:
             position[rows] = cavities
             frames.append(frame)
-    bent = known_bending(arm, points.q_rad, points.payload_kg)
+    acting = shaped or arm
+    keys = [effect_key(text, arm) for text in choice.effects]
+    wanted = [link for effect, link in keys if effect == FLEXURE]
+    bent = known_bending(acting, points.q_rad, points.payload_kg, wanted)
     return Observations(
-        frozen(points.q_rad + known_corrections(arm, points, choice.effects)),
+        frozen(points.q_rad + known_corrections(acting, points, choice.effects)),
         frozen(position),
         which,
         tuple(frames),
         points.setup,
         points.point,
-        (*corrections(arm, points, choice.effects), *choice.corrections),
+        (*corrections(acting, points, choice.effects), *choice.corrections),
         None if bent is None else bent.shift,
         *_orientations(arm, points, choice),
         _covariances(arm, points, choice),

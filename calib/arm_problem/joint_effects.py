@@ -1,4 +1,4 @@
-"""Static effects between encoder and joint (docs/formats.md), linear in their parameters: joint = encoder + sum of p * slope.
+"""Static effects (docs/formats.md), linear in their parameters: joint = encoder + sum of p * slope, and likewise the tip.
 
 | effect | what is identified | slope |
 | --- | --- | --- |
@@ -9,6 +9,8 @@
 | joint_compliance | compliance<j> = 1 / stiffness | -gravity torque |
 | | compliance<j>_held = link-side share of friction / stiffness | -held friction |
 | belt_coupling | belt_coupling = ratio | q_2, of joint 3 |
+| thermal_drift | thermal_drift<j> = final angle | 1 - exp(-t / the file's time constant) |
+| link_flexure | flexure<k> = 1 / EI of link k | the beam's displacement and turn: of the tip |
 
 Signs as in control.model.effect_laws; flank, gravity torque and held friction as in control.dynamics.static_pose,
 from currents and directions of the points. How friction is shared between motor and link is unknown, hence the side
@@ -24,13 +26,14 @@ from itertools import chain, repeat
 import numpy as np
 
 from calib.arm_problem.joint_laws import COUPLING, LAWS, RestingPoints
+from calib.arm_problem.link_bending import FLEXURE
 from calib.arm_problem.measured_maps import along
 from calib.arm_problem.observations import Correction
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.points.points import Points
 from control.model.arm import Arm, Effect
-from control.model.effects import COUPLED, EFFECTS, linear_values, moved_joint
+from control.model.effects import COUPLED, EFFECTS, linear_values, moved_joint, place_of
 
 Key = tuple[str, int | None]  # effect and joint
 
@@ -44,24 +47,37 @@ def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correc
     at = RestingPoints(arm, points)
     has = {(effect.effect, effect.joint): effect for effect in arm.effects}
     made = []
-    for key in dict.fromkeys(_key(text, arm.joint_count) for text in wanted):
+    for key in dict.fromkeys(effect_key(text, arm) for text in wanted):
         before = has.get(key)
         starts = linear_values(key[0], before.parameters) if before is not None else ()
         for term, start in zip(LAWS[key[0]], chain(starts, repeat(0.0)), strict=False):
             slope = term.slope(at, key[1] or 0)
             if not term.is_side or slope.any():
-                whole = _of_joint(slope, moved_joint(*key) or 0, arm.joint_count)
-                made.append(Correction(term.name(key[1]), term.unit, whole, term.bound, start))
+                joint = 1 if term.is_of_tip else moved_joint(*key) or 0
+                whole = _of_joint(slope, joint, arm.joint_count)
+                bent = at.bent(key[1] or 0) if term.is_of_tip else None
+                tip, turn = (None, None) if bent is None else map(frozen, bent)
+                made.append(
+                    Correction(
+                        term.name(key[1]), term.unit, whole, term.bound, start, slope_m=tip, turn_rad=turn
+                    )
+                )
     return tuple(made)
 
 
 def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> Array:
-    """Joint minus encoder angles by the arm's own static effects and maps, (m, n) [rad], except effects in `wanted`."""
-    left_out = {_key(text, arm.joint_count) for text in wanted}
+    """Joint minus encoder angles by the arm's own static effects and maps, (m, n) [rad], except effects in `wanted`.
+
+    What a link's bending does is `link_bending.known_bending`.
+    """
+    left_out = {effect_key(text, arm) for text in wanted}
     known = [
         f"{effect.effect}:{effect.joint}" if effect.joint is not None else effect.effect
         for effect in arm.effects
-        if effect.effect in LAWS and (effect.effect, effect.joint) not in left_out
+        if effect.effect in LAWS
+        and effect.effect != FLEXURE
+        and (effect.effect, effect.joint) not in left_out
+        if effect.joint is not None or effect.effect == COUPLING
     ]
     shift = np.zeros(points.q_rad.shape)
     for correction in corrections(arm, points, known):
@@ -85,10 +101,15 @@ def effects_of(values: Mapping[str, float]) -> tuple[Effect, ...]:
 
 
 def with_effects(arm: Arm, values: Mapping[str, float]) -> Arm:
-    """The arm with the effects of these corrections, replacing its own of the same name and joint."""
+    """The arm with the effects of these corrections in place of its own; of these, parameters that are not identified stay."""
+    known = {(effect.effect, effect.joint): effect.parameters for effect in arm.effects}
     replaced = set(_gathered(values))
     others = [effect for effect in arm.effects if (effect.effect, effect.joint) not in replaced]
-    return dataclasses.replace(arm, effects=(*others, *effects_of(values)))
+    found = [
+        Effect(e.effect, e.joint, {**known.get((e.effect, e.joint), {}), **e.parameters})
+        for e in effects_of(values)
+    ]
+    return dataclasses.replace(arm, effects=(*others, *found))
 
 
 def _parameters(effect: str, values: Sequence[float]) -> dict[str, float] | None:
@@ -113,7 +134,7 @@ def unclear_flanks(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[str
     """A sentence for each requested backlash whose flank is unknown in some poses, or never changes."""
     at = RestingPoints(arm, points)
     sentences = []
-    for name, joint in (_key(text, arm.joint_count) for text in wanted):
+    for name, joint in (effect_key(text, arm) for text in wanted):
         if name == "backlash" and joint is not None:
             sentences += _about_flanks(at.resting.flank[:, joint - 1], joint)
     return tuple(sentences)
@@ -135,21 +156,21 @@ def _about_flanks(flank: Array, joint: int) -> list[str]:
     return sentences
 
 
-def _key(text: str, joint_count: int) -> Key:
+def effect_key(text: str, arm: Arm) -> Key:
     """Effect and joint of "backlash:2"."""
     name, colon, number = text.partition(":")
     if name not in LAWS:
         raise CalibrationError(f'effect: expected one of {_choices()}, got "{text}"')
     if name == COUPLING:
-        if colon or joint_count < COUPLED:
+        if colon or arm.joint_count < COUPLED:
             raise CalibrationError(
-                f'effect: expected {COUPLING} without a joint, on an arm of three joints or more, got "{text}" for {joint_count}'
+                f'effect: expected {COUPLING} without a joint, on an arm of three joints or more, got "{text}" for'
+                f" {arm.joint_count}"
             )
         return name, None
-    if not number.isdecimal() or not 1 <= int(number) <= joint_count:
-        raise CalibrationError(
-            f'effect: expected a joint from 1 to {joint_count}, as in {name}:1, got "{text}"'
-        )
+    place, most = place_of(name), len(arm.links) if place_of(name) == "link" else arm.joint_count
+    if not number.isdecimal() or not 1 <= int(number) <= most:
+        raise CalibrationError(f'effect: expected a {place} from 1 to {most}, as in {name}:1, got "{text}"')
     return name, int(number)
 
 

@@ -1,4 +1,4 @@
-"""Static effects between encoder and joint as laws that are linear in their unknowns; `joint_effects` applies them."""
+"""Static effects as laws that are linear in their unknowns; `joint_effects` applies them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.link_bending import FLEXURE, Bending, bending
 from calib.arrays import Array
+from calib.errors import CalibrationError
 from calib.points.points import Points
+from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.dynamics.static_pose import RestingPose, resting
 from control.model.arm import Arm
 from control.model.effect_laws import backlash_rad, compliance_rad
 from control.model.effects import COUPLED_TO
 
 COUPLING: Final = "belt_coupling"
+DRIFT: Final = "thermal_drift"
 SHARE_PARTS: Final = 8
 
 
@@ -50,6 +54,27 @@ class RestingPoints:
         """Friction (m,) that a joint's motor holds."""
         return np.asarray(self.resting.held_Nm[:, joint - 1])
 
+    def warmed(self, joint: int) -> Array:
+        """The share (m,) of its final value that a joint's drift has reached, 0 where no time is known.
+
+        CalibrationError unless the arm's file says how fast: the drift is not linear in its time constant.
+        """
+        given = [e for e in self._arm.effects if (e.effect, e.joint) == (DRIFT, joint)]
+        if not given:
+            raise CalibrationError(
+                f"{DRIFT} of joint {joint}: arm {self._arm.name} has no [[effect]] that says its time_constant_s; `armwright gap`"
+                " finds it"
+            )
+        time = self.points.t_s
+        gone = time - np.nanmin(time) if np.isfinite(time).any() else np.zeros(len(time))
+        return np.nan_to_num(1.0 - np.exp(-gone / given[0].parameters["time_constant_s"]))
+
+    def bent(self, link: int) -> Bending:
+        """What a link's bending does to the tip and to the last link, per 1 / EI."""
+        arm = with_link_inertia(self._arm)
+        loads_kg = np.nan_to_num(self.points.payload_kg) + own_payload_kg(arm)
+        return bending(arm, arm.dh, self.points.q_rad, loads_kg, link)
+
     def led_side(self, joint: int) -> Array:
         """The flank (m,) near which the gear lies after hand guiding, if the motor does not push it, else 0."""
         return self._leaning(joint, self.resting.is_led[:, joint - 1])
@@ -75,9 +100,9 @@ Slope = Callable[[RestingPoints, int], Array]
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One linear parameter: name before and after the joint's number, unit, bound, slope (m,).
+    """One linear parameter: name before and after the number of joint or link, unit, bound, slope (m,) of the joint's angle.
 
-    `is_side`: not part of the effect, and omitted if it has no influence.
+    `is_side`: not part of the effect, and omitted if it has no influence. `is_of_tip`: no joint moves, but a link bends.
     """
 
     head: str
@@ -86,6 +111,7 @@ class Term:
     bound: float
     slope: Slope
     is_side: bool = False
+    is_of_tip: bool = False
 
     def name(self, joint: int | None) -> str:
         """backlash2, eccentricity2_sin, belt_coupling."""
@@ -123,4 +149,6 @@ LAWS: Final[Mapping[str, tuple[Term, ...]]] = {
         Term("compliance", "_held", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.held_Nm(j), 1.0), True),
     ),
     COUPLING: (Term(COUPLING, "", "1", 0.1, lambda at, j: at.q_rad(COUPLED_TO)),),
+    DRIFT: (Term(DRIFT, "", "rad", 0.05, lambda at, j: at.warmed(j)),),
+    FLEXURE: (Term("flexure", "", "1/(N m2)", 0.1, lambda at, k: np.zeros(len(at.points)), is_of_tip=True),),
 }

@@ -10,7 +10,7 @@ A link extends from its joint to the next, or to the tip, including fixed links 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_frames import LinkFrames, link_frames
 from calib.arrays import Array, frozen
+from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.errors import MissingModel
 from control.model.arm import Arm
 
@@ -118,16 +119,17 @@ def _across(vectors: Array, along: Array) -> Array:
     return np.asarray(vectors - np.sum(vectors * along, axis=1, keepdims=True) * along)
 
 
-def known_bending(arm: Arm, q_rad: Array, payload_kg: Array) -> Bending | None:
+def known_bending(
+    arm: Arm, q_rad: Array, payload_kg: Array, left_out: Collection[int | None] = ()
+) -> Bending | None:
     """Displacements of the tip [m] and turns of the last link [rad], (m, 3) each, by the flexures that the arm already has.
 
-    None if it has none.
+    None if it has none besides those of the links `left_out`.
     """
-    known = [one for one in arm.effects if one.effect == FLEXURE and one.joint is not None]
+    known = [one for one in arm.effects if one.effect == FLEXURE and one.joint not in (None, *left_out)]
     if not known:
         return None
-    extra_kg = sum(one.parameters["mass_kg"] for one in arm.effects if one.effect == "payload")
-    loads = np.nan_to_num(payload_kg) + extra_kg
+    arm, loads = with_link_inertia(arm), np.nan_to_num(payload_kg) + own_payload_kg(arm)
     shift, turn = np.zeros((len(q_rad), 3)), np.zeros((len(q_rad), 3))
     for one in known:
         found = bending(arm, arm.dh, q_rad, loads, one.joint or 1)

@@ -18,8 +18,8 @@ class Correction:
     """One effect behind the encoder, linear in its parameter: joint angle = encoder angle + parameter * slope_rad.
 
     `slope_rad` (m, n) per unit of the parameter; e.g. the encoder angle itself for a scale, -flank / 2 for a backlash's
-    width. `slope_m` (m, 3): displacement of the tip by the effect besides joint angles (flexure), base frame. `bound` and
-    `typical` as of a Parameter.
+    width. `slope_m` (m, 3): displacement of the tip by the effect besides joint angles (flexure), and `turn_rad` (m, 3) turn of
+    the last link, base frame. `bound` and `typical` as of a Parameter.
     """
 
     name: str
@@ -29,11 +29,12 @@ class Correction:
     nominal: float = 0.0
     typical: float = 0.0
     slope_m: Array | None = None
+    turn_rad: Array | None = None
 
     def chosen(self, keep: npt.NDArray[np.intp]) -> Correction:
         """The correction at these poses."""
-        slope_m = None if self.slope_m is None else frozen(self.slope_m[keep])
-        return dataclasses.replace(self, slope_rad=frozen(self.slope_rad[keep]), slope_m=slope_m)
+        tip, turn = (None if one is None else frozen(one[keep]) for one in (self.slope_m, self.turn_rad))
+        return dataclasses.replace(self, slope_rad=frozen(self.slope_rad[keep]), slope_m=tip, turn_rad=turn)
 
 
 @dataclass(frozen=True, slots=True)

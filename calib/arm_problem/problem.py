@@ -226,13 +226,19 @@ class ArmProblem:
         by_model[:, :, 1 : self._tool_at : 4] = slopes.by_dh[:, :, 0::4]
         by_model[:, :, 3 : self._tool_at : 4] = slopes.by_dh[:, :, 2::4]
         theta = list(self.model.theta_places)
+        bent = (
+            np.zeros((len(rows), 3))
+            if self.observed.known_turn_rad is None
+            else self.observed.known_turn_rad[rows]
+        )
         for place, correction in enumerate(self.observed.corrections, self._corrections_at):
             by_model[:, :, place] = np.einsum("rij,rj->ri", by_model[:, :, theta], correction.slope_rad[rows])
+            if correction.turn_rad is not None:  # some mrad at most: turns add up
+                by_model[:, :, place] += correction.turn_rad[rows]
+                bent = bent + values[place - self._corrections_at] * correction.turn_rad[rows]
         measured, by_measured = self._measured_turns(moves, rows)
         scaled = [part[:, :, self._places] * self._scale for part in (by_model, by_measured)]
-        model = slopes.by_tool
-        if self.observed.known_turn_rad is not None:
-            model = exponentials(self.observed.known_turn_rad[rows]) @ model
+        model = exponentials(bent) @ slopes.by_tool if bent.any() else slopes.by_tool
         return Turns(model, measured, *scaled)
 
     def _measured_turns(self, moves: Array, rows: npt.NDArray[np.intp]) -> tuple[Array, Array]:

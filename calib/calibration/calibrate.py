@@ -13,7 +13,7 @@ from calib.arm_problem.checks import require_usable
 from calib.arm_problem.joint_effects import unclear_flanks, unphysical
 from calib.arm_problem.problem import ArmProblem
 from calib.arm_problem.weighted import usual_noise_m
-from calib.arrays import Array
+from calib.arrays import Array, Mask
 from calib.calibration.outcome import calibrated_arm
 from calib.errors import CalibrationError
 from calib.identify.identification import Identification, identify
@@ -76,13 +76,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
         *unclear_flanks(arm, points, plan.choice.effects),
     ]
     advance("identifying", 0.1)
-    found = identify(
-        problem,
-        objective=plan.objective,
-        starts_count=plan.starts_count,
-        seed=plan.seed,
-        accuracy_limit_m=plan.accuracy_limit_m,
-    )
+    problem, found = identified(arm, points, plan)
     warnings += [
         *unphysical(found.solution.corrections),
         *_about_noise(found),
@@ -106,6 +100,29 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
         judged,
         (*warnings, *reasons),
     )
+
+
+def identified(
+    arm: Arm, points: Points, plan: CalibrationPlan, rows: Mask | None = None
+) -> tuple[ArmProblem, Identification]:
+    """What is identified at the points, or at those of a mask (m,), and its problem.
+
+    Effects of loads follow the geometry: they are evaluated at that of a first identification, as a reader of the file does.
+    """
+
+    def solved(shaped: Arm | None) -> tuple[ArmProblem, Identification]:
+        problem = problem_of(arm, points, plan.choice, shaped)
+        some = problem if rows is None else problem.of_rows(rows)
+        return some, identify(
+            some,
+            objective=plan.objective,
+            starts_count=plan.starts_count if shaped is None else 1,
+            seed=plan.seed,
+            accuracy_limit_m=plan.accuracy_limit_m,
+        )
+
+    problem, found = solved(None)
+    return solved(calibrated_arm(arm, found, points)) if plan.choice.effects else (problem, found)
 
 
 def _about_frame(arm: Arm) -> str:

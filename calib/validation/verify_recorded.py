@@ -13,6 +13,7 @@ from calib.arm_problem.assembly import base_frame_of
 from calib.arm_problem.checks import require_of_arm
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.joint_effects import known_corrections
+from calib.arm_problem.link_bending import known_bending
 from calib.arrays import Array, frozen
 from calib.boards.rigid import best_motion
 from calib.errors import CalibrationError
@@ -47,7 +48,9 @@ def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
 
 def predicted_tips(arm: Arm, points: Points) -> Array:
     """Tips (m, 3) in the base frame from the encoders, with the static effects of the arm's model."""
-    return Kinematics(arm).tips(points.q_rad + known_corrections(arm, points))
+    tips = Kinematics(arm).tips(points.q_rad + known_corrections(arm, points))
+    bent = known_bending(arm, points.q_rad, points.payload_kg)
+    return tips if bent is None else np.asarray(tips + bent.shift)
 
 
 def errors_of(arm: Arm, points: Points) -> Array:

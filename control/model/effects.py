@@ -120,7 +120,11 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         "none", ("ratio",), linear=itself("ratio"), corrected="encoder", moves=COUPLED, follows=COUPLED_TO
     ),
     "thermal_drift": EffectKind(
-        "joint or none", ("final_rad", "time_constant_s"), positive=("time_constant_s",)
+        "joint or none",
+        ("final_rad", "time_constant_s"),
+        positive=("time_constant_s",),
+        linear=itself("final_rad"),
+        alike=("time_constant_s",),
     ),
     "payload": EffectKind("none", ("mass_kg",), linear=itself("mass_kg"), corrected="torque"),
     "coulomb_friction": EffectKind(

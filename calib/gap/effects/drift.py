@@ -21,6 +21,7 @@ from calib.gap.residuals.scene import Response
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import Form, Values
 from calib.gap.signals.terms import Term as Law
+from control.model.effects import EFFECTS
 
 TIME_CONSTANTS_s = np.geomspace(30.0, 30_000.0, 19)  # of poses
 TIMES_SPAN = 1.5  # of a session: a longer time constant bends its course too little to be one
@@ -101,15 +102,20 @@ def _known(series: InSeries, name: EffectName, given: Mapping[str, float]) -> La
     return Law(name, series.form, (given["final_rad"], given["time_constant_s"]))
 
 
+def _parameters(law: Law, covariance: Array) -> Parameters:
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+    return dict(zip(EFFECTS[law.name.effect].required, zip(law.values, sd, strict=False), strict=True))
+
+
 RECORDS = (
     EffectRecord(
         "thermal_drift", role="angle", traits=Traits(blocks="time"),
         poses=InPoses(
-            0.003, _in_poses, "the same reference pose every few minutes, the others in shuffled order", is_total=False
+            0.003, _in_poses, "the same reference pose every few minutes, the others in shuffled order"
         ),
         series=InSeries(
             (_form("thermal_drift", "behind"), _form("thermal_drift seen", "seen")), _in_series, "tip", blocks=("tip time",),
-            over="time", known=_known,
+            over="time", known=_known, parameters=_parameters,
         ),
     ),
 )  # fmt: skip
