@@ -50,7 +50,7 @@ class Level:
     @property
     def is_explained(self) -> bool:
         """Whether nothing is left at this level: only then its silence says something."""
-        return self.finding.unknown is None and self.finding.gap_after <= AT_FLOOR
+        return self.finding.unknown is None and self.finding.unexplained <= AT_FLOOR
 
     def rival_of(self, name: EffectName) -> EffectName | None:
         """What it names in the same role on the same joint in place of `name`."""
@@ -152,7 +152,7 @@ def _named_later(finding: GapFinding, other: Level) -> GapFinding:
     if not any(name in other.names() for names in finding.ambiguous for name in names):
         return finding
     nothing = dict.fromkeys(finding.after_si, math.nan)
-    return dataclasses.replace(finding, gap_after=math.nan, gap_as_written=math.nan, after_si=nothing)
+    return dataclasses.replace(finding, gap_after=math.nan, gap_explained=math.nan, after_si=nothing)
 
 
 def _without(finding: GapFinding, denied: dict[EffectName, str]) -> GapFinding:
@@ -171,7 +171,7 @@ def _without(finding: GapFinding, denied: dict[EffectName, str]) -> GapFinding:
     share = min(1.0, gap_after / finding.gap_before) if finding.gap_before > 0.0 else 1.0
     before_si = {channel: share * value for channel, value in finding.before_si.items()}
     return dataclasses.replace(
-        finding, effects=tuple(effects), gap_after=gap_after, gap_as_written=math.nan, after_si=before_si
+        finding, effects=tuple(effects), gap_after=gap_after, gap_explained=math.nan, after_si=before_si
     )
 
 
@@ -195,7 +195,7 @@ def _merged(
         noise_floor={**dynamic.noise_floor, **static.noise_floor},
         gap_before=math.hypot(static.gap_before, dynamic.gap_before) / math.sqrt(2.0),
         gap_after=math.hypot(static.gap_after, dynamic.gap_after) / math.sqrt(2.0),
-        gap_as_written=math.hypot(static.gap_as_written, dynamic.gap_as_written) / math.sqrt(2.0),
+        gap_explained=math.hypot(static.gap_explained, dynamic.gap_explained) / math.sqrt(2.0),
         before_si={**dynamic.before_si, **static.before_si},
         after_si={**dynamic.after_si, **static.after_si},
         effects=_effects(static, dynamic),
@@ -224,9 +224,9 @@ def _unknown(
 
 
 def _effects(static: GapFinding, dynamic: GapFinding) -> tuple[NamedEffect, ...]:
-    """Those of the poses first; an effect of both with the parameters that are known better, and both in its evidence.
+    """Those of the poses first; an effect of both with their parameters, and both in its evidence.
 
-    The geometry is that of the poses, which the time series were looked at with.
+    The file's geometry is that of the poses, identified beside these parameters; the time series were looked at with it.
     """
     found: dict[EffectName, NamedEffect] = {}
     for effect in (*static.effects, *dynamic.effects):
@@ -234,9 +234,8 @@ def _effects(static: GapFinding, dynamic: GapFinding) -> tuple[NamedEffect, ...]
         if known is None:
             found[effect.name] = effect
         elif effect.name.effect not in GEOMETRY:
-            better = effect if _doubt(effect) < _doubt(known) else known
             evidence = {**effect.evidence, **known.evidence, **_both_values(known, effect)}
-            found[effect.name] = dataclasses.replace(better, evidence=evidence)
+            found[effect.name] = dataclasses.replace(known, evidence=evidence)
     return tuple(found.values())
 
 
@@ -247,12 +246,6 @@ def _both_values(poses: NamedEffect, series: NamedEffect) -> dict[str, float]:
         for name in effect.parameters
         if name in poses.parameters and name in series.parameters
     }
-
-
-def _doubt(effect: NamedEffect) -> float:
-    """The largest standard deviation of its parameters, as a share of their values."""
-    shares = [sd / abs(value) for value, sd in effect.parameters.values() if value and math.isfinite(sd)]
-    return max(shares, default=math.inf)
 
 
 def _nameable(static: GapFinding, dynamic: GapFinding) -> tuple[Nameable, ...]:

@@ -27,7 +27,7 @@ def consistent(found: GapFinding) -> GapFinding:
         found if sets == found.ambiguous else dataclasses.replace(found, ambiguous=sets, next_experiment=MORE)
     )
     is_silent = found.unknown is None and not sets and not found.remainder
-    if is_silent and found.gap_after > PASSED_OVER:
+    if is_silent and found.unexplained > PASSED_OVER:
         return dataclasses.replace(settled, unknown=Unknown(_left(settled), None, 0.0), next_experiment=MORE)
     return settled
 
@@ -41,6 +41,6 @@ def _left(found: GapFinding) -> str:
     }
     seen = {channel: value for channel, value in times.items() if math.isfinite(value)}
     if not seen:
-        return f"{found.gap_after:.1f} times the noise"
+        return f"{found.unexplained:.1f} times the noise"
     channel = max(seen, key=lambda key: seen[key])
     return f"{CHANNELS[channel]}, {seen[channel]:.1f} times the noise"

@@ -14,6 +14,7 @@ from control.model.maps import CorrectionMap
 
 Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
 
+LINK_KEYS = ("d_m", "theta_rad", "L_m", "alpha_rad")  # of a link's deviations, in the order of its DH row
 GEOMETRY = "link_geometry"  # the effect: the links' lengths and axes are others than the model's
 
 
@@ -131,7 +132,8 @@ class GapFinding:
 
     `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else;
     `is_held_out` is False where there were none to spare and the gap is that of what was fitted. `maps`: None if not asked for.
-    `gap_after` counts how each part departs from its law; `gap_as_written` is that of the laws alone, as arm.toml has them.
+    `gap_after` is what arm.toml leaves, read back; `gap_explained` counts how each named part departs from its law, which no file
+    holds.
     """
 
     arm: str
@@ -150,7 +152,12 @@ class GapFinding:
     remainder: tuple[Remainder, ...] = ()
     open_questions: tuple[OpenQuestion, ...] = ()
     maps: MeasuredMaps | None = None
-    gap_as_written: float = math.nan
+    gap_explained: float = math.nan
+
+    @property
+    def unexplained(self) -> float:
+        """The gap beside names and how their parts depart from their laws: what is a riddle, where it is above the noise."""
+        return self.gap_explained if math.isfinite(self.gap_explained) else self.gap_after
 
     @property
     def judged_on(self) -> str:
@@ -174,7 +181,7 @@ def gap_content(found: GapFinding) -> dict[str, object]:
         "gap": {
             "before": _number(found.gap_before),
             "after": _number(found.gap_after),
-            "as_written": _number(found.gap_as_written),
+            "explained": _number(found.gap_explained),
             "before_si": _numbers(found.before_si),
             "after_si": _numbers(found.after_si),
         },

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from calib.gap.finding import GEOMETRY, EffectName, GapFinding, Parameters
+import numpy as np
+
+from calib.gap.finding import GEOMETRY, LINK_KEYS, EffectName, GapFinding, Parameters
 from control.model.arm import Arm, Effect
-from control.model.effects import total
+from control.model.effects import EFFECTS, total
 
 
 def updated_arm(arm: Arm, found: GapFinding) -> Arm:
@@ -20,6 +22,16 @@ def updated_arm(arm: Arm, found: GapFinding) -> Arm:
     gone = {(one.name.effect, one.name.joint) for one in effects if one.is_nothing}
     kept = tuple(one for one in arm.effects if (one.effect, one.joint) not in gone)
     return with_totals(dataclasses.replace(arm, effects=kept, maps=()), named)
+
+
+def with_geometry(arm: Arm, found: GapFinding) -> Arm:
+    """The arm with the deviations of its links that time series showed."""
+    dh = np.array(arm.dh)
+    for one in found.effects:
+        for name, (value, _) in one.parameters.items() if one.name.effect == GEOMETRY else ():
+            link, kind = name.removeprefix("link").split("_", 1)
+            dh[int(link) - 1, LINK_KEYS.index(kind)] += value
+    return arm.with_dh(dh)
 
 
 def effect_of(name: EffectName, parameters: Mapping[str, tuple[float, float]]) -> Effect:
@@ -38,7 +50,7 @@ def with_totals(arm: Arm, found: Sequence[Effect]) -> Arm:
 
 
 def as_totals(arm: Arm, found: GapFinding) -> GapFinding:
-    """A finding of changes beside what the arm's file has, as one of totals."""
+    """A finding of changes beside what the arm's file has, as one of totals; a total that no part can have is none."""
     known = {EffectName(effect.effect, effect.joint): effect.parameters for effect in arm.effects}
     effects = [
         dataclasses.replace(one, parameters=_total(one.name.effect, known[one.name], one.parameters))
@@ -46,7 +58,22 @@ def as_totals(arm: Arm, found: GapFinding) -> GapFinding:
         else one
         for one in found.effects
     ]
+    effects = [
+        one
+        if is_possible(one.name.effect, one.parameters)
+        else dataclasses.replace(one, parameters={}, is_nothing=True)
+        for one in effects
+    ]
     return dataclasses.replace(found, effects=tuple(effects))
+
+
+def is_possible(effect: str, parameters: Parameters) -> bool:
+    """Whether a file may have them: no friction is below nought."""
+    kind = EFFECTS[effect]
+    values = {name: value for name, (value, _) in parameters.items()}
+    return not any(values.get(name, 1.0) <= 0.0 for name in kind.positive) and not any(
+        values.get(name, 0.0) < 0.0 for name in kind.not_negative
+    )
 
 
 def _total(effect: str, known: Mapping[str, float], found: Parameters) -> Parameters:

@@ -65,9 +65,7 @@ def gap_parts(report: GapReport) -> Iterator[Section | str]:
 def _tiles(found: GapFinding) -> Iterator[tuple[str, str, str]]:
     yield "before", f"{found.gap_before:.2f}", f"times the noise before, on {found.judged_on}"
     after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "–"
-    yield "after", after, "times the noise after"
-    if math.isfinite(found.gap_as_written):
-        yield "after", f"{found.gap_as_written:.2f}", "times the noise with arm.toml as written: laws only"
+    yield "after", after, "times the noise that the new arm.toml leaves"
     names = [one for one in found.effects if one.name.effect != "link_geometry"]
     yield "", str(len(names)), f"effect{'s' if len(names) != 1 else ''} named, apart from the geometry"
     yield "", "yes" if found.unknown is not None else "no", "a residual that no known effect explains"

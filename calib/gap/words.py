@@ -10,7 +10,7 @@ from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect, Unk
 
 NEAR = 0.05  # share of what is left: an effect that explains less is not near
 LISTED_MOST = 6  # of names in a sentence
-BEYOND = 1.05  # times the gap after: arm.toml leaves more than what was found does
+BEYOND = 1.05  # times what is left beside departures: arm.toml leaves more
 AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
 
 
@@ -46,7 +46,7 @@ def _sentences(found: GapFinding) -> Iterator[str]:
             "Measured orientations count beside the tip, each by its own noise:"
             f" {1e3 * found.noise_floor['turn_rad']:.2g} mrad about an axis, {1e3 * found.noise_floor['tip_m']:.2g} mm along one."
         )
-    yield from _as_written(found)
+    yield from _departing(found)
     yield from _maps(found)
     blind = [
         one.name for one in found.nameable if not one.is_nameable and one.name not in {n.name for n in named}
@@ -60,12 +60,12 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         yield found.next_experiment
 
 
-def _as_written(found: GapFinding) -> Iterator[str]:
-    """What arm.toml explains, where that is less than what was found."""
-    if found.gap_as_written > AT_FLOOR and found.gap_as_written > BEYOND * found.gap_after:
+def _departing(found: GapFinding) -> Iterator[str]:
+    """How much of what arm.toml leaves is no riddle: named parts depart from their laws."""
+    if found.gap_after > AT_FLOOR and found.gap_after > BEYOND * found.gap_explained:
         yield (
-            f"arm.toml holds the laws without how these parts depart from them: it leaves {found.gap_as_written:.2f} times the"
-            " noise. Measured maps (--map) hold more."
+            "arm.toml holds the laws without how these parts depart from them; with that,"
+            f" {found.gap_explained:.2f} times the noise would be left. Measured maps (--map) hold more."
         )
 
 

@@ -18,7 +18,7 @@ from calib.gap.log import Log, joined_logs, read_log
 from calib.gap.maps.angles import angle_maps
 from calib.gap.maps.outcome import MapsFound
 from calib.gap.maps.torques import torque_maps
-from calib.gap.model_update import as_totals, updated_arm
+from calib.gap.model_update import as_totals, updated_arm, with_geometry
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.report import GapReport, gap_page
@@ -194,7 +194,7 @@ def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
 
 
 def _updated(arm: Arm, found: GapOutcome) -> Arm:
-    shaped = arm if found.static is None else dataclasses.replace(arm, links=found.static.fitted_arm.links)
+    shaped = with_geometry(arm, found.finding) if found.static is None else found.static.file
     return updated_arm(shaped, found.finding)
 
 

@@ -30,7 +30,7 @@ def in_series(record: EffectRecord) -> InSeries:
 
 def size_of_law(around: OperatingPoint, record: EffectRecord, form: Form, key: EffectName) -> float:
     """The usual size of a law on its joint or link."""
-    return in_series(record).usual * typical(around.scene.arm, form, (key.joint or 0) - 1)
+    return in_series(record).usual * typical(around.scene.given_Nm, form, (key.joint or 0) - 1)
 
 
 def made(

@@ -11,13 +11,13 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.arm_problem.assembly import BASE_FRAME, base_frame_of
+from calib.arm_problem.assembly import BASE_FRAME, Choice, base_frame_of
 from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array
 from calib.gap.effects.columns import straight
 from calib.gap.effects.pose_scene import Scene
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries
-from calib.gap.finding import GEOMETRY, EffectName, Parameters
+from calib.gap.finding import GEOMETRY, LINK_KEYS, EffectName, Parameters
 from calib.gap.posterior.coefficients import ToParameters, sized
 from calib.gap.posterior.term import Term
 from calib.gap.signals.terms import Form
@@ -31,9 +31,9 @@ _AXES_OF = {2: (1,), 4: (0, 1)}  # base axes that the geometry cannot take over,
 
 
 def _frame(record: EffectRecord, scene: Scene) -> Iterator[Term]:
-    """One term, unless no tip was measured in the base frame and the board's own place is unknown anyway."""
+    """One term, unless no tip was measured in the base frame, or nothing ties that frame to the arm: then it is placed anyway."""
     arm, points = scene.nominal, scene.points
-    if not np.isfinite(points.tip_m).all():
+    if not np.isfinite(points.tip_m).all() or Choice().for_points(arm, points).freed:
         return
     place = base_frame_of(arm).to_base(points.tip_m)
     columns, turns, sizes = [], [], []
@@ -86,13 +86,10 @@ def beyond_linear_m(one: Term, coefficients: Array, position_m: Array) -> Array:
     return np.asarray(moved - linear)
 
 
-KEYS = ("d_m", "theta_rad", "L_m", "alpha_rad")
-
-
 def _geometry(law: Law, covariance: Array) -> Parameters:
     """Of four deviations a link, those that are not nothing."""
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-    named = {f"link{k // 4 + 1}_{KEYS[k % 4]}": (v, sd[k]) for k, v in enumerate(law.values)}
+    named = {f"link{k // 4 + 1}_{LINK_KEYS[k % 4]}": (v, sd[k]) for k, v in enumerate(law.values)}
     return {name: value for name, value in named.items() if value[0] != 0.0}
 
 

@@ -9,24 +9,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arrays import Array, Mask
+from calib.arm_problem.parameters import dh_names
+from calib.arrays import Mask
 from calib.gap.effects.catalogue import is_load
 from calib.gap.effects.frame import FRAME
 from calib.gap.effects.pose_scene import load_of
 from calib.gap.finding import (
     GEOMETRY,
+    LINK_KEYS,
     EffectName,
     GapFinding,
     NamedEffect,
     Parameters,
 )
-from calib.gap.model_update import updated_arm
-from calib.gap.poses.as_written import left_as_written, without_unnamed
 from calib.gap.poses.cautions import about_fit
 from calib.gap.poses.currents import Currents
 from calib.gap.poses.drawn_laws import drawn_laws
 from calib.gap.poses.experiments import next_experiment, open_questions
+from calib.gap.poses.file import File, placed
 from calib.gap.poses.floor import Floor, noise_floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
 from calib.gap.poses.measured import Fit, Left
@@ -34,17 +34,15 @@ from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import Split
 from calib.gap.poses.remainder import remainders, unknown_part
 from calib.gap.poses.state import Around
-from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, UNSURE, CHANGED_sd
+from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, CHANGED_sd
 from calib.gap.posterior.decide import Decision, share_of
-from calib.gap.posterior.nameable import ODDS, nameable
+from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.parameters import Estimated, estimated
 from calib.gap.posterior.search import Weighed
-from calib.gap.posterior.term import Block, Key, Term
+from calib.gap.posterior.term import Block, Key
 from calib.points.points import Points
 from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
-
-KINDS = ("d_m", "theta_rad", "L_m", "alpha_rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,15 +67,6 @@ class Looked:
         return dataclasses.replace(self, floor=found) if math.isfinite(found.tip_m) else self
 
 
-@dataclass(frozen=True, slots=True)
-class Named:
-    """A name that is given, its estimate, and what is left with it and all names before it in the model."""
-
-    name: EffectName
-    found: Estimated
-    left: Left
-
-
 def answered(
     looked: Looked, around: Around, decision: Decision, warnings: tuple[str, ...], source: str
 ) -> StaticGap:
@@ -85,35 +74,79 @@ def answered(
     best, points, parts = decision.best, looked.points, looked.parts
     decision, estimates, reasons = _borne_out(looked, around, decision)
     left = around.fitted(best)[1]
-    x, _ = around.fitted(without_unnamed(around, best, decision.names))
     floor = looked.refloored(left).floor
     if floor.doubt >= UNMEASURED:
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa)
-    changed = [name for name in decision.names if _is_new(looked.arm, around, best, name, estimates[name])]
+    changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
     order = _ordered(around, best, changed)
-    geometry, stages = _stages(around, best, decision, order)
-    named = [Named(name, estimates[name], left) for name, left in zip(order, stages, strict=True)]
-    nominal = Fit.nominal(problem_of(looked.arm, points)).left()
-    sure = parts.report & ~_unsure(around, [one.found for one in named])
-    effects = [_named(around, decision, one, floor, sure) for one in named]
-    freed = parts.known.sum() * (_square(nominal, floor, parts.known) - _square(geometry, floor, parts.known))
+    decision, files, reasons = _files(looked, decision, {name: estimates[name] for name in order}, reasons)
+    order = [name for name in order if name in decision.names]
+    last, nominal = files[-1], placed(looked.arm, points, parts.known).left()
+    lefts = [one.fit.left() for one in files]
+    told = parts.report & last.told(points)
+    gaps = [left.times(floor.tip_m, floor.turn_rad, told) for left in lefts]
+    effects = [
+        _named(around, decision, last, name, estimates[name], gap)
+        for name, gap in zip(order, gaps[1:], strict=True)
+    ]
+    freed = parts.known.sum() * (_square(nominal, floor, parts.known) - _square(lefts[0], floor, parts.known))
     if 3 * freed > GEOMETRY_PAYS:
-        gap = geometry.times(floor.tip_m, floor.turn_rad, sure)
-        effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(around, best, x), gap))
-    ends = nominal, stages[-1] if stages else geometry
-    finding = _finding(looked, around, decision, reasons, tuple(effects), floor, ends, sure, source)
-    posed = around.state.posed()
-    written = left_as_written(
-        updated_arm(looked.arm.with_dh(posed.problem.solution(x).dh), finding), points, parts.known
+        effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
+    finding = _finding(
+        looked, around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]), told, source
     )
-    as_written = written.times(floor.tip_m, floor.turn_rad, sure)
-    finding = dataclasses.replace(finding, gap_as_written=as_written)
-    warnings += tuple(about_fit(looked.arm, posed.problem, x, floor, around.noise_m * best.kappa))
-    grown = [(str(one.name), one.left.tip_m) for one in named]
+    departing = around.fitted(_named_alone(around, best, decision.names))[1]
+    finding = dataclasses.replace(finding, gap_explained=departing.times(floor.tip_m, floor.turn_rad, told))
+    if (open_count := int((parts.report & ~told).sum())) > 0:
+        warnings += (
+            f"{open_count} of {int(parts.report.sum())} held-out poses do not count: on which flank a loose gear lies there is"
+            " not known",
+        )
+    warnings += tuple(about_fit(looked.arm, last.found, floor, around.noise_m * best.kappa))
+    grown = [(str(name), own.tip_m) for name, own in zip(order, lefts[1:], strict=True)]
     return StaticGap(
-        looked.arm, finding, points, parts, floor, (("nominal", nominal.tip_m), ("link geometry", geometry.tip_m), *grown),
-        posed.problem, x, warnings, looked.out, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m),
+        looked.arm, last.arm, finding, points, parts, floor,
+        (("nominal", nominal.tip_m), ("link geometry", lefts[0].tip_m), *grown), last.fit.problem, last.fit.x, warnings,
+        looked.out, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m),
     )  # fmt: skip
+
+
+def _files(
+    looked: Looked,
+    decision: Decision,
+    found: Mapping[EffectName, Estimated],
+    reasons: Mapping[EffectName, str],
+) -> tuple[Decision, list[File], Mapping[EffectName, str]]:
+    """The file with the geometry alone, then with one name more at a time; without names that it cannot hold."""
+    named = {name: {} if _is_nothing(own) else own.parameters for name, own in found.items()}
+    keys = list(named)
+    files = [
+        File.of(
+            looked.arm,
+            looked.points,
+            looked.parts.known,
+            {key: named[key] for key in keys[:count]},
+            count == len(keys),
+        )
+        for count in range(len(keys) + 1)
+    ]
+    impossible = [name for name in keys if named[name] and not files[-1].has(name)]
+    if not impossible:
+        return decision, files, reasons
+    why = {name: f"{name} comes out as none that can be" for name in impossible}
+    names = tuple(name for name in decision.names if name not in why)
+    decision = dataclasses.replace(
+        decision, names=names, remainders=(*decision.remainders, *((name,) for name in why))
+    )
+    kept = {name: own for name, own in found.items() if name not in why}
+    return _files(looked, decision, kept, {**reasons, **why})
+
+
+def _named_alone(around: Around, best: Weighed, names: Sequence[EffectName]) -> Weighed:
+    """The set without what has no name; its laws depart as they do."""
+    return dataclasses.replace(
+        best, members=tuple(one for one in best.members if around.terms[one[0]].key in names)
+    )
 
 
 def _square(left: Left, floor: Floor, rows: Mask) -> float:
@@ -153,25 +186,21 @@ def _borne_out(
     estimates = {name: estimated(around.evidence, best, name) for name in decision.names}
     kept = [group for group in decision.remainders if _shows_elsewhere(around, best, group)]
     nameless = [k for k, _ in best.members if any(around.terms[k].key in group for group in kept)]
+    there = [*decision.names, *(name for names in decision.ambiguous for name in names)]
     reasons = {
         name: why
         for name, own in estimates.items()
-        if (why := _why_not(around, best, name, own, _is_looked_for(looked, name), nameless))
+        if (why := _why_not(around, best, name, own, _known(looked.arm, name) is not None, nameless, there))
     }
     names = tuple(name for name in decision.names if name not in reasons)
     remainders = (*kept, *((name,) for name in reasons))
     return dataclasses.replace(decision, names=names, remainders=remainders), estimates, reasons
 
 
-def _is_looked_for(looked: Looked, name: EffectName) -> bool:
-    """Whether it is in every set: what the file has, and the frame of tips that nothing ties to the arm."""
-    is_frame = name.effect == FRAME and BASE in Choice().for_points(looked.arm, looked.points).freed
-    return is_frame or _known(looked.arm, name) is not None
-
-
 def _why_not(
-    around: Around, best: Weighed, name: EffectName, own: Estimated, is_known: bool, nameless: Sequence[int]
-) -> str:
+    around: Around, best: Weighed, name: EffectName, own: Estimated, is_known: bool, nameless: Sequence[int],
+    names: Sequence[EffectName],
+) -> str:  # fmt: skip
     """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing."""
     if _is_nothing(own):
         return (
@@ -181,7 +210,7 @@ def _why_not(
         )
     if own.departure > LAW_MOST:
         return f"{name} departs too far from its law"
-    if not is_known and not holds_on_others(around, best, name):
+    if not is_known and not holds_on_others(around, best, name, names):
         return f"{name} does not hold on poses that it was not fitted to"
     if not is_known and _may_be_error_of(around, best, name, nameless):
         return f"{name} is no larger than the error of what has no name"
@@ -217,16 +246,11 @@ def _known(arm: Arm, name: EffectName) -> Effect | None:
     return next((one for one in arm.effects if (one.effect, one.joint) == (name.effect, name.joint)), None)
 
 
-def _is_new(arm: Arm, around: Around, best: Weighed, name: EffectName, found: Estimated) -> bool:
-    """Whether the total differs from what the arm's file has.
-
-    The frame of a camera is in every set, because nobody knows it to the noise: what it adds to the evidence says whether it is
-    another than the file's.
-    """
+def _is_new(arm: Arm, name: EffectName, found: Estimated) -> bool:
+    """Whether the total differs from what the arm's file has."""
     known = _known(arm, name)
     if known is None:
-        gains = {around.terms[k].key: gain for (k, _), gain in zip(best.members, best.gains, strict=True)}
-        return gains[name] > ODDS and not _is_nothing(found)
+        return not _is_nothing(found)
     before = () if is_load(name.effect) else linear_values(name.effect, known.parameters)
     if before:
         return found.differs_from(np.array(before))
@@ -243,64 +267,23 @@ def _ordered(around: Around, best: Weighed, names: Sequence[EffectName]) -> list
     return sorted(present, key=lambda name: -share_of(around.evidence, best, [numbers[name]]))
 
 
-def _unsure(around: Around, found: Sequence[Estimated]) -> Mask:
-    """Poses (m,) in which the flank of a named play is uncertain, within a variant or between them: they say nothing of what
-    is left.
-    """
-    unsure = np.zeros(len(around.points), dtype=bool)
-    for one in found:
-        terms = [around.terms[number] for number, _ in one.variants]
-        weight = np.array([share for _, share in one.variants])
-        if terms[0].doubt is None:
-            continue
-        flank = np.array([_flank(term) for term in terms])
-        doubt = np.array([np.zeros(len(unsure)) if term.doubt is None else term.doubt for term in terms])
-        unsure |= weight @ (doubt + (flank - weight @ flank) ** 2) > UNSURE
-    return unsure if unsure[around.rows].mean() < 0.5 else np.zeros_like(unsure)
-
-
-def _flank(term: Term) -> Array:
-    """What a play of 1 rad does to its joint, (m,)."""
-    return np.zeros(0) if term.slope_rad is None else np.asarray(term.slope_rad[0].sum(axis=1) / term.size)
-
-
-def _stages(
-    around: Around, best: Weighed, decision: Decision, order: Sequence[EffectName]
-) -> tuple[Left, list[Left]]:
-    """What is left with the geometry and what the file has, then with one name more at a time; refitted, no blocks."""
-    keys = {one: around.terms[one[0]].key for one in best.members}
-    unchanged = [name for name in decision.names if name not in order]
-    base = [one for one, key in keys.items() if key in unchanged]
-    grown = [
-        [*base, *(one for one, key in keys.items() if key in order[:count])]
-        for count in range(len(order) + 1)
-    ]
-    first, *others = (around.fitted(dataclasses.replace(best, members=tuple(some)))[1] for some in grown)
-    return first, others
-
-
-def _named(around: Around, decision: Decision, one: Named, floor: Floor, sure: Mask) -> NamedEffect:
+def _named(
+    around: Around, decision: Decision, file: File, name: EffectName, found: Estimated, gap_after: float
+) -> NamedEffect:
     numbers = {around.terms[k].key: k for k, _ in decision.best.members}
+    is_nothing = _is_nothing(found)  # without parameters: a stiffness is then anything from some size on
     return NamedEffect(
-        one.name, _parameters(one), one.left.times(floor.tip_m, floor.turn_rad, sure),
-        probability=decision.probability[one.name],
-        share=share_of(around.evidence, decision.best, [numbers[one.name]]),
-        departure=one.found.departure, variable=one.found.variable, is_nothing=_is_nothing(one.found),
+        name, {} if is_nothing else file.parameters(name, found.parameters), gap_after,
+        probability=decision.probability[name], share=share_of(around.evidence, decision.best, [numbers[name]]),
+        departure=found.departure, variable=found.variable, is_nothing=is_nothing,
     )  # fmt: skip
 
 
-def _parameters(one: Named) -> Parameters:
-    """As estimated; of an effect that is not there none: a stiffness is then anything from some size on."""
-    return {} if _is_nothing(one.found) else one.found.parameters
-
-
-def _geometry(around: Around, best: Weighed, x: Array) -> Parameters:
+def _geometry(file: File) -> Parameters:
     """The DH deviations under the names of docs/formats.md, with standard deviations."""
-    problem = around.state.fit.problem
-    still = np.zeros(len(around.linear.y))
-    _, covariance = around.linear.geometry(around.rows, around.noise_m * best.kappa, still)
-    sd = np.sqrt(np.diag(covariance))[: len(x)] * np.array([one.scale for one in problem.parameters])
-    deviation = (problem.solution(x).dh - problem.model.nominal_dh).ravel()
+    sd = {one.parameter.name: one.sd for one in file.found.estimates}
+    deviation = file.found.deviations.ravel().tolist()
     return {
-        f"link{k // 4 + 1}_{KINDS[k % 4]}": (float(deviation[k]), float(sd[k])) for k in range(len(deviation))
+        f"link{k // 4 + 1}_{LINK_KEYS[k % 4]}": (deviation[k], sd.get(name, math.nan))
+        for k, name in enumerate(dh_names(len(deviation) // 4))
     }

@@ -9,19 +9,18 @@ import numpy as np
 
 from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.checks import require_usable
-from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask, frozen
 from calib.errors import UnusablePointsError
 from calib.gap.effects.pose_scene import load_of
 from calib.gap.poses.currents import SATURATED
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.recordings import EVERY, RECORDINGS_LEAST, recordings, split
+from calib.identify.identification import Identification
 from calib.points.points import Points
 from control.model.arm import Arm
 
 FEW_POSES = 24
 GAP_SHARE = 0.4  # of a joint's travel without a single pose
-AT_BOUND = 0.999
 BOUNDED_LEAST = 3
 UNBEARABLE = 5.0  # times what a drive holds at its current limit
 MILLI = 10.0  # times the limit
@@ -199,14 +198,9 @@ def about_outliers(points: Points, out: Mask) -> Iterator[str]:
         )
 
 
-def about_fit(arm: Arm, problem: ArmProblem, x: Array, floor: Floor, noise_m: float) -> Iterator[str]:
-    """What the fit itself says against the answer; noise_m: what the best set of effects leaves."""
-    bounded = [
-        parameter.name
-        for parameter, value in zip(problem.parameters, x, strict=False)
-        if parameter.has_bound and abs(value) > AT_BOUND * parameter.limit
-    ]
-    times = noise_m / floor.tip_m
+def about_fit(arm: Arm, found: Identification, floor: Floor, noise_m: float) -> Iterator[str]:
+    """What the identification itself says against the answer; noise_m: what the best set of effects leaves."""
+    bounded, times = found.binding, noise_m / floor.tip_m
     if len(bounded) >= BOUNDED_LEAST and times > INFLATED:
         yield (
             f"the geometry ends at its bounds ({', '.join(bounded[:6])}) and leaves {times:.1f} times the noise: are these poses"

@@ -8,12 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.arm_problem.assembly import BASE, Choice, problem_of
+from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.parallel_axes import parallel_joints, tilt_row, with_tilt_behind
 from calib.arrays import Array
 from calib.errors import UnusablePointsError
 from calib.gap.effects.catalogue import are_total_in_poses, is_load, pose_terms
-from calib.gap.effects.frame import FRAME
 from calib.gap.effects.pose_scene import Scene
 from calib.gap.finding import EffectName
 from calib.gap.poses.answer import Looked, answered
@@ -89,7 +88,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     bare_arm = replace(arm, effects=tuple(one for one in arm.effects if one not in own))
     loaded = replace(bare_arm, effects=(*bare_arm.effects, *loads))
     parts = split(points)
-    fit = Fit.to(problem_of(bare_arm, points), parts.known)
+    fit = Fit.to(problem_of(bare_arm, points, Choice().for_points(bare_arm, points)), parts.known)
     fitted = bare_arm.with_dh(fit.problem.solution(fit.x).dh)
     scene = Scene.of(fitted, replace(fitted, effects=loaded.effects), points)
     variants = _laws(scene, without)
@@ -154,8 +153,6 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
     forced = [
         EffectName(one.effect, one.joint) for one in looked.arm.effects if are_total_in_poses(one.effect)
     ]
-    if BASE in Choice().for_points(looked.arm, looked.points).freed and FRAME not in without:
-        forced.append(EffectName(FRAME))  # a camera's or tracker's frame is never known to the noise
     state = State.bare(looked.fit, looked.loaded)
     known: list[frozenset[Key]] = []
     blocks: tuple[Term, ...] = ()

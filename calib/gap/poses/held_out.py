@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,26 @@ from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key
 
 
-def holds_on_others(around: Around, best: Weighed, name: EffectName) -> bool:
-    """Whether the set predicts recordings that were left out better with the name than without it.
+def holds_on_others(around: Around, best: Weighed, name: EffectName, names: Collection[EffectName]) -> bool:
+    """Whether recordings that were left out are predicted better with the name than without it: by the set, and by a file that
+    has the laws of all `names` and nothing else. One of an ambiguous set is there, whichever it is.
 
     True where nothing can be left out, and where the tips do not show the effect.
     """
-    return _helps(around, best, name, parts(around.points, FOLDS))
+    labels = parts(around.points, FOLDS)
+    return all(_helps(around, own, name, labels) for own in (best, _laws_alone(around, best, names)))
+
+
+def _laws_alone(around: Around, best: Weighed, names: Collection[EffectName]) -> Weighed:
+    """The set without blocks, and without how parts depart from their laws."""
+    members = []
+    for number, scale in best.members:
+        one, sizes = around.terms[number], around.evidence.scales[number][0]
+        if one.key in names:
+            same = sizes[:, 0] == sizes[scale, 0]
+            exact = ~sizes[:, one.laws : one.laws + one.departures].any(axis=1)
+            members.append((number, int(np.flatnonzero(same & exact)[0])))
+    return dataclasses.replace(best, members=tuple(members))
 
 
 def shows_in_others(around: Around, best: Weighed, block: Block) -> bool:

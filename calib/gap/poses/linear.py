@@ -72,12 +72,11 @@ class Linear:
         zero = np.zeros((len(seen) - 1, len(seen) - 1)), np.zeros(len(seen) - 1)
         return Gram(seen[:-1, :-1], seen[:-1, -1], *(more or zero), float(seen[-1, -1]), len(base) - used)
 
-    def geometry(self, poses: Mask, noise_m: float, total: Array) -> tuple[Array, Array]:
-        """Unknowns (K,) of the geometry beside the terms' move `total` (3R,), and their covariance."""
+    def geometry(self, poses: Mask, noise_m: float, total: Array) -> Array:
+        """Unknowns (K,) of the geometry beside the terms' move `total` (3R,)."""
         base = self.whitened(self.base, poses, noise_m)
         left = self.whitened((self.y - total)[:, None], poses, noise_m)[:, 0]
-        covariance = np.linalg.inv(base.T @ base + np.diag(self.precision))
-        return np.asarray(covariance @ (base.T @ left)), np.asarray(covariance)
+        return np.asarray(np.linalg.solve(base.T @ base + np.diag(self.precision), base.T @ left))
 
     def whitened(self, values: Array, poses: Mask, noise_m: float) -> Array:
         """Values (3R, c) at some poses (m,), in standard deviations of the noise."""

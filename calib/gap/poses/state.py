@@ -127,7 +127,7 @@ class Around:
     def _solved(self, found: Weighed) -> tuple[Fit, Left]:
         size, _ = self.evidence.estimate(found.members, found.kappa)
         move, linear = self.columns([k for k, _ in found.members]) @ size, self.linear
-        x, _ = linear.geometry(self.rows, self.noise_m * found.kappa, move)
+        x = linear.geometry(self.rows, self.noise_m * found.kappa, move)
         return self.state.fit.at(x), linear.measured.left(linear.y - linear.base @ x - move)
 
     def moved_m(self, found: Weighed, numbers: Sequence[int]) -> Array:

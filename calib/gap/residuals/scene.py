@@ -25,6 +25,9 @@ from control.model.effect_laws import direction
 Response = Mapping[int, Array]  # of each cell (number) that something changes: (its rows, columns)
 TIP_ROW_s = 0.03  # frames within it are one row of the evidence: joints move at up to some 7 Hz
 AXES = 3
+SHOWN = 0.98  # of the samples: a motor's largest current, peaks left out
+USED_TO = 4.0  # times that current: motions of a recording take a quarter of what drives can give
+LEAST_Nm = 1e-6
 Places = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 
@@ -97,15 +100,33 @@ class Thin:
         return flags if self.mix is None else np.asarray((self.mix > 0.0) @ ~flags == 0)
 
 
+def _given_Nm(physics: Physics) -> Array:
+    """Of each joint, (n,): by its currents, else by the currents that its voltages drive through a motor at rest."""
+    runs, arm = physics.recording.runs, physics.arm
+    found = []
+    for j, drive in enumerate(arm.drives[: arm.joint_count]):
+        if physics.recording.has_current:
+            drawn = [run.current_A[run.usable[:, j], j] for run in runs]
+            times = USED_TO
+        else:
+            drawn = [run.voltage_V[run.usable[:, j], j] / drive.resistance_ohm for run in runs]
+            times = 1.0
+        most_A = float(np.quantile(np.abs(np.concatenate(drawn)), SHOWN)) if any(map(len, drawn)) else 0.0
+        found.append(max(times * most_A * abs(float(physics.torque_per_A[j])), LEAST_Nm))
+    return np.array(found)
+
+
 class Scene:
     """Rows and what stands beside them.
 
     `rows` have what was measured, `columns` the same without its noise: of these everything is made that rows may follow.
+    `given_Nm` (n,): what the motors can give, by what they gave: limits and supplies of a file say nothing about the data.
     """
 
     def __init__(self, rows: Rows, known: Sequence[Law]) -> None:
         self.rows = rows
         self.cells = rows.table.cells
+        self.given_Nm = _given_Nm(rows.physics)
         self.arm, self.recording = rows.physics.arm, rows.recording
         self.columns = rows.told_by(Physics(self.arm, without_noise(self.recording)))
         physics = self.columns.physics

@@ -18,11 +18,13 @@ from calib.gap.posterior.decide import left_with
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.term import Block, Key
+from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.blocks import CAMERA
+from calib.gap.series.file import Identified, identified
 from calib.gap.series.fit import Fit, left
 from calib.gap.series.linear import only
 from calib.gap.series.outcome import gap, in_si
-from calib.gap.series.split import Picked
+from calib.gap.series.split import Picked, Split
 from calib.gap.series.validation import Member, bends, dominant_names, grown, members, with_only
 from calib.gap.signals.terms import Term as Law
 from control.model.effects import EFFECTS
@@ -47,11 +49,12 @@ class Left:
 class Verdict:
     """The verdict on the last fit: names with law, covariance of its values and departure; what is left; corrections.
 
-    `fit`: its best set without what was withdrawn.
-    `kept`: keys that stay in the model: names, and what is taken off as the sensors' own.
+    `fit`: its best set without what was withdrawn; `corrected`: terms taken off as the sensors' own, with coefficients.
+    `kept`: keys that explain something: names, how parts depart, and what is taken off.
     """
 
     fit: Fit
+    corrected: tuple[tuple[SeriesTerm, Array], ...]
     laws: dict[EffectName, Law]
     covariance: dict[EffectName, Array]
     departure: dict[EffectName, float]
@@ -62,8 +65,11 @@ class Verdict:
     warnings: tuple[str, ...]
 
 
-def judged(fit: Fit, reporting: Picked, harming: Sequence[Key]) -> Verdict:
-    """Names that are of a size worth one, keep their law, and hold on recordings that were not fitted."""
+def judged(fit: Fit, parts: Split, harming: Sequence[Key]) -> Verdict:
+    """Names that are of a size worth one, keep their law, hold on recordings that were not fitted, and help a file that has the
+    laws alone.
+    """
+    reporting = parts.reporting
     said: list[str] = []
     other: list[Left] = []
     corrected, names = [], []
@@ -73,7 +79,7 @@ def judged(fit: Fit, reporting: Picked, harming: Sequence[Key]) -> Verdict:
             said.append(correction)
             corrected.append(one.number)
         elif key in fit.decision.names and one.term.law is not None and one.is_sure:
-            if not one.term.law(one.size).is_worth_a_name(fit.around.scene.arm):
+            if not one.term.law(one.size).is_worth_a_name(fit.around.scene.given_Nm):
                 continue
             if against := _against(fit, one, reporting):
                 said.append(f"{against.words}: not named")
@@ -88,13 +94,23 @@ def judged(fit: Fit, reporting: Picked, harming: Sequence[Key]) -> Verdict:
         f"{key} helps the runs that decide, but not those held out: not taken into account" for key in harming
     ]
     other += _contested(fit, reporting)
+    some = with_only(fit, [*named, *corrected])
+    file = identified(some, [one for one in members(some) if one.number in (*named, *corrected)], parts)
+    for name, why in file.dropped.items():
+        number = next(k for k in named if fit.linear.terms[k].key == name)
+        said.append(f"{name} {why}: not named")
+        left_out = Left(_worth(fit, number, reporting), f"{name} {why}", number, name)
+        other += [left_out] if left_out.worth > REMAINS else []
+    named = [k for k in named if fit.linear.terms[k].key not in file.dropped]
     sets = tuple(group for group in fit.decision.ambiguous if _is_material(fit, group))
-    return _verdict(fit, with_only(fit, [*named, *corrected]), named, other, sets, harming, said, reporting)
+    return _verdict(
+        fit, with_only(fit, [*named, *corrected]), named, file, other, sets, harming, said, reporting
+    )
 
 
 def _verdict(
-    whole: Fit, fit: Fit, named: Collection[int], other: Sequence[Left], sets: tuple[tuple[EffectName, ...], ...],
-    harming: Sequence[Key], said: Sequence[str], reporting: Picked,
+    whole: Fit, fit: Fit, named: Collection[int], file: Identified, other: Sequence[Left],
+    sets: tuple[tuple[EffectName, ...], ...], harming: Sequence[Key], said: Sequence[str], reporting: Picked,
 ) -> Verdict:  # fmt: skip
     """Of a fit whose best set has what is named or taken off, and blocks; `whole` has what was withdrawn, too."""
     laws: dict[EffectName, Law] = {}
@@ -102,13 +118,23 @@ def _verdict(
     departs: dict[EffectName, float] = {}
     kept: set[Key] = set()
     some = list(members(fit))
+    corrected = tuple(
+        (one.term, file.size[one.number])
+        for one in some
+        if one.number in file.size and one.number not in named
+    )
     for one in some:
         key = one.term.key
         if isinstance(key, Block) and one.term.words != CAMERA:
             continue
         kept.add(key)
         if isinstance(key, EffectName) and one.number in named and one.term.law is not None:
-            laws[key], departs[key], spread[key] = one.term.law(one.size), one.departure, _of_values(one)
+            own = dataclasses.replace(one, size=file.size[one.number], covariance=file.covariance[one.number])
+            laws[key], departs[key], spread[key] = (
+                one.term.law(own.size).bounded(),
+                one.departure,
+                _of_values(own),
+            )
     left_over = list(other)
     for one in some:
         key = one.term.key
@@ -130,7 +156,9 @@ def _verdict(
     unknown = _unknown(whole, left_over, kept) or _silent(
         whole, what_is_left(whole, explained), reporting, harming
     )
-    return Verdict(fit, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(said))
+    return Verdict(
+        fit, corrected, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(said)
+    )
 
 
 def _overshadowed(fit: Fit, number: int, others: Sequence[int], reporting: Picked) -> Left:
@@ -302,30 +330,35 @@ def _share(fit: Fit, number: int) -> float:
 def _is_material(fit: Fit, names: Sequence[EffectName]) -> bool:
     """Whether one of a set, as it is in the best set, is of a size worth a name."""
     laws = fit.laws()
-    return any(name in laws and laws[name].is_worth_a_name(fit.around.scene.arm) for name in names)
+    return any(name in laws and laws[name].is_worth_a_name(fit.around.scene.given_Nm) for name in names)
 
 
-def stages(fit: Fit, verdict: Verdict, reporting: Picked) -> tuple[NamedEffect, ...]:
-    """Names by what each explains, with the gap as they come in."""
+def seen_by_sensors(verdict: Verdict, count: int) -> Array:
+    """What is taken off as the sensors' own and is no law, of all rows (count,)."""
+    found = np.zeros(count)
+    for one, size in verdict.corrected:
+        for cell, own in one.response.items() if one.law is None else ():
+            found[verdict.fit.around.scene.cells[cell].rows] += own @ size
+    return found
+
+
+def named_effects(verdict: Verdict) -> tuple[NamedEffect, ...]:
+    """Names by what each explains, without a gap yet."""
+    fit = verdict.fit
     numbers = {fit.linear.terms[k].key: k for k in fit.numbers}
-    table = fit.around.scene.rows.table
     share = {name: _share(fit, numbers[name]) for name in verdict.laws}
-    corrected = sorted((key for key in verdict.kept if key not in verdict.laws), key=str)
-    found: list[NamedEffect] = []
-    for name in sorted(share, key=lambda one: -share[one]):
-        so_far = [*corrected, *(one.name for one in found), name]
-        found.append(
-            NamedEffect(
-                name,
-                parameters(verdict.laws[name], verdict.covariance[name]),
-                gap(what_is_left(fit, so_far), table, reporting),
-                probability=fit.decision.probability[name],
-                share=share[name],
-                departure=verdict.departure[name],
-                variable=fit.linear.terms[numbers[name]].variable,
-            )
+    return tuple(
+        NamedEffect(
+            name,
+            parameters(verdict.laws[name], verdict.covariance[name]),
+            math.nan,
+            probability=fit.decision.probability[name],
+            share=share[name],
+            departure=verdict.departure[name],
+            variable=fit.linear.terms[numbers[name]].variable,
         )
-    return tuple(found)
+        for name in sorted(share, key=lambda one: -share[one])
+    )
 
 
 def nameable_effects(fit: Fit) -> tuple[Nameable, ...]:

@@ -60,7 +60,7 @@ def _torques(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
     if number is None:
         return
     at, j = scene.whole, joint - 1
-    size = USUAL * typical(scene.arm, COULOMB, j)
+    size = USUAL * typical(scene.given_Nm, COULOMB, j)
     for variable, words, columns in _of_torque(at, j, scene.arm.joint_count):
         if columns.size and np.ptp(columns) > 0.0:
             said = f"the current of joint {joint}, {words}"

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Collection, Sequence
 
-import numpy as np
-
 from calib.arrays import Array
-from calib.gap.effects.catalogue import known_laws, other_forms
-from calib.gap.finding import GapFinding
+from calib.gap.effects.catalogue import known_laws
+from calib.gap.effects.frame import FRAME
+from calib.gap.finding import GEOMETRY, GapFinding
 from calib.gap.log import Log
+from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.residuals.rows import Rows, without_motion
 from calib.gap.residuals.scene import Scene
 from calib.gap.series.advice import next_experiment, open_questions
-from calib.gap.series.answer import Verdict, judged, nameable_effects, stages, what_is_left
+from calib.gap.series.answer import (
+    Verdict,
+    judged,
+    nameable_effects,
+    named_effects,
+    seen_by_sensors,
+    what_is_left,
+)
 from calib.gap.series.beyond import ripples
 from calib.gap.series.drawing.laws import drawn_laws
-from calib.gap.series.fit import Fit
+from calib.gap.series.file import in_best_forms, laws_of, read_back
 from calib.gap.series.iterations import fitted
 from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible
@@ -29,6 +38,8 @@ from calib.gap.signals.terms import Term as Law
 from control.model.arm import Arm
 from control.progress import Advance
 from control.progress import silent as quiet
+
+IN_KINEMATICS = (GEOMETRY, FRAME)  # what the file has of them is no law of its own
 
 
 def find(
@@ -56,13 +67,8 @@ def examine(
     progress("the gap on runs used for nothing else", 0.95)
     parts = parts.only(scene.kept)
     fit, harming = validated(fit, parts.reporting)
-    verdict = judged(fit, parts.reporting, harming)
-    fit, before = verdict.fit, rows.residual(known)
-    model = (*known, *(law for key, law in fit.laws().items() if key in verdict.kept))
-    after, written = before, before  # where nothing is added to the model
-    if verdict.kept:
-        after, written = what_is_left(fit, verdict.kept), rows.residual(model)
-    finding = _finding(arm, log, recording, fit, verdict, parts, (before, after, written))
+    verdict = judged(fit, parts, harming)
+    finding, before, after, model = _finding(arm, log, recording, rows, known, verdict, parts)
     progress("done", 1.0)
     warnings += [*doubts(before, rows.table), *left_out(scene.kept, rows.table)]
     warnings += [*verdict.warnings, *grown(finding)]
@@ -76,52 +82,65 @@ def examine(
         tuple(run.name for run in recording.runs),
         rows.physics,
         model,
-        drawn_laws(fit, [one.name for one in finding.effects]),
+        drawn_laws(verdict.fit, [one.name for one in finding.effects]),
     )
 
 
 def _rows(physics: Physics, recording: Recording, known: Sequence[Law]) -> tuple[Rows, tuple[Law, ...]]:
-    """Rows, and what the file has, each law in the form that leaves least of the rows that decide: what is found then adds up to
-    its total.
-    """
-    rows, model = Rows(physics, known), list(known)
-    deciding = split(recording, rows.table).deciding
-    for place, law in enumerate(known):
-        kept = model.copy()
-        least = float(np.linalg.norm(rows.residual(kept)[deciding])) if other_forms(law) else 0.0
-        for other in other_forms(law):
-            kept[place] = other
-            if (left := float(np.linalg.norm(rows.residual(kept)[deciding]))) < least:
-                least, model[place] = left, other
-    return (rows if model == list(known) else Rows(physics, model)), tuple(model)
+    """Rows, and what the file has, so that what is found adds up to its total."""
+    rows = Rows(physics, known)
+    model = tuple(in_best_forms(rows, known, split(recording, rows.table).deciding))
+    return (rows if model == tuple(known) else Rows(physics, model)), model
 
 
 def _finding(
-    arm: Arm, log: Log, recording: Recording, fit: Fit, verdict: Verdict, parts: Split, sizes: tuple[Array, Array, Array]
-) -> GapFinding:  # fmt: skip
-    """What was decided, with the gap on the runs that were used for nothing else; `sizes`: rows before, after, and with
-    the laws alone.
+    arm: Arm, log: Log, recording: Recording, rows: Rows, known: Sequence[Law], verdict: Verdict, parts: Split
+) -> tuple[GapFinding, Array, Array, tuple[Law, ...]]:
+    """What was decided, with the gap that the file leaves on the runs that were used for nothing else; what the arm and the file
+    leave of all rows, and the file's laws with what is taken off as the sensors' own.
     """
-    before, after, written = sizes
-    rows, known, reporting = fit.around.scene.rows, fit.around.known, parts.reporting
-    moved = motion_gaps(rows.physics, known, (*known, *verdict.laws.values()), parts.report_runs)
-    return GapFinding(
+    reporting, table = parts.reporting, rows.table
+    before = rows.residual(known)
+    found = GapFinding(
         arm=arm.name,
         data=log.sources,
-        noise_floor={**floors_si(rows.table, arm), **in_rad(moved, "floor_rad")},
-        gap_before=gap(before, rows.table, reporting),
-        gap_after=gap(after, rows.table, reporting),
-        before_si={**in_si(before, rows.table, reporting, arm), **in_rad(moved, "before_rad")},
-        after_si={**in_si(after, rows.table, reporting, arm), **in_rad(moved, "after_rad")},
-        effects=stages(fit, verdict, reporting),
+        noise_floor=floors_si(table, arm),
+        gap_before=gap(before, table, reporting),
+        gap_after=math.nan,
+        before_si=in_si(before, table, reporting, arm),
+        after_si={},
+        effects=named_effects(verdict),
         ambiguous=verdict.ambiguous,
         unknown=verdict.unknown,
-        nameable=nameable_effects(fit),
+        nameable=nameable_effects(verdict.fit),
         next_experiment=next_experiment(recording, verdict.ambiguous, verdict.unknown),
         remainder=verdict.remainder,
         open_questions=open_questions(recording, verdict),
-        gap_as_written=gap(written, rows.table, reporting),
+        gap_explained=gap(
+            what_is_left(verdict.fit, verdict.kept) if verdict.kept else before, table, reporting
+        ),
     )
+    told = laws_of(rows, read_back(updated_arm(arm, as_totals(arm, found))), parts.deciding)
+    told |= {name: law for name, law in verdict.laws.items() if name.effect in IN_KINEMATICS}
+    laws, staged = {law.name: law for law in known}, []
+    sensors = [one.law(size) for one, size in verdict.corrected if one.law is not None]
+    sensed = seen_by_sensors(verdict, len(before))
+    after = rows.residual([*laws.values(), *sensors]) + sensed if verdict.corrected else before
+    for one in found.effects:
+        laws.pop(one.name, None)
+        laws |= {name: law for name, law in told.items() if name == one.name}
+        after = rows.residual([*laws.values(), *sensors]) + sensed
+        staged.append(dataclasses.replace(one, gap_after=gap(after, table, reporting)))
+    moved = motion_gaps(rows.physics, known, tuple(laws.values()), parts.report_runs)
+    found = dataclasses.replace(
+        found,
+        noise_floor={**found.noise_floor, **in_rad(moved, "floor_rad")},
+        gap_after=gap(after, table, reporting),
+        before_si={**found.before_si, **in_rad(moved, "before_rad")},
+        after_si={**in_si(after, table, reporting, arm), **in_rad(moved, "after_rad")},
+        effects=tuple(staged),
+    )
+    return found, before, after, (*laws.values(), *sensors)
 
 
 def _rising(advance: Advance) -> Advance:

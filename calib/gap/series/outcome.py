@@ -114,8 +114,8 @@ def grown(finding: GapFinding) -> Iterator[str]:
             f"on the held-out runs the gap grows from {finding.gap_before:.2f} to {finding.gap_after:.2f}: what was named"
             " helps the other runs alone"
         )
-    if finding.gap_after > SILENT_MOST and finding.unknown is None and not finding.ambiguous:
+    if finding.unexplained > SILENT_MOST and finding.unknown is None and not finding.ambiguous:
         yield (
-            f"{finding.gap_after:.1f} times the noise is left on the held-out runs: errors of the nominal values, each too small"
-            " for a name, explain it"
+            f"{finding.unexplained:.1f} times the noise is left on the held-out runs: errors of the nominal values, each too"
+            " small for a name, explain it"
         )

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.gap.residuals.rows import RowTable
-from calib.gap.signals.recording import Recording
+from calib.gap.signals.recording import Motion, Recording
 
 Picked = npt.NDArray[np.bool_]
 MANY = 12  # groups of one load: more than one of them reports
+ONE_WAY = 0.7  # of a joint's travel: a run that ends so far from its begin went one way
 REPORT_SHARE = 0.34  # of the groups at most
 
 
@@ -32,7 +33,10 @@ class Split:
 
 
 def split(recording: Recording, table: RowTable) -> Split:
-    """Report on a group of repeats of middling speed and on one run of each load that others carry too."""
+    """Report on a group of repeats of middling speed and on one run of each load and way that others have too.
+
+    So each load and each way of runs that go one way are among what decides, and among what reports.
+    """
     if len(recording.runs) == 1:
         return _by_time(recording, table)
     report = _report_groups(recording, {int(k) for k in np.unique(table.run)})
@@ -49,14 +53,14 @@ def _report_groups(recording: Recording, with_rows: set[int]) -> list[int]:
         float(np.mean([np.sqrt(np.mean(recording.runs[r].speed ** 2)) for r in group]))
         for group in recording.repeats
     ]
-    loads = [round(float(np.median(recording.runs[group[0]].payload_kg)), 4) for group in recording.repeats]
+    kinds = [_kind(recording.runs[group[0]]) for group in recording.repeats]
     most = max(1, int(REPORT_SHARE * len(speeds)))
     chosen: list[int] = []
-    for load in sorted(set(loads), key=lambda one: -loads.count(one)):
-        own = [k for k, value in enumerate(loads) if value == load and with_rows & {*recording.repeats[k]}]
+    for kind in sorted(set(kinds), key=lambda one: (-kinds.count(one), one)):
+        own = [k for k, value in enumerate(kinds) if value == kind and with_rows & {*recording.repeats[k]}]
         if len(own) < 2 or len(chosen) >= most:
             continue
-        own.sort(key=lambda k: speeds[k])
+        own.sort(key=lambda k: (speeds[k], recording.runs[recording.repeats[k][0]].name))
         if len(own) >= MANY:  # every fourth, from slow to fast
             chosen += own[1::4]
             continue
@@ -65,6 +69,13 @@ def _report_groups(recording: Recording, with_rows: set[int]) -> list[int]:
         near = min(repeated, key=lambda k: abs(speeds[k] - speeds[middle])) if repeated else middle
         chosen.append(near)
     return chosen or [k for k in range(len(speeds)) if with_rows & {*recording.repeats[k]}][-1:]
+
+
+def _kind(run: Motion) -> tuple[float, ...]:
+    """Load, and the way of each joint that ends far from where it began, -1 or 1; 0 where it comes back."""
+    gone, travel = run.q[-1] - run.q[0], np.ptp(run.q, axis=0)
+    way = np.sign(gone) * (np.abs(gone) > ONE_WAY * np.maximum(travel, 1e-9))
+    return round(float(np.median(run.payload_kg)), 4), *(way + 0.0).tolist()
 
 
 def _by_time(recording: Recording, table: RowTable) -> Split:

@@ -11,11 +11,10 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
-from control.model.arm import Arm
 from control.model.effect_laws import Torque
 
 PLAIN_STEP = 1e-3  # of finite differences of what rows follow in a straight line
-MEANT_FOR_Nm = 30.0  # stall torque that the sizes of torques are meant for
+MEANT_FOR_Nm = 30.0  # largest torque of the drives that the sizes of torques are meant for
 
 # Where a form acts: on the torque at the motor, in the gear, between encoder and joint, on what the camera sees, on what the
 # links carry, or in the electrical equations.
@@ -105,28 +104,23 @@ class Term:
         lower, upper = (np.resize(own, count) for own in (self.form.lower, self.form.upper))
         return self.at(tuple(np.clip(self.values, lower, upper).tolist()))
 
-    def is_worth_a_name(self, arm: Arm) -> bool:
-        """Whether it is at least of the smallest size."""
-        return math.hypot(*self.values[: self.form.counted]) >= smallest(arm, self.form, self.index)
+    def is_worth_a_name(self, given_Nm: Array) -> bool:
+        """Whether it is at least of the smallest size; `given_Nm` as of `smallest`."""
+        return math.hypot(*self.values[: self.form.counted]) >= smallest(given_Nm, self.form, self.index)
 
 
-def smallest(arm: Arm, form: Form, joint: int) -> float:
-    """The size worth a name for a joint (0-based) of this arm; small drives have small frictions."""
-    return form.smallest * min(1.0, _of_drive(arm, form, joint))
+def smallest(given_Nm: Array, form: Form, joint: int) -> float:
+    """The size worth a name for a joint (0-based), of which given_Nm (n,) says what its motor gives; small drives have small
+    frictions.
+    """
+    return form.smallest * min(1.0, _of_drive(given_Nm, form, joint))
 
 
-def typical(arm: Arm, form: Form, joint: int) -> float:
+def typical(given_Nm: Array, form: Form, joint: int) -> float:
     """What `smallest` is a share of: the frictions of a large drive are larger, although as little is worth a name."""
-    return smallest(arm, form, joint) * max(1.0, _of_drive(arm, form, joint))
+    return form.smallest * _of_drive(given_Nm, form, joint)
 
 
-def _of_drive(arm: Arm, form: Form, joint: int) -> float:
+def _of_drive(given_Nm: Array, form: Form, joint: int) -> float:
     """A joint's torque over that of the drives that the sizes of torques are meant for; 1 for what is no torque."""
-    return stall_Nm(arm, joint) / MEANT_FOR_Nm if form.is_torque and joint >= 0 else 1.0
-
-
-def stall_Nm(arm: Arm, joint: int) -> float:
-    """Torque at the current limit, or with the whole supply on a standing motor."""
-    drive = arm.drives[joint]
-    current = min(drive.current_limit_A, drive.supply_V / drive.resistance_ohm)
-    return drive.torque_constant_Nm_A * drive.gear_ratio * current
+    return float(given_Nm[joint]) / MEANT_FOR_Nm if form.is_torque and joint >= 0 else 1.0

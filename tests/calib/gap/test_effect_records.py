@@ -79,7 +79,7 @@ def test_every_effect_has_a_record_and_every_record_an_effect() -> None:
 def test_what_the_file_has_becomes_a_law_and_the_same_parameters_again(effect: Effect) -> None:
     law = law_of(effect)
     assert law.bounded() == law
-    assert law.is_worth_a_name(RIGHT)
+    assert law.is_worth_a_name(np.full(3, 30.0))
     count = len(law.values)
     found = parameters(law, np.diag(np.full(count, 1e-12)))
     assert {name: value for name, (value, _) in found.items()} == pytest.approx(dict(effect.parameters))

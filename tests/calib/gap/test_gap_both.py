@@ -43,9 +43,7 @@ def test_one_level_alone_stays_as_it_is() -> None:
         brought_together(None, None)
 
 
-def test_an_effect_of_both_is_listed_once_with_the_parameter_that_is_known_better_and_both_in_its_evidence() -> (
-    None
-):
+def test_an_effect_of_both_is_listed_once_with_the_parameter_of_the_poses_and_both_in_its_evidence() -> None:
     both, said = brought_together(
         finding("tip_m", [play(0.0050, 1e-4)]),
         finding("current_A", [play(0.0051, 1e-3), NamedEffect(DRAG, {"torque_Nm": (0.5, 0.01)}, 1.0)]),

@@ -57,7 +57,7 @@ class Named(msgspec.Struct, forbid_unknown_fields=True):
 class Gap(msgspec.Struct, forbid_unknown_fields=True):
     before: float | None
     after: float | None
-    as_written: float | None
+    explained: float | None
     before_si: dict[str, float | None]
     after_si: dict[str, float | None]
 

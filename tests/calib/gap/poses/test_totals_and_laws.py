@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.gap.static.cases import ARM, Design, Hidden, case, designed
 from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
 from calib.gap.finding import EffectName
-from calib.gap.model_update import updated_arm
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.words import in_words
@@ -77,7 +77,7 @@ def test_an_effect_that_the_file_has_and_the_arm_has_not_is_a_total_of_none(wron
     assert found.finding.unknown is None
     assert found.finding.gap_after < 1.1
     assert any("Not there" in sentence for sentence in in_words(found.finding))
-    assert updated_arm(found.fitted_arm, found.finding).effects == ()
+    assert found.file.effects == ()
 
 
 def test_axes_that_are_not_parallel_become_geometry_and_hide_nothing() -> None:
@@ -120,14 +120,23 @@ def test_an_arm_whose_drives_nobody_knows_shows_what_its_masses_allow() -> None:
     assert any("no [[drive]] of joints 1, 2, 3" in sentence for sentence in found[0].warnings)
 
 
-def test_a_cameras_frame_that_nothing_ties_to_the_arm_is_named_where_it_is_off() -> None:
+def test_a_frame_that_nothing_ties_to_the_arm_is_placed_wherever_it_stands_and_nothing_is_named_for_it() -> (
+    None
+):
     arm, points = designed(
         37, (Hidden("base_frame", None, 0.004, 0.01),), Design(rig="planar", free=30, visits=4)
     )
-    found = find(arm, points)
-    assert names(found) == {EffectName("base_frame")}
-    assert found.finding.unknown is None
-    assert found.finding.gap_after < 1.2
+    turn = Rotation.from_rotvec((0.3, -2.0, 1.1))
+    tracked = dataclasses.replace(
+        points, tip_m=turn.apply(np.array(points.tip_m)) + np.array((3.0, -4.0, 1.0))
+    )
+    for seen in (points, tracked):
+        found = find(arm, seen)
+        assert names(found) == set()
+        assert found.finding.unknown is None
+        assert found.finding.gap_before < 100.0
+        assert found.finding.gap_after < 1.2
+        assert [one.effect for one in found.file.effects] == ["base_frame"]
 
 
 def test_effects_at_once_do_not_make_the_points_another_arms() -> None:

@@ -1,0 +1,151 @@
+"""One fit, one file: what gap says is left is what its arm.toml leaves, which is what calibrate makes of the same names."""
+
+import dataclasses
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchmarks.gap.static.cases import Design, Hidden, designed
+from calib.arm_problem.assembly import Choice
+from calib.calibration.calibrate import CalibrationPlan, identified
+from calib.calibration.outcome import calibrated_arm
+from calib.gap.finding import EffectName, GapFinding, NamedEffect
+from calib.gap.log import Log
+from calib.gap.model_update import as_totals, updated_arm
+from calib.gap.poses.find import find
+from calib.gap.series.find import examine
+from calib.gap.series.split import split
+from calib.gap.workflow import Recordings, find_gap_in, write_gap
+from calib.validation.verify_recorded import errors_of, predicted_tips
+from control.model.arm import Arm, Effect
+from control.model.description import load_arm
+from tests.calib.gap.series.prescribed import arm_with_friction, log_of
+
+HIDDEN = (Hidden("encoder_scale", 1, 0.006), Hidden("encoder_eccentricity", 2, 0.005, 0.4))
+KEYS = ("encoder_scale:1", "encoder_eccentricity:2")
+
+
+def from_afar(seed: int, hidden: tuple[Hidden, ...] = HIDDEN):
+    """Two joints as a tracker sees them whose frame nobody knows."""
+    arm, points = designed(seed, hidden, Design(rig="planar", free=36, visits=4))
+    turned = Rotation.from_rotvec((0.4, 1.9, -1.0)).apply(np.array(points.tip_m))
+    return arm, dataclasses.replace(points, tip_m=turned + np.array((-3.0, 2.0, 1.5)))
+
+
+def test_the_gap_after_is_what_verify_says_of_the_file_that_is_written(tmp_path) -> None:
+    arm, points = from_afar(43)
+    recordings = Recordings(points, None, (), (), ())
+    found = find_gap_in(arm, recordings)
+    write_gap(found, arm, recordings, tmp_path / "gap")
+    file = load_arm(tmp_path / "gap" / "arm.toml")
+    assert found.static is not None
+    apart = points.chosen(np.flatnonzero(found.static.split.report))
+    left_m = float(np.sqrt(np.mean(errors_of(file, apart) ** 2)))
+    assert found.finding.after_si["tip_m"] == pytest.approx(left_m, rel=0.01)
+    assert found.finding.effects[-1].gap_after == found.finding.gap_after < 1.2
+
+
+def test_calibrate_with_the_names_of_gap_makes_the_same_arm_of_the_same_poses() -> None:
+    arm, points = from_afar(44)
+    found = find(arm, points)
+    named = {(e.effect, e.joint): e.parameters for e in found.file.effects}
+    assert named.keys() == {("base_frame", None), ("encoder_scale", 1), ("encoder_eccentricity", 2)}
+    some = points.chosen(np.flatnonzero(found.split.known))
+    choice = Choice(effects=KEYS).for_points(arm, some)
+    other = calibrated_arm(arm, identified(arm, some, CalibrationPlan(choice))[1], some)
+    for one in other.effects:
+        assert one.parameters == pytest.approx(named[one.effect, one.joint], rel=2e-3, abs=2e-5)
+    np.testing.assert_allclose(found.file.dh, other.dh, atol=2e-5)
+    apart = points.chosen(np.flatnonzero(found.split.report))
+    np.testing.assert_allclose(errors_of(found.file, apart), errors_of(other, apart), atol=5e-6)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Effect("link_flexure", 2, {"EI_Nm2": 150.0}),
+        Effect("thermal_drift", 1, {"final_rad": 0.004, "time_constant_s": 900.0}),
+    ],
+    ids=lambda one: one.effect,
+)
+def test_what_poses_name_is_in_every_prediction_of_the_file_and_calibrate_identifies_it(
+    effect: Effect,
+) -> None:
+    arm, points = designed(45, (), Design(step=8, free=20))
+    known = dataclasses.replace(arm, effects=(effect,))
+    moved = predicted_tips(known, points) - predicted_tips(arm, points)
+    assert np.abs(moved).max() > 5e-4
+    bent = dataclasses.replace(points, tip_m=points.tip_m + moved)
+    parameters = dict(effect.parameters)
+    first = next(iter(parameters))
+    off = Effect(effect.effect, effect.joint, {**parameters, first: 1.3 * parameters[first]})
+    choice = Choice(effects=(f"{effect.effect}:{effect.joint}",))
+    _, made = identified(dataclasses.replace(arm, effects=(off,)), bent, CalibrationPlan(choice))
+    (written,) = calibrated_arm(dataclasses.replace(arm, effects=(off,)), made, bent).effects
+    assert written.parameters[first] == pytest.approx(parameters[first], rel=0.05)
+    assert written.parameters.keys() == parameters.keys()
+
+
+def load_friction(joint: int, q: np.ndarray, speed: np.ndarray, link: np.ndarray) -> np.ndarray:
+    return 0.2 * np.abs(link) * np.sign(speed) if joint == 1 else np.zeros_like(q)
+
+
+@pytest.mark.usefixtures("without_motion")
+def test_answers_of_a_log_depend_neither_on_current_limits_nor_on_the_order_of_its_runs() -> None:
+    arm = arm_with_friction()
+    log = log_of(arm, load_friction)
+
+    def answer(own: Arm, runs: Log) -> dict[EffectName, dict[str, float]]:
+        found = examine(
+            own, runs, candidates=("load_friction", "coulomb_friction", "viscous_friction")
+        ).finding
+        return {one.name: {key: value for key, (value, _) in one.parameters.items()} for one in found.effects}
+
+    wider = dataclasses.replace(
+        arm,
+        drives=tuple(
+            dataclasses.replace(one, current_limit_A=6.0 * one.current_limit_A) for one in arm.drives
+        ),
+    )
+    plain = answer(arm, log)
+    assert plain.keys() == {EffectName("load_friction", 2)}
+    for other in (answer(wider, log), answer(arm, Log(log.runs[::-1]))):
+        assert other.keys() == plain.keys()
+        for name, parameters in other.items():
+            assert parameters == pytest.approx(plain[name], rel=1e-3)
+
+
+def finding(effect: str, value: float) -> GapFinding:
+    key = "torque_Nm" if effect == "coulomb_friction" else "coefficient_Nm_s_rad"
+    named = NamedEffect(EffectName(effect, 1), {key: (value, 0.1)}, 1.0)
+    return GapFinding("right", ("log.csv",), {}, 2.0, 1.0, {}, {}, (named,))
+
+
+@pytest.mark.parametrize("effect", ["coulomb_friction", "viscous_friction"])
+def test_a_friction_below_nought_is_none_and_never_written(effect: str) -> None:
+    arm = arm_with_friction()
+    (known,) = (one for one in arm.effects if (one.effect, one.joint) == (effect, 1))
+    total = as_totals(arm, finding(effect, -2.0 * next(iter(known.parameters.values()))))
+    assert total.effects[0].is_nothing
+    assert known not in updated_arm(arm, total).effects
+
+
+def test_runs_that_go_one_way_report_and_decide_both_ways() -> None:
+    class Run:
+        def __init__(self, name: str, way: float, speed: float) -> None:
+            self.name, self.q = name, np.linspace(0.0, way, 50)[:, None]
+            self.speed, self.payload_kg = np.full((50, 1), speed), np.zeros(50)
+
+    class Recorded:
+        runs = tuple(Run(str(k), (1.0, -1.0)[k % 2], 1.0 + 0.1 * (k % 3)) for k in range(8))
+        repeats = tuple((k,) for k in range(8))
+
+    class Table:
+        run = np.repeat(np.arange(8), 3)
+
+    parts = split(cast(Any, Recorded()), cast(Any, Table()))
+    ways = {int(name) % 2 for name in parts.report_runs}
+    assert ways == {0, 1}
+    assert {k % 2 for k in np.unique(Table.run[parts.deciding]).tolist()} == {0, 1}
