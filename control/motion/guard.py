@@ -141,8 +141,8 @@ class Guard:
 
     def require_joint_path(self, path: JointPath) -> None:
         """MotionError if a joint path meets something at one of its knots."""
-        step = _step(len(path.knots))
-        poses = [knot.q_rad for knot in path.knots[::step]]
+        step = _step(len(path.times_s))
+        poses = path.poses(step)
         self._require(poses, path.times_s[::step], poses[0])
 
     def require_path(self, path: PlannedPath) -> None:

@@ -6,10 +6,8 @@ the knots, and the loop computes the polynomials of each section when it gets th
     q(s) = a0 + a1 s + a2 s^2 + a3 s^3 + a4 s^4 + a5 s^5,    s = (t - t_k) / h
 """
 
-import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from control.motion.errors import MotionError
@@ -36,52 +34,72 @@ class JointPath:
         MotionError: the knots are invalid.
     """
 
-    __slots__ = ("_at", "_section", "duration_s", "knots", "times_s")
+    __slots__ = ("_at", "_section", "_table", "duration_s", "times_s")
 
-    def __init__(self, times_s: Iterable[float], knots: Iterable[SetPoint]) -> None:
-        self.times_s, self.knots = tuple(times_s), tuple(knots)
-        _require_path(self.times_s, self.knots)
+    def __init__(self, times_s: Iterable[float], knots: "Iterable[SetPoint] | NDArray[np.float64]") -> None:
+        """`knots`: set-points, or their numbers (k, 3, joints)."""
+        self.times_s = tuple(times_s)
+        self._table = _checked(self.times_s, knots)
         self.duration_s = self.times_s[-1]
         self._at = -1
         self._section: tuple[Coefficients, ...] = ()
 
+    @property
+    def knots(self) -> tuple[SetPoint, ...]:
+        """The set-points at `times_s`; made anew each time, and slow for thousands."""
+        return tuple(map(self._knot, range(len(self.times_s))))
+
+    def poses(self, step: int) -> list[list[float]]:
+        """The angles at every `step`th knot."""
+        angles: list[list[float]] = self._table[::step, 0].tolist()
+        return angles
+
+    def _knot(self, k: int) -> SetPoint:
+        return SetPoint(*map(tuple, self._table[k].tolist()))
+
     def at(self, time_s: float) -> SetPoint:
         """Set-point `time_s` after the start, clamped to the path's time."""
         if time_s <= 0.0:
-            return self.knots[0]
+            return self._knot(0)
         if time_s >= self.duration_s:
-            return self.knots[-1]
+            return self._knot(-1)
         k = bisect_right(self.times_s, time_s) - 1
         h = self.times_s[k + 1] - self.times_s[k]
         if k != self._at:
             self._section = tuple(
-                quintic(h, *ends) for ends in zip(*self.knots[k], *self.knots[k + 1], strict=True)
+                quintic(h, *ends) for ends in zip(*self._knot(k), *self._knot(k + 1), strict=True)
             )
             self._at = k
         return _sampled(self._section, (time_s - self.times_s[k]) / h, h)
 
     def require_within(self, limits: JointLimits) -> None:
         """MotionError if a knot violates a joint's range, speed or acceleration; the loop also limits every set-point."""
-        count = len(limits.lower_rad)
-        if len(self.knots[0].q_rad) != count:
-            raise MotionError(f"joint path: expected {count} joints, got {len(self.knots[0].q_rad)}")
-        for time_s, knot in zip(self.times_s, self.knots, strict=True):
-            for j, (q, speed, acceleration) in enumerate(zip(*knot, strict=True)):
-                lower, upper = limits.lower_rad[j], limits.upper_rad[j]
-                if not lower - _ROUNDING <= q <= upper + _ROUNDING:
-                    raise MotionError(
-                        f"joint path: joint {j + 1} would be at {q:.4f} rad after {time_s:.3f} s, outside of its range"
-                        f" {lower:.4f} to {upper:.4f} rad"
-                    )
-                for what, value, most in (
-                    ("rad/s", speed, limits.speed_rad_s[j]),
-                    ("rad/s^2", acceleration, limits.acceleration_rad_s2[j]),
-                ):
-                    if abs(value) > most * (1.0 + _ROUNDING):
-                        raise MotionError(
-                            f"joint path: joint {j + 1} asks for {value:.4g} {what} after {time_s:.3f} s, its limit is"
-                            f" {most:.4g}"
-                        )
+        import numpy as np
+
+        table, count = self._table, len(limits.lower_rad)
+        if table.shape[2] != count:
+            raise MotionError(f"joint path: expected {count} joints, got {table.shape[2]}")
+        q = table[:, 0]
+        most = np.array((limits.speed_rad_s, limits.acceleration_rad_s2)) * (1.0 + _ROUNDING)
+        is_outside = (q < np.array(limits.lower_rad) - _ROUNDING) | (
+            q > np.array(limits.upper_rad) + _ROUNDING
+        )
+        wrong = is_outside | (np.abs(table[:, 1:]) > most).any(axis=1)
+        if not wrong.any():
+            return
+        k, j = divmod(int(np.argmax(wrong)), count)
+        time_s, (angle, speed, acceleration) = self.times_s[k], table[k, :, j].tolist()
+        if is_outside[k, j]:
+            raise MotionError(
+                f"joint path: joint {j + 1} would be at {angle:.4f} rad after {time_s:.3f} s, outside of its range"
+                f" {limits.lower_rad[j]:.4f} to {limits.upper_rad[j]:.4f} rad"
+            )
+        is_fast = abs(speed) > most[0, j]
+        what, value = ("rad/s", speed) if is_fast else ("rad/s^2", acceleration)
+        limit = (limits.speed_rad_s if is_fast else limits.acceleration_rad_s2)[j]
+        raise MotionError(
+            f"joint path: joint {j + 1} asks for {value:.4g} {what} after {time_s:.3f} s, its limit is {limit:.4g}"
+        )
 
     def to_message(self) -> dict[str, Any]:
         """Plain lists, for JSON."""
@@ -94,30 +112,50 @@ class JointPath:
     @staticmethod
     def from_message(message: Mapping[str, Any]) -> "JointPath":
         """Inverse of `to_message`; MotionError if it is invalid."""
+        import numpy as np
+
         try:
-            times = [float(t) for t in message["times_s"]]
-            rows = [[tuple(map(float, row)) for row in message[name]] for name in _GROUPS]
-            return JointPath(times, (SetPoint(*knot) for knot in zip(*rows, strict=True)))
-        except (KeyError, TypeError, ValueError) as error:
+            times = np.array(message["times_s"], dtype=np.float64)
+            if times.ndim != 1:
+                raise ValueError("times_s is no list of numbers")
+            groups = [message[name] for name in _GROUPS]
+            if len({len(row) for rows in groups for row in rows}) > 1:
+                raise MotionError(f"joint path: expected {len(groups[0][0])} joints in every knot")
+            return JointPath(
+                times.tolist(), np.stack([np.array(rows, dtype=np.float64) for rows in groups], axis=1)
+            )
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
             raise MotionError(
                 f"joint path message: expected what JointPath.to_message() gives ({error!r})"
             ) from None
 
 
-def _require_path(times_s: Sequence[float], knots: Sequence[SetPoint]) -> None:
-    if not 1 < len(times_s) <= _KNOTS_MOST or len(times_s) != len(knots):
+def _checked(
+    times_s: Sequence[float], knots: "Iterable[SetPoint] | NDArray[np.float64]"
+) -> "NDArray[np.float64]":
+    """The numbers of all knots, (k, 3, joints). MotionError if they are no path."""
+    import numpy as np
+
+    given = knots if isinstance(knots, np.ndarray) else list(knots)
+    if not 1 < len(times_s) <= _KNOTS_MOST or len(times_s) != len(given):
         raise MotionError(
-            f"joint path: expected 2 to {_KNOTS_MOST} knots and a time for each, got {len(knots)} and {len(times_s)}"
+            f"joint path: expected 2 to {_KNOTS_MOST} knots and a time for each, got {len(given)} and {len(times_s)}"
         )
-    count = len(knots[0].q_rad)
-    if any(len(part) != count for knot in knots for part in knot) or not count:
+    try:
+        found = np.array(given, dtype=np.float64)
+    except ValueError:  # rows that are not equally long
+        found = np.empty((0, 0))
+    if found.ndim != 3 or not found.shape[2]:
+        count = len(given[0][0]) if len(given) else 0
         raise MotionError(f"joint path: expected {count or 'some'} joints in every knot")
-    if not all(map(math.isfinite, chain(times_s, *(part for knot in knots for part in knot)))):
+    times = np.array(times_s)
+    if not (np.isfinite(times).all() and np.isfinite(found).all()):
         raise MotionError("joint path: expected finite numbers in every knot")
-    if times_s[0] != 0.0 or any(b <= a for a, b in pairwise(times_s)):
+    if times[0] != 0.0 or (np.diff(times) <= 0.0).any():
         raise MotionError("joint path: expected times that increase from 0")
-    if any(any(knot.speed_rad_s) or any(knot.acceleration_rad_s2) for knot in (knots[0], knots[-1])):
+    if found[[0, -1], 1:].any():
         raise MotionError("joint path: expected it to begin and to end at rest")
+    return found
 
 
 def quintic(

@@ -53,7 +53,7 @@ class PlannedMotions:
         path = JointPath.from_message(request.path)
         self._require_tool(request.tool)
         path.require_within(self._limits)
-        self._require_at(path.knots[0].q_rad, request.as_encoders)
+        self._require_at(path.at(0.0).q_rad, request.as_encoders)
         self._runtime.parts.tool.guard.require_joint_path(path)
         return path
 

@@ -58,6 +58,11 @@ def test_a_message_survives_json_and_going_back_in_time_gives_the_same_set_point
         ({"speed_rad_s": [[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]]}, "at rest"),
         ({"acceleration_rad_s2": [[0.0, 0.0], [0.0, 0.0], [0.0, 1.0]]}, "at rest"),
         ({"q_rad": None}, "expected what"),
+        ({"q_rad": []}, "expected what"),
+        ({"q_rad": [[10**400, 0.0]] * 3}, "expected what"),
+        ({"q_rad": [[[0.0], [0.0]]] * 3}, "expected what"),
+        ({"times_s": [[0.0], [1.0], [2.0]]}, "expected what"),
+        ({"times_s": 5.0}, "expected what"),
         ({"q_rad": [[], [], []], "speed_rad_s": [[], [], []], "acceleration_rad_s2": [[], [], []]}, "some joints"),
         (
             {"times_s": [0.0], "q_rad": [[0.0]], "speed_rad_s": [[0.0]], "acceleration_rad_s2": [[0.0]]},
