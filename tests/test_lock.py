@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import sys
 import tomllib
-from importlib.metadata import distribution, version
+from functools import cache
+from importlib.metadata import Distribution, version
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,12 @@ NEEDED = {
 }
 SUPPORTED = ("3.11", "3.12", "3.13")
 HERE = f"{sys.version_info.major}.{sys.version_info.minor}"
+
+
+@cache
+def distribution(name: str) -> Distribution:
+    """An installed package."""
+    return Distribution.from_name(name)
 
 
 def holds(requirement: Requirement, python: str, extra: str = "") -> bool:
@@ -54,7 +61,7 @@ def closure(needed: list[str], pinned: dict[str, str], python: str) -> tuple[set
             unmet.add(f"{wanted} (from {wanted_by})")
             continue
         # Another Python may have another version, whose own requirements only its own environment can tell.
-        is_same = wanted_by == "pyproject.toml" or version(wanted_by) == pinned[wanted_by]
+        is_same = wanted_by == "pyproject.toml" or distribution(wanted_by).version == pinned[wanted_by]
         if is_same and not wanted.specifier.contains(pinned[name]):
             unmet.add(f"{wanted} (from {wanted_by}), pinned is {pinned[name]}")
         for extra in {"", *wanted.extras} - {extra for of, extra in reached if of == name}:
