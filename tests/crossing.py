@@ -53,7 +53,8 @@ def steps(pick: random.Random, arms: Sequence[str]) -> Iterator[Step]:
         at = {"arm": pick.choice(arms), "client": pick.randrange(2)}
         draw = pick.random()
         if draw < MEDDLING:
-            yield {"meddle": pick.choice(("switched_on", "switched_off")), "joint": pick.randrange(3), **at}
+            what = pick.choice(("switched_on", "switched_off"))
+            yield {"meddle": what, "joint": pick.randrange(3), "after": pick.random(), **at}
         elif draw < MEDDLING + 0.05:
             yield {"gone": True, **at}
         elif draw < 0.6:
@@ -105,7 +106,7 @@ class Judge:
         """A request was answered with ok."""
         do = "stop" if request.get("revoke") else request["do"]
         self._may_move |= do in MOVES
-        if do in LEADS:
+        if do in LEADS | MOVES:
             self.told = do
         self._was_let_be = self.runtime.monitor.mode not in CONTROLLED_MODES
 
@@ -140,6 +141,8 @@ class Judge:
         wanted = {"enable": Mode.HOLDING, "hold": Mode.HOLDING, "off": Mode.OFF}.get(self.told)
         if self.told in ("stop", "brake") and self._was_let_be and monitor.mode in CONTROLLED_MODES:
             self._say(f"it is {monitor.mode.name} after `{self.told}`")
+        if self.told == "enable" and monitor.mode in TRAVELLING_MODES:
+            return  # it was on before, and moved
         if wanted is not None and not monitor.faults and monitor.mode is not wanted:
             self._say(f"`{self.told}` was answered with ok, and the arm is {monitor.mode.name}")
 
@@ -181,7 +184,8 @@ class Stand:
         if "meddle" in step:
             robot = judge.robot
             board = robot.drive_names[step["joint"] % len(robot.drive_names)]
-            robot.inject(FaultTable(step["meddle"], board, at_s=judge.runtime.now_s))
+            at_s = judge.runtime.now_s + step["after"] * self.period_s
+            robot.inject(FaultTable(step["meddle"], board, at_s=at_s))
         elif "gone" in step:
             self._gone(step["client"])
         elif self._asked(step["request"], step["arm"], self.clients[step["client"]]):

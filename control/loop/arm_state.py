@@ -73,7 +73,9 @@ class ArmState:
             self.stillness.enter_mode(self.now_s)
 
     def end_way_to_hold(self) -> None:
-        """What was asked since, or a fault, ends it; a way off goes on."""
+        """What was asked since, or a fault, ends it; a way off goes on. An arm that was off a moment ago is off again."""
+        if self.bound is Bound.ON and self.monitor.mode is Mode.BRAKED:
+            self.on(Event.SWITCH_OFF)
         if self.bound.is_hold:
             self.bound = Bound.NOWHERE
 

@@ -74,6 +74,12 @@ class DriveStates:
         """Drives were reset or have left operation: they are ready again when all say so."""
         self.is_ready = False
 
+    def out_of_operation(self, feedback: Feedback) -> list[str]:
+        """The joints whose drives have left operation and are not taken back."""
+        if self.wanted is not Wanted.ENABLED or self.is_ready:
+            return []
+        return [name for joint, name in enumerate(self._names) if not _is_enabled(feedback, joint)]
+
     def follow(self, now_s: float, feedback: Feedback) -> list[Fault]:
         """Look at the latest states: one fault for each drive that is too late on its way on or off."""
         if self.wanted is Wanted.DISABLED:

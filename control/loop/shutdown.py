@@ -28,8 +28,7 @@ def begin(state: ArmState, quits: bool, lets_go: bool) -> None:
             )
         if lets_go:
             state.on(Event.SWITCH_OFF)
-    elif state.bound is Bound.ON:
-        state.on(Event.SWITCH_OFF)  # it was off a moment ago: nothing is held that could sink
+    state.end_way_to_hold()
     state.bound = Bound.QUIT if is_ending else Bound.OFF
     if state.monitor.mode is Mode.OFF and not is_ending:
         state.bound = Bound.NOWHERE

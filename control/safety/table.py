@@ -199,6 +199,6 @@ _NOTES: Final = (
     "- Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest. Ctrl-C in HELD leaves the arm held.",
     "- In OFF no drive has torque. One that has it all the same is switched off, and is a fault after a second.",
     "- From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then, and there is no step.",
-    "- While the arm goes on or off by itself, nothing else begins. `stop` and `off` end switching on, `enable` and `hold` catch",
-    "  an arm that sinks on its way off, unless the runtime ends, too.",
+    "- While the arm goes on or off by itself, nothing else begins. `stop`, `brake` and `off` end the way on: from OFF the arm",
+    "  is OFF again at once. `enable` and `hold` catch an arm that sinks on its way off, unless the runtime ends, too.",
 )

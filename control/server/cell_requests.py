@@ -77,13 +77,17 @@ class CellRequests:
         return {name: runtime.monitor.mode.name for name, runtime in self._runtime.runtimes.items()}
 
     def _stop(self, request: Asked, client: int) -> Message:
-        """All arms, whatever arm the request names."""
-        return self._of_all(request, tuple(self._requests), client)
+        """All arms, whatever arm the request names; one that is off does not hide that the others were braked."""
+        answers = self._answers(request, tuple(self._requests), client)
+        return next((answer for answer in answers if answer["ok"]), answers[0])
 
     def _of_all(self, request: Asked, arms: Sequence[str], client: int) -> Message:
         """The same for several arms; the first refusal, if there is one."""
-        answers = [self._requests[name].handle(request._replace(arm=name), client) for name in arms]
+        answers = self._answers(request, arms, client)
         return next((answer for answer in answers if not answer["ok"]), answers[0])
+
+    def _answers(self, request: Asked, arms: Sequence[str], client: int) -> list[Message]:
+        return [self._requests[name].handle(request._replace(arm=name), client) for name in arms]
 
     def _move_together(self, request: Asked, client: int) -> Message:
         """Check the motions of all arms, against each other too; then begin all of them. They take as long as the longest."""

@@ -180,6 +180,10 @@ def _warnings(runtime: Runtime) -> list[str]:
             warnings.append(
                 f"the drive of {name} is in FAULT (bits 0x{bits:02x}): `armwright acknowledge` when it is safe"
             )
+    if out := runtime.drives.out_of_operation(parts.hardware.feedback):
+        warnings.append(
+            f"the drive of {', '.join(out)} is out of operation: `armwright enable` takes it back"
+        )
     if runtime.jogging is not None and runtime.jogging.limited:
         warnings.append(runtime.jogging.limited)
     if runtime.monitor.mode in CONTROLLED_MODES - {Mode.HOMING} and not runtime.monitor.is_homed:

@@ -114,6 +114,6 @@ def torque_lost(played: Stage) -> str:
 
 def torque_in_off(played: Stage) -> str:
     """A drive that somebody else has switched on is switched off again."""
-    played.inject("switched_on", played.rig.robot.drive_names[1], at_s=played.now_s)
+    played.inject("switched_on", played.rig.robot.drive_names[1], at_s=played.now_s + DURING_A_CYCLE_S)
     played.run(OBEYS_S)
     return "the torque stayed" if any(_torques(played)) else ""

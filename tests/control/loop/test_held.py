@@ -11,7 +11,7 @@ from control.hardware.shared_bus import CellConnection, SharedBuses
 from control.hardware.words import Wanted
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
-from tests.cell import Cell, holding_cell, restarted, scenario
+from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS
 
 JUMP = Fault("encoder_leap", "joint 1", "its encoder jumped", "look at it", Reaction.CONTROLLED)
@@ -36,15 +36,23 @@ def held() -> Iterator[Cell]:
         yield cell
 
 
-def test_the_end_of_the_runtime_leaves_it_held(held: Cell) -> None:
-    before_rad = held.rig.joint_rad()
-    held.runtime.go_off(quits=True)  # as Ctrl-C
-    held.run(0.1)
-    assert not held.channel.is_running
-    CellConnection({"right": held.connection}, SharedBuses(held.rig.clock)).leave_safely()
-    held.rig.clock.wait_until_s(held.rig.clock.now_s() + 1.0)
-    assert all(held.torques())
-    assert held.rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)
+@pytest.mark.parametrize("kind", ["dynamixel", "moteus"])
+def test_the_end_of_the_runtime_leaves_it_held(kind: str) -> None:
+    on = ON_BOARDS[kind]
+    with open_cell(scenario(q_rad=None), on.arm, period_s=on.period_s) as before:
+        for name in before.rig.robot.drive_names:  # by another program, which is gone
+            before.inject("switched_on", name, at_s=before.rig.clock.now_s() + on.period_s)
+        with restarted(before, on.arm, on.period_s) as held:
+            held.run(0.1)
+            assert held.mode is Mode.HELD
+            before_rad = held.rig.joint_rad()
+            held.runtime.go_off(quits=True)  # as Ctrl-C
+            held.run(0.1)
+            assert not held.channel.is_running
+            CellConnection({"right": held.connection}, SharedBuses(held.rig.clock)).leave_safely()
+            held.rig.clock.wait_until_s(held.rig.clock.now_s() + 1.0)
+            assert all(held.torques())
+            assert held.rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["dynamixel", "reference", "moteus", "cia402"])
@@ -111,6 +119,36 @@ def test_a_way_off_that_was_caught_is_forgotten(cell: Cell) -> None:
     cell.client.hold()
     cell.run(2.0)
     assert (cell.mode, cell.channel.is_running) == (Mode.HOLDING, True)
+
+
+@pytest.mark.parametrize("do", ["stop", "brake", "off"])
+@pytest.mark.parametrize("cycles", [0, 1, 2, 3])
+def test_what_ends_the_way_on_from_off_leads_back_to_it(do: str, cycles: int) -> None:
+    on = ON_BOARDS["feetech"]
+    with open_cell(scenario(q_rad=None), on.arm, period_s=on.period_s) as cell:
+        cell.client.ask("enable")
+        cell.run(cycles * on.period_s)
+        is_on = cell.mode is Mode.HOLDING
+        cell.client.ask(do)
+        if not is_on:
+            assert cell.mode is Mode.OFF
+            cell.run(1.5)
+            assert (cell.mode, cell.torques(), cell.faults) == (Mode.OFF, [False] * 3, [])
+
+
+def test_a_drive_that_was_lost_is_told_until_it_is_enabled_again() -> None:
+    on = ON_BOARDS["feetech"]
+    with holding_cell(scenario(q_rad=None), on.arm, period_s=on.period_s) as cell:
+        cell.inject("switched_off", "feetech2", at_s=cell.rig.clock.now_s() + 0.4 * on.period_s)
+        cell.until_fault(0.2)
+        cell.client.acknowledge()
+        assert cell.mode is Mode.BRAKED
+        assert not cell.torques()[1]
+        warnings = cell.channel.request({"do": "status"})["warnings"]
+        assert "the drive of joint 2 is out of operation: `armwright enable` takes it back" in warnings
+        cell.client.enable()
+        cell.run(0.2)
+        assert (cell.mode, cell.faults) == (Mode.HOLDING, [])
 
 
 @pytest.mark.parametrize("do", ["stop", "brake"])

@@ -196,3 +196,13 @@ def test_three_arms_of_two_kinds_need_nothing_else() -> None:
         cell.clients["a"].stop()
         cell.until(lambda: all(cell.mode(arm) is Mode.HOLDING for arm in cell.clients), 1.0)
         assert cell.robot("six").joint_rad()[0] > first + 0.1
+
+
+def test_a_brake_of_all_is_answered_by_those_that_were_braked() -> None:
+    with open_pair() as pair:
+        pair.clients["left"].enable()
+        assert pair.mode("right") is Mode.OFF
+        assert pair.channels["right"].request({"do": "brake"})["ok"]
+        assert pair.mode("left") is Mode.BRAKED
+        pair.clients["left"].off()
+        assert "is OFF" in pair.refusal("left", do="brake")
