@@ -146,8 +146,13 @@ def _copies(points: Points) -> tuple[str, ...]:
     return (warning,)
 
 
+def still_joints(q_rad: Array) -> tuple[str, ...]:
+    """The columns of joints that never move."""
+    return tuple(f"q{j + 1}_rad" for j in np.flatnonzero(np.ptp(q_rad, axis=0) < STILL_rad))
+
+
 def _still_joints(q_rad: Array) -> tuple[str, ...]:
-    still = [f"q{j + 1}_rad" for j in np.flatnonzero(np.ptp(q_rad, axis=0) < STILL_rad)]
+    still = still_joints(q_rad)
     return (f"{_listed(still)} never changes: these points do not test that joint",) if still else ()
 
 

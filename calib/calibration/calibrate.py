@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arm_problem.checks import require_usable
+from calib.arm_problem.checks import require_usable, still_joints
 from calib.arm_problem.joint_effects import unclear_flanks, unphysical
 from calib.arm_problem.problem import ArmProblem
 from calib.arm_problem.weighted import usual_noise_m
@@ -86,7 +86,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     floor = noise_floor(arm, points, problem, found.x)
     suspects = find_suspects(problem, found.x, _cavities(arm), _usual_noise_m(problem, floor))
     held, reasons = _held_out(arm, points, plan, advance)
-    judged = verdict(found, held, floor, suspects, points.setup)
+    judged = verdict(found, held, floor, suspects, points.setup, still_joints(points.q_rad))
     advance("done", 1.0)
     return Calibrated(
         arm,

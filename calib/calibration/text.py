@@ -13,6 +13,7 @@ from calib.identify.estimates import Estimate
 from calib.identify.outliers import Outlier
 from calib.report.report_sections import NO_EFFECT, of_the_arm
 from calib.validation.holdout import HeldOut
+from calib.validation.statistics import mean_half_width
 
 UNIT = {"m": ("mm", 1e3, 3), "rad": ("deg", math.degrees(1.0), 4)}
 
@@ -116,6 +117,7 @@ def _held(held: HeldOut) -> dict[str, object]:
         "by": held.by,
         "mean_before_m": float(held.before_m.mean()),
         "mean_after_m": float(held.after_m.mean()),
+        "mean_after_half_width_m": _known(mean_half_width(held.after_m)),
         "improvement_percent": held.improvement_percent,
         "folds": [
             {
@@ -130,6 +132,10 @@ def _held(held: HeldOut) -> dict[str, object]:
             for fold in held.folds
         ],
     }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _outlier(one: Outlier) -> dict[str, object]:

@@ -1,15 +1,17 @@
 """What may have happened to an arm since its points were taken, and which of it new poses speak for.
 
-Each cause moves the tip along columns X with amplitudes that are normal with an unknown size s; measured minus expected tips are
-N(0, S + s^2 X X'), with S of `expectation`. Sizes are averaged over a grid. Probabilities follow from these evidences and equal
-odds of "nothing" and "something".
+Each cause moves the tip along columns X with amplitudes that are normal with an unknown size s; measured minus expected tips have
+the covariance S + s^2 X X', with S of `expectation`. The scale of both is an estimate, known as by FREEDOM coordinates, so that
+the evidence is that of Student's distribution: tips that are all somewhat farther off than expected are no change. Sizes are
+averaged over a grid. "several" has the columns of all causes, for what no single one explains. Probabilities follow from these
+evidences and equal odds of "nothing" and "something".
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -19,7 +21,10 @@ from calib.arm_problem.frames import cross_matrix
 from calib.arrays import Array
 from calib.checkup.expectation import Expectation
 
-Kind = Literal["nothing", "zero", "play", "load", "link", "frame"]
+Kind = Literal["nothing", "zero", "play", "load", "link", "frame", "several"]
+FREEDOM: Final = (
+    10.0  # what is left of predicted tips was 0.85 to 1.6 times what had been promised (make trust-study)
+)
 ANGLES_rad: Final = (
     3e-4,
     1e-3,
@@ -86,7 +91,8 @@ def _causes(at: Expectation) -> Iterator[Cause]:
 
 def judged(at: Expectation) -> tuple[Judged, ...]:
     """Every cause, the most probable first."""
-    causes = [_along_circle(at, cause) for cause in causes_of(at)]
+    singles = [_along_circle(at, cause) for cause in causes_of(at)]
+    causes = [*singles, _several(singles)]
     prior = np.log(np.array([0.5, *np.full(len(causes) - 1, 0.5 / (len(causes) - 1))]))
     tried = [[_tried(at, cause, size) for size in cause.sizes] for cause in causes]
     evidence = np.array([_mean_of([one.evidence for one in of_sizes]) for of_sizes in tried]) + prior
@@ -99,6 +105,23 @@ def judged(at: Expectation) -> tuple[Judged, ...]:
         shift_m = math.sqrt(float(np.mean(np.sum(moved**2, axis=1))))
         found.append(Judged(cause, float(share), best.amplitudes, shift_m, best.misfit))
     return tuple(sorted(found, key=lambda one: -one.probability))
+
+
+def misfit_limit(coordinates: int) -> float:
+    """The chi-squared a coordinate that chance and the estimated scale leave in 99 of 100 cases (Fisher's distribution)."""
+    from scipy.special import fdtri
+
+    return float(fdtri(coordinates, FREEDOM, 0.99))
+
+
+def _several(singles: Sequence[Cause]) -> Cause:
+    """All causes at once, each with amplitudes of one size: angles in rad, lengths over a lever."""
+    columns = [
+        one.columns if one.sizes == ANGLES_rad else one.columns * LEVER_m
+        for one in singles
+        if one.kind != "nothing"
+    ]
+    return Cause("several", 0, np.concatenate(columns, axis=2), None, ANGLES_rad)
 
 
 def _along_circle(at: Expectation, cause: Cause) -> Cause:
@@ -133,7 +156,8 @@ def _tried(at: Expectation, cause: Cause, size: float) -> _Tried:
     amplitudes = size * x.T @ np.linalg.solve(root.T, white)
     left = y - (x / size) @ amplitudes
     misfit = float(left @ np.linalg.solve(noise, left)) / len(y)
-    return _Tried(-0.5 * float(white @ white) - float(np.log(np.diag(root)).sum()), amplitudes, misfit)
+    square = 0.5 * (FREEDOM + len(y)) * math.log1p(float(white @ white) / FREEDOM)
+    return _Tried(-square - float(np.log(np.diag(root)).sum()), amplitudes, misfit)
 
 
 def _mean_of(logs: list[float]) -> float:

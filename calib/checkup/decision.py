@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.checkup.causes import Judged, judged
+from calib.checkup.causes import Judged, judged, misfit_limit
 from calib.checkup.expectation import Expectation
 
 SURE: Final = 0.9  # probability from which one decision is given
@@ -17,7 +17,6 @@ SLIP_rad: Final = (
     0.008  # of a zero: settling and temperature move it by less, a slipped coupling or a lost tooth by more
 )
 BENT_m: Final = 0.003  # of the tip, by one link: more than parts settle
-MISFIT: Final = 1.6  # chi-squared a coordinate that the best cause leaves, above which none of them is enough
 LEFT_MOST: Final = (
     0.05  # of chi-squared if nothing had changed: a cause that leaves less is one, whatever else there is
 )
@@ -53,24 +52,23 @@ class Decision:
 def decide(at: Expectation) -> Decision:
     """By poses that were measured."""
     found = judged(at)
+    single = next(one for one in found if one.cause.kind != "several")
+    unchanged = next(one.misfit for one in found if one.cause.kind == "nothing")
+    is_one_cause = found[0] is single or single.misfit <= LEFT_MOST * unchanged
     noise_m = math.sqrt(float(np.mean(np.trace(at.scatter_m2, axis1=1, axis2=2))))
     actions: dict[str, float] = {}
-    unchanged = next(one.misfit for one in found if one.cause.kind == "nothing")
-    is_one_cause = found[0].misfit <= max(MISFIT, LEFT_MOST * unchanged)
-    if not is_one_cause:
-        actions[RECALIBRATE] = 1.0  # more than one thing has changed
-    else:
-        for one in found:
-            action = action_of(one, noise_m)
-            actions[action] = actions.get(action, 0.0) + one.probability
+    for one in found:
+        is_several = one.cause.kind == "several"
+        action = action_of(single if is_several and is_one_cause else one, noise_m)
+        actions[action] = actions.get(action, 0.0) + one.probability
     first, *others = sorted(actions.items(), key=lambda item: -item[1])
     return Decision(
         first[0],
         first[1],
         tuple((action, share) for action, share in others if share >= 1.0 - SURE),
-        found[:CAUSES_NAMED],
+        tuple(one for one in found if one.cause.kind != "several")[:CAUSES_NAMED],
         is_one_cause,
-        found[0].misfit <= MISFIT,
+        found[0] is single and single.misfit <= misfit_limit(3 * len(at)),
         math.sqrt(float(np.trace(at.covariance)) / len(at)),
         math.sqrt(float(np.mean(np.sum(at.left_m**2, axis=1)))),
         len(at),

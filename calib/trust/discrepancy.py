@@ -22,6 +22,7 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.link_bending import beams, bending_m
+from calib.arm_problem.link_frames import link_frames
 from calib.arrays import Array
 from calib.design.reach import joint_box
 from calib.points.points import Points
@@ -41,12 +42,14 @@ from control.model.arm import Arm
 # Usual sizes, at the joint in rad or at the tip in m: about a tenth of what a cause does where it is worth a name
 # (docs/gap.md). Each size is estimated; these matter for what no pose tests.
 ANGLE_rad: Final = 3e-4
-COUPLING_rad: Final = 1e-4
+COUPLING_rad: Final = 3e-4
 LOAD_rad: Final = 3e-4
 DIRECTION_rad: Final = 3e-4
+FRICTION_rad: Final = 1e-4
+AXIS_rad: Final = 1e-4
 BENDING_m: Final = 5e-5
 FIELD_m: Final = 3e-5
-DEPARTURE: Final = 0.12  # of a law, as parts of arms keep theirs; the rest of its source shares its size
+DEPARTURE: Final = 0.2  # of a law, as parts of arms keep theirs; the rest of its source shares its size
 ANGLE_LENGTH_rad: Final = (
     0.7  # over which the rest of an angle's error is alike: up to three waves a turn pass
 )
@@ -144,31 +147,49 @@ class Discrepancy:
         by_joint = slopes.by_dh[:, :, list(self._model.theta_places)]
         load, flank = self._gears(at)
         for j in range(self._arm.joint_count):
-            for follows, usual, values in self._laws(at.q_rad, load, flank, j):
+            for follows, usual, values in self._laws(at, load, flank, j):
                 source = Source(f"joint {j + 1}", follows, usual, values.shape[1])
                 yield source, by_joint[:, :, j, None] * values[:, None, :]
+        yield from self._wobbles(at.q_rad, dh, tool_m)
         for link, scale_m in self._bending.items():
             yield Source(f"link {link}", "bending", BENDING_m, 2), self._bent(at, link) / scale_m
         yield Source("the tip", "place", FIELD_m, 3 * len(self._phases)), self._field(slopes.tips)
 
-    def _laws(self, q_rad: Array, load: Array, flank: Array, j: int) -> Iterator[tuple[str, float, Array]]:
+    def _wobbles(self, q_rad: Array, dh: Array, tool_m: Array) -> Iterator[Block]:
+        """Joints whose axis tilts as they turn: about both directions across it, with one and two waves a turn."""
+        frames = link_frames(self._model, dh, q_rad, tool_m)
+        turning = [k for k, turns in enumerate(self._model.joints) if turns]
+        for j, k in enumerate(turning):
+            at = k + 1 if self._model.is_modified else k
+            axis, across = frames.axes[:, at, :, 2], frames.axes[:, k, :, 0]
+            arm_m = frames.tip_m - frames.origin_m[:, at]
+            tilts = np.stack([np.cross(turn, arm_m) for turn in (across, np.cross(axis, across))], axis=2)
+            columns = tilts[:, :, :, None] * _waves(q_rad[:, j])[:, None, None, :]
+            yield Source(f"joint {j + 1}", "its axis", AXIS_rad, 8), columns.reshape(len(q_rad), 3, 8)
+
+    def _laws(self, at: Conditions, load: Array, flank: Array, j: int) -> Iterator[tuple[str, float, Array]]:
         """What a joint's angle may be off by: (m, columns) for each source, in its usual size.
 
         Scale and eccentricity share a size, per rad of either: over a short travel they are alike, and beyond it they are not.
         """
-        q, x = q_rad[:, j], q_rad[:, j] - self._centre[j]
+        q_rad, q, x = at.q_rad, at.q_rad[:, j], at.q_rad[:, j] - self._centre[j]
         travel = self._travel[j]
         rest = DEPARTURE * _smooth_functions(x, BEYOND * travel)
         yield "angle", ANGLE_rad, np.column_stack((x, np.sin(q), np.cos(q), rest))
-        others = [k for k in range(self._arm.joint_count) if k != j]
-        if others:
-            straight = (q_rad - self._centre)[:, others] / self._travel[others]
-            bent = [DEPARTURE * _waves(q_rad[:, k]) for k in others]
-            yield "other angles", COUPLING_rad, np.column_stack((straight, *bent))
+        for k in range(self._arm.joint_count):
+            if k != j:
+                straight = (q_rad[:, k] - self._centre[k]) / self._travel[k]
+                yield (
+                    f"angle of joint {k + 1}",
+                    COUPLING_rad,
+                    np.column_stack((straight, DEPARTURE * _waves(q_rad[:, k]))),
+                )
         if self._load_Nm is not None and self._load_Nm[j] > 0.0:
             pull = load[:, j]
             curve = DEPARTURE * np.column_stack((np.abs(pull), pull * np.abs(pull)))
             yield "load", LOAD_rad, np.column_stack((pull, curve))
+            wound = np.sign(at.direction[:, j, None])
+            yield "friction", FRICTION_rad, wound * np.column_stack((np.ones(len(q)), np.abs(pull)))
         yield "direction", DIRECTION_rad, flank[:, j, None] * _play(q, load[:, j])
 
     def _bent(self, at: Conditions, link: int) -> Array:

@@ -8,6 +8,7 @@ Computation 4, 1992), with a broad prior about the usual sizes: what no pose tes
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -23,6 +24,7 @@ SIZE_SPREAD: Final = 2.0  # standard deviation of a size's logarithm about the u
 NOISE_m: Final = 1e-4  # usual noise of one axis; its logarithm is as good as free
 NOISE_SPREAD: Final = 3.0
 SIZE_LIMIT: Final = 7.0  # of a logarithm about the usual one: a thousandth to a thousand times
+SIZES: Final = np.linspace(-3.0, 5.0, 17)  # of logarithms about the most probable one
 ROUNDS: Final = 4  # linearisations
 STEPS_MOST: Final = 200
 Mask = npt.NDArray[np.bool_]
@@ -76,7 +78,7 @@ def posterior_of(
         odds, flank = _weighed(problem, at, discrepancy, found, rows)
         discrepancy, at = discrepancy.knowing(odds), replace(at, flank=flank)
         loose_m2 = loose_play_m2(discrepancy, at, problem.solution(x), found)
-    return found
+    return evidence.over_sizes(found, logs)
 
 
 def _weighed(
@@ -144,6 +146,40 @@ class Evidence:
         mean, covariance, _ = self._solved(logs)
         sizes = np.exp(logs)
         return Posterior(mean, covariance, len(self._x_precision), float(sizes[0]), sizes[1:], self._odds)
+
+    def over_sizes(self, found: Posterior, logs: Array) -> Posterior:
+        """The same, averaged over what the poses leave open of each source's size, the others at their most probable ones.
+
+        The most probable size of a source that the poses hardly show is far below what it may be, which matters where they did
+        not go. Another size changes the precision of the source's weights f alone, by d: the covariance C becomes
+        C - C_f M C_f', the mean m - C_f M m_f, with M = (1 + d C_ff)^-1 d, and twice the logarithm of the evidence falls by
+        log det(1 + d C_ff) + n log(size^2 ratio) + m_f' M m_f. The mean of these normal distributions over a grid of sizes is
+        matched by its first two moments; no covariance becomes smaller by it.
+        """
+        mean, covariance = found.mean.copy(), found.covariance.copy()
+        for k, part in enumerate(self._slices, start=1):
+            rows = slice(part.start + found.x_count, part.stop + found.x_count)
+            here, weights = found.covariance[rows, rows], found.mean[rows]
+            grid = np.clip(SIZES + logs[k], self._usual[k] - SIZE_LIMIT, self._usual[k] + SIZE_LIMIT)
+            steps, odds = [], []
+            for size in grid:
+                change = math.exp(-2.0 * size) - math.exp(-2.0 * logs[k])
+                inner = np.eye(len(weights)) + change * here
+                step = change * np.linalg.inv(inner)
+                steps.append(step)
+                cost = np.linalg.slogdet(inner)[1] + 2.0 * len(weights) * (size - logs[k])
+                prior = ((size - self._usual[k]) / SIZE_SPREAD) ** 2
+                odds.append(-0.5 * (cost + float(weights @ step @ weights) + prior))
+            share = np.exp(np.array(odds) - max(odds))
+            share /= share.sum()
+            usual = np.einsum("g,gij->ij", share, np.array(steps))
+            off = np.array([(step - usual) @ weights for step in steps])
+            more = np.einsum("g,gi,gj->ij", share, off, off) - usual
+            values, vectors = np.linalg.eigh(0.5 * (more + more.T))
+            wider = found.covariance[:, rows] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+            covariance += wider @ wider.T
+            mean -= found.covariance[:, rows] @ usual @ weights
+        return replace(found, mean=mean, covariance=covariance)
 
     def _solved(self, logs: Array) -> tuple[Array, Array, float]:
         """Mean, covariance, log determinant of the precision."""

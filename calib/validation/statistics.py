@@ -65,7 +65,8 @@ class Difference:
     def in_words(self) -> str:
         """Text such as `better by 12.3 mm [11.9, 12.7] (95 %)`, with significant digits only."""
         if math.isnan(self.half_width_m):
-            return f"one point, {1e3 * self.mean_m:+.3f} mm: too few for an interval"
+            what = "one point" if self.count == 1 else f"{self.count} points with one and the same error"
+            return f"{what}, {1e3 * self.mean_m:+.3f} mm: too few for an interval"
         digits = digits_mm(self.half_width_m)
         if self.finding is Finding.NOTHING:
             return f"{self.finding.value}: {self._spelled(1.0, digits)}"
@@ -104,9 +105,9 @@ def difference(before_m: Array, after_m: Array) -> Difference:
 
 
 def mean_half_width(values: Array) -> float:
-    """Half the 95 % interval of the mean of values (m,): t s / sqrt(m); NaN for fewer than two."""
+    """Half the 95 % interval of the mean of values (m,): t s / sqrt(m); NaN where all are one value, which tells no scatter."""
     m = len(values)
-    if m < 2:
+    if m < 2 or np.ptp(values) == 0.0:
         return math.nan
     return student_t(m - 1) * float(np.std(values, ddof=1)) / math.sqrt(m)
 

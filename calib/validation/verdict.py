@@ -4,10 +4,10 @@ The grades are tried in this order, and the first that applies is given:
 
 | grade | when |
 | --- | --- |
-| too few points | fewer than FREEDOM_MINIMUM residual coordinates beyond the parameters, or nothing could be held out |
+| too few points | fewer than FREEDOM_MINIMUM residual coordinates beyond the parameters, no hold-out, or a joint never moved |
 | worse | held-out points are no better than with nominal parameters |
 | over-fitted | held-out errors are OVER_FITTED times those of the fit (beyond the effect of noise alone) |
-| noise not known | there are no repeats and no camera noise in the file, and the residual of the fit does not measure it |
+| noise not known | there are no repeats and no camera noise in the file, or the points scatter far less than the stated noise |
 | not at the floor | held-out errors exceed GOOD times the noise: an effect is missing in the model |
 | good | within GOOD times the noise |
 """
@@ -28,6 +28,7 @@ from calib.identify.suspects import Suspects
 from calib.points.covariance import POSITION
 from calib.points.points import Points, seen_again
 from calib.validation.holdout import HeldOut
+from calib.validation.statistics import mean_half_width
 from control.model.arm import Arm
 
 Grade = Literal["good", "noise not known", "not at the floor", "over-fitted", "worse", "too few points"]
@@ -37,6 +38,8 @@ FREEDOM_MINIMUM = (
 )
 WORSE_PERCENT = 0.0  # improvement on held-out points
 OVER_FITTED = 2.0  # held-out over fitted RMS, beyond sqrt((1 + p/3m) / (1 - p/3m)) from noise
+EXACT_m = 1e-6  # held-out errors below follow rounding and no noise: nobody measures a tip to a micrometre
+UNTOUCHED = 0.3  # of the stated noise: points that scatter less were not measured with it
 GOOD = 1.5  # held-out over noise: the remaining error is then about as large as the noise (sqrt(1.5^2 - 1) = 1.1)
 CONDITION_LIMIT = (
     100.0  # above, the weakest combination of parameters is 100 times less certain than the best
@@ -143,12 +146,20 @@ def verdict(
     floor: NoiseFloor | None,
     suspects: Suspects | None = None,
     setups: Sequence[str] = (),
+    still: Sequence[str] = (),
 ) -> Verdict:
-    """The verdict on a calibration; `setups` names the setup of each point, for the advice."""
+    """The verdict on a calibration; `setups` names the setup of each point, for the advice, `still` joints that never moved."""
     slips = _slips(suspects)
     held = held.without(slips) if held is not None else None
-    grade = _grade(found, held, floor, slips)
+    grade = "too few points" if still else _grade(found, held, floor, slips)
     sentences = [_answer(grade, found)]
+    if still:
+        sentences.append(f"{' and '.join(still)} never moved: what belongs to them was not tested.")
+    if floor is not None and _is_untouched(found, floor):
+        sentences.append(
+            f"The points scatter by {1e3 * _axis_m(found):.2g} mm about the fit, far less than the noise that is stated: they"
+            " were not measured with it."
+        )
     if held is not None:
         sentences += [*_on_held_out(held, floor, len(slips)), *_against_paper(found, held)]
     if grade == "over-fitted" and held is not None:
@@ -179,9 +190,20 @@ def _grade(
         return "worse"
     if _over_fit(found, held, slips) > OVER_FITTED:
         return "over-fitted"
-    if floor is None:
+    if floor is None or _is_untouched(found, floor):
         return "noise not known"
     return "good" if float(np.mean(held.after_m)) <= GOOD * floor.mean_m else "not at the floor"
+
+
+def _axis_m(found: Identification) -> float:
+    """Standard deviation of one axis about the fit."""
+    m = len(found.error_after_m)
+    return float(np.sqrt(np.sum(found.error_after_m**2) / max(1, 3 * m - found.rank)))
+
+
+def _is_untouched(found: Identification, floor: NoiseFloor) -> bool:
+    """Whether the points know nothing of the noise."""
+    return _axis_m(found) < UNTOUCHED * floor.axis_m
 
 
 def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ()) -> float:
@@ -190,7 +212,7 @@ def _over_fit(found: Identification, held: HeldOut, slips: Collection[int] = ())
     fitted = np.delete(found.error_after_m, sorted(slips), axis=0)
     rms_m = float(np.sqrt(np.mean(np.sum(fitted**2, axis=1))))
     expected = rms_m * math.sqrt((1.0 + share) / max(1.0 - share, 0.05))
-    return float(np.sqrt(np.mean(held.after_m**2))) / max(expected, 1e-12)
+    return float(np.sqrt(np.mean(held.after_m**2))) / max(expected, EXACT_m)
 
 
 def _answer(grade: Grade, found: Identification) -> str:
@@ -222,8 +244,10 @@ def _on_held_out(held: HeldOut, floor: NoiseFloor | None, slips_count: int = 0) 
     change = "better" if held.improvement_percent >= 0.0 else "worse"
     how = "setup by setup" if held.by == "setup" else held.by
     but = f", without the {slips_count} that contradict the others" if slips_count else ""
+    half = 1e3 * mean_half_width(held.after_m)
+    interval = f" [{after - half:.3f}, {after + half:.3f}] (95 %)" if math.isfinite(half) else ""
     sentences = [
-        f"On points not used (held out {how}{but}), the mean {what} went from {before:.3f} to {after:.3f} mm:"
+        f"On points not used (held out {how}{but}), the mean {what} went from {before:.3f} to {after:.3f} mm{interval}:"
         f" {abs(held.improvement_percent):.1f} % {change}."
     ]
     if floor is not None:

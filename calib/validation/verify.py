@@ -49,7 +49,7 @@ class Comparison:
     """Points with their error vectors (measured minus target, base frame) before and after calibration.
 
     setup, point: m names; tip_m, before_m, after_m: (m, 3). Half widths (m,): of the 95 % interval of each point's
-    distance, from repeats at the point; NaN without repeats.
+    distance, from repeats at the point; NaN without repeats. `cautions`: sentences about the points.
     """
 
     setup: tuple[str, ...]
@@ -59,6 +59,7 @@ class Comparison:
     after_m: Array
     before_half_width_m: Array
     after_half_width_m: Array
+    cautions: tuple[str, ...] = ()
 
     @property
     def setups(self) -> tuple[str, ...]:
@@ -78,6 +79,7 @@ class Comparison:
             frozen(self.after_m[rows]),
             frozen(self.before_half_width_m[rows]),
             frozen(self.after_half_width_m[rows]),
+            self.cautions,
         )
 
     def of(self, setup: str) -> SetupComparison:
@@ -174,7 +176,7 @@ def _figures(summary: ErrorSummary) -> tuple[str, ...]:
     low, high = summary.mean_m - summary.mean_half_width_m, summary.mean_m + summary.mean_half_width_m
     return (
         f"{1e3 * summary.mean_m:.3f}",
-        f"{1e3 * low:.3f} to {1e3 * high:.3f}",
+        f"{1e3 * low:.3f} to {1e3 * high:.3f}" if math.isfinite(low) else "unknown",
         f"{1e3 * summary.rms_m:.3f}",
         f"{1e3 * summary.max_m:.3f}",
         f"{1e3 * summary.sd_m:.3f}",

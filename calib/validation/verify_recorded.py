@@ -7,9 +7,12 @@ residual is its inconsistency. Static effects of a model (backlash, scale, ...) 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
-from calib.arm_problem.assembly import base_frame_of
+from calib.arm_problem.assembly import BASE, CAMERA, Choice, base_frame_of
 from calib.arm_problem.checks import require_of_arm
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.joint_effects import known_corrections
@@ -31,9 +34,10 @@ def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
     """Errors by two models; rows of the same name and pose are repeats, other poses of the same name separate points.
 
     Rows are omitted if their tip is neither measured nor in a cavity of a board with enough poses; CalibrationError
-    if none is left, UnusablePointsError for points in other units or of another arm.
+    if none is left, UnusablePointsError for points in other units or of another arm. Copies count once.
     """
-    require_of_arm(calibrated, points)
+    cautions = (*require_of_arm(calibrated, points), *_about_frames((nominal, calibrated), points))
+    points = points.chosen(_first_of_copies(points))
     errors = [errors_of(arm, points) for arm in (nominal, calibrated)]
     rows = np.flatnonzero(np.isfinite(errors[0]).all(axis=1) & np.isfinite(errors[1]).all(axis=1))
     if not len(rows):
@@ -43,7 +47,33 @@ def compare_arms(nominal: Arm, calibrated: Arm, points: Points) -> Comparison:
         )
     used = points.chosen(rows)
     tips = np.where(np.isfinite(used.tip_m), used.tip_m, predicted_tips(calibrated, used))
-    return compare_repeated(used.setup, _names(used), tips, errors[0][rows], errors[1][rows])
+    found = compare_repeated(used.setup, _names(used), tips, errors[0][rows], errors[1][rows])
+    return replace(found, cautions=cautions)
+
+
+def _about_frames(arms: Sequence[Arm], points: Points) -> tuple[str, ...]:
+    """Which models' frames were placed where they fit best, as a calibration does."""
+    placed = list(dict.fromkeys(str(arm.path or arm.name) for arm in arms if _is_unplaced(arm, points)))
+    if not placed or not np.isfinite(points.tip_m).any():
+        return ()
+    return (
+        f"nothing in {' and '.join(placed)} says where the frame of the measured tips stands: it was put where the model fits"
+        " them best, as `calibrate` does",
+    )
+
+
+def _is_unplaced(arm: Arm, points: Points) -> bool:
+    """Whether a calibration of this arm would identify the frame of the tips, too."""
+    return not {BASE, CAMERA}.isdisjoint(Choice().for_points(arm, points).freed)
+
+
+def _first_of_copies(points: Points) -> list[int]:
+    """Rows without those whose angles and tips an earlier row has to the last digit: copies tell nothing of scatter."""
+    first: dict[bytes, int] = {}
+    for row in range(len(points)):
+        name = f"{points.setup[row]}:{points.point[row]}" if np.isnan(points.tip_m[row]).any() else ""
+        first.setdefault(name.encode() + points.q_rad[row].tobytes() + points.tip_m[row].tobytes(), row)
+    return list(first.values())
 
 
 def predicted_tips(arm: Arm, points: Points) -> Array:
@@ -65,16 +95,16 @@ def errors_of(arm: Arm, points: Points) -> Array:
 
 
 def measuring_frame(arm: Arm, points: Points) -> Frame:
-    """The frame of the measured tips in the arm's base frame; a camera's is put where this model fits best."""
-    if not points.in_camera_frame:
+    """The frame of the measured tips in the arm's base frame; one of unknown place is put where this model fits best."""
+    if not _is_unplaced(arm, points):
         return base_frame_of(arm)
     rows = np.isfinite(points.tip_m).all(axis=1)
     if rows.sum() < LEAST_POSES:
         raise CalibrationError(
-            f"{int(rows.sum())} tips in a camera's frame, {LEAST_POSES} are needed to place it"
+            f"{int(rows.sum())} tips in a frame of unknown place, {LEAST_POSES} are needed to place it"
         )
     motion = best_motion(points.tip_m[rows], predicted_tips(arm, points)[rows])
-    return Frame("camera", frozen(motion.rotation), frozen(motion.shift_m))
+    return Frame(CAMERA if points.in_camera_frame else BASE, frozen(motion.rotation), frozen(motion.shift_m))
 
 
 def _on_fitted_board(arm: Arm, names: list[str], tips: Array) -> Array:

@@ -74,14 +74,15 @@ class Pair:
 def nominal_of(calibrated: Arm, against: str | None) -> Arm:
     """The arm that a calibrated one is compared with: the given one, or the one that it was calibrated from.
 
-    ArmError if its file does not name one, the file is missing, or the two are not the same arm.
+    ArmError if its file does not name one, the file is missing, or the two have other joints. Fixed rows and the convention may
+    differ: each model predicts by its own.
     """
     nominal = load_arm(against or _source_of(calibrated))
-    shapes = [
-        f"{arm.joint_count} joints, {len(arm.links)} links and {arm.dh_convention} DH"
-        for arm in (nominal, calibrated)
-    ]
-    if shapes[0] != shapes[1]:
+    if nominal.joint_count != calibrated.joint_count:
+        shapes = [
+            f"{arm.joint_count} joints, {len(arm.links)} links and {arm.dh_convention} DH"
+            for arm in (nominal, calibrated)
+        ]
         raise ArmError(f"{calibrated.path} has {shapes[1]}, {nominal.path} {shapes[0]}: not the same arm")
     return nominal
 

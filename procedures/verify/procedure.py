@@ -129,7 +129,7 @@ def on_recorded(
         raise CalibrationError(f"{file}: --wire-at and --free-zero: expected lengths (docs/distances.md)")
     else:
         comparison = compare_arms(nominal, calibrated, _with_tips(calibrated, points))
-        what = "measured tips"
+        what, warnings = "measured tips", (*warnings, *comparison.cautions)
     used_file = input_file(file, f"recorded poses and {what}")
     how = (
         f"Compared {len(points)} recorded poses of {file.name}: {what} against the predictions of the nominal"

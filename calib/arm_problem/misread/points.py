@@ -80,11 +80,22 @@ def doubts_of_reading(arm: Arm, problem: ArmProblem, is_as_given: bool = False) 
             raise found.refusal()
         return (found,)
     if as_read.distance_m > FAR_TIMES * reach_m:
-        far = Doubt(
-            "the points may be of another arm, or of one with other zeros",
-            f"expected at most {1e3 * reach_m:.0f} mm, which all deviations within their bounds explain",
-            f"the nominal arm is {as_read.in_words()}",
-            "check that the points are of this arm and use its zeros",
+        frames = tuple(dataclasses.replace(frame, is_placed=False) for frame in observed.frames)
+        placed = _misfit(problem, dataclasses.replace(observed, frames=frames))
+        far = (
+            Doubt(
+                "the tips look measured in a frame that stands elsewhere than the arm's file says",
+                f"placed where it fits best, the nominal arm would be {placed.in_words()}",
+                f"it is {as_read.in_words()}",
+                "--free base identifies the frame (calibrate), and without base_frame and [table] known_pose it is placed always",
+            )
+            if placed.left < as_read.left / NEARER
+            else Doubt(
+                "the points may be of another arm, or of one with other zeros",
+                f"expected at most {1e3 * reach_m:.0f} mm, which all deviations within their bounds explain",
+                f"the nominal arm is {as_read.in_words()}",
+                "check that the points are of this arm and use its zeros",
+            )
         )
         if not is_as_given:
             raise far.refusal()

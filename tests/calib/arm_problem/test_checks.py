@@ -263,3 +263,17 @@ def test_a_tracker_that_stands_anywhere_is_found_by_what_it_measured() -> None:
     problem = problem_of(arm, points, Choice().for_points(arm, points))
     found = identify(problem, objective=LeastSquares(), starts_count=1)
     assert found.noise_m == pytest.approx(1e-4, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tool_and_a_frame_that_nobody_knows_are_started_together_from_places_measured_once(seed) -> None:
+    rng, arm = np.random.default_rng(seed), arm_with(6)
+    q, tool = rng.uniform(-1.3, 1.3, (60, 6)), np.array([0.05, 0.0, 0.1]) + rng.uniform(-0.1, 0.1, 3)
+    true = dataclasses.replace(arm, tool=Tool((float(tool[0]), float(tool[1]), float(tool[2]))))
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    tips = ArmModel(true).tips(arm.dh, q) @ turned.T + np.array([2.0, -1.0, 0.5])
+    points = make_points(["free"] * 60, [str(k) for k in range(60)], [1] * 60, q, tips)
+    problem = problem_of(arm, points, Choice(freed=("tool",)).for_points(arm, points))
+    start = problem.solution(np.zeros(len(problem.parameters)))
+    assert start.tool_m == pytest.approx(tool, abs=1e-6)
+    assert np.abs(problem.residuals(np.zeros(len(problem.parameters)))).max() < 1e-6

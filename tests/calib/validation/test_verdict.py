@@ -10,6 +10,7 @@ from calib.identify import LeastSquares, identify, problem_of
 from calib.identify.suspects import find_suspects
 from calib.points.points import make_points
 from calib.validation.holdout import Fold, HeldOut, held_out
+from calib.validation.statistics import mean_half_width
 from calib.validation.verdict import NoiseFloor, noise_floor, verdict
 from tests.calib.simulated import RIGHT, NOISE_m, board_points, true_dh, with_rows
 
@@ -143,3 +144,25 @@ def test_approaches_from_two_sides_are_no_repeats() -> None:
         dataclasses.replace(RIGHT, camera=None), points, problem_of(RIGHT, points), np.zeros(16)
     )
     assert floor.axis_m == pytest.approx(NOISE_m, rel=0.4)
+
+
+def test_exact_points_are_not_over_fitted_and_not_good_by_a_noise_that_they_do_not_have() -> None:
+    exact = fitted(noise_m=1e-12)
+    assert verdict(exact, left_out(0.02, 1e-9), None).grade == "noise not known"
+    found = verdict(exact, left_out(0.02, 1e-9), FLOOR)
+    assert found.grade == "noise not known"
+    assert "were not measured with it" in " ".join(found.sentences)
+    assert verdict(fitted(noise_m=1e-5), left_out(0.02, 0.001), None).grade == "over-fitted"
+
+
+def test_an_arm_is_not_called_good_while_a_joint_of_it_never_moved() -> None:
+    found = verdict(fitted(), left_out(0.02, 0.00025), FLOOR, still=("q1_rad", "q3_rad"))
+    assert found.grade == "too few points"
+    assert "q1_rad and q3_rad never moved" in " ".join(found.sentences)
+
+
+def test_the_held_out_error_has_its_interval() -> None:
+    held = left_out(0.02, 0.00025)
+    half = 1e3 * mean_half_width(held.after_m)
+    said = " ".join(verdict(fitted(), held, FLOOR).sentences)
+    assert f"to 0.250 mm [{0.25 - half:.3f}, {0.25 + half:.3f}] (95 %)" in said

@@ -10,6 +10,8 @@ import pytest
 from benchmarks.calibration.chains import board_session
 from calib.errors import CalibrationError
 from calib.points.points import Points, make_points
+from calib.validation.statistics import difference
+from calib.validation.verify import compare, comparison_text
 from calib.validation.verify_recorded import LEAST_POSES, compare_arms
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Effect, Table, Tool
@@ -122,3 +124,31 @@ def test_a_table_without_cavities_of_these_names_is_no_reference() -> None:
     _, points = seen_session()
     with pytest.raises(CalibrationError, match="named cavities"):
         compare_arms(arm, arm, replace(points, tip_m=np.full((33, 3), np.nan)))
+
+
+def test_a_tracker_of_unknown_place_is_put_where_each_model_fits_best_and_that_is_said() -> None:
+    true, points = seen_session()
+    c, s = np.cos(0.7), np.sin(0.7)
+    away = points.tip_m @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T + [4.07, -1.2, 0.3]
+    bare = [replace(arm, table=None) for arm in (RIGHT, true)]
+    found = compare_arms(*bare, replace(points, tip_m=away))
+    assert found.of("roll").after.max_m < 1e-9
+    assert 1e-3 < found.of("roll").before.mean_m < 0.05
+    assert "says where the frame of the measured tips stands" in found.cautions[-1]
+    with pytest.raises(CalibrationError, match="measured in a frame that stands elsewhere"):
+        compare_arms(RIGHT, true, replace(points, tip_m=away))  # its table says where
+
+
+def test_copies_count_once_and_identical_errors_have_no_interval() -> None:
+    true, points = seen_session()
+    twice = points.chosen([*range(33), *range(10)])
+    found = compare_arms(RIGHT, true, twice)
+    assert len(found.setup) == 33
+    assert "copies" in found.cautions[0]
+    same = difference(np.full(12, 0.004), np.full(12, 0.001))
+    assert np.isnan(same.half_width_m)
+    assert same.in_words() == "12 points with one and the same error, +3.000 mm: too few for an interval"
+    flat = np.tile([0.003, 0.0, 0.0], (12, 1))
+    said = comparison_text(compare(["a"] * 12, [str(k) for k in range(12)], flat, flat, flat))
+    assert "unknown" in said
+    assert "nan" not in said

@@ -18,7 +18,7 @@ from console.main import main
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
-from control.model.arm import Arm, Calibration, Effect, Tool
+from control.model.arm import Arm, Calibration, Effect, Link, Tool
 from control.model.description import load_arm, save_arm
 from control.model.fingerprint import fingerprint
 from control.recording.record import FileSink, Layout
@@ -361,3 +361,11 @@ def test_a_growing_recording_is_read_as_far_as_it_is_whole(tmp_path: Path) -> No
     wait_until_recorded(path, 3.9, lambda duration_s: pytest.fail("it is there already"))
     with pytest.raises(ArmError, match="has stopped growing"):
         wait_until_recorded(path, 5.0, lambda duration_s: None)
+
+
+def test_a_fixed_row_more_is_the_same_arm(calibrated: Path, tmp_path: Path) -> None:
+    arm = load_arm(calibrated)
+    bend = Link("fixed", 0.0, 0.0, 0.0, 0.0005)
+    file = tmp_path / "tilted.toml"
+    save_arm(replace(arm, links=(*arm.links[:2], bend, *arm.links[2:])), file)
+    assert nominal_of(load_arm(file), "right").joint_count == 3
