@@ -78,7 +78,7 @@ def posterior_of(
         odds, flank = _weighed(problem, at, discrepancy, found, rows)
         discrepancy, at = discrepancy.knowing(odds), replace(at, flank=flank)
         loose_m2 = loose_play_m2(discrepancy, at, problem.solution(x), found)
-    return evidence.over_sizes(found, logs)
+    return evidence.over_sizes(found)
 
 
 def _weighed(
@@ -147,7 +147,7 @@ class Evidence:
         sizes = np.exp(logs)
         return Posterior(mean, covariance, len(self._x_precision), float(sizes[0]), sizes[1:], self._odds)
 
-    def over_sizes(self, found: Posterior, logs: Array) -> Posterior:
+    def over_sizes(self, found: Posterior) -> Posterior:
         """The same, averaged over what the poses leave open of each source's size, the others at their most probable ones.
 
         The most probable size of a source that the poses hardly show is far below what it may be, which matters where they did
@@ -157,6 +157,7 @@ class Evidence:
         matched by its first two moments; no covariance becomes smaller by it.
         """
         mean, covariance = found.mean.copy(), found.covariance.copy()
+        logs = np.log(np.concatenate(([found.noise_m], found.sizes)))
         for k, part in enumerate(self._slices, start=1):
             rows = slice(part.start + found.x_count, part.stop + found.x_count)
             here, weights = found.covariance[rows, rows], found.mean[rows]

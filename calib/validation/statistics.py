@@ -66,7 +66,8 @@ class Difference:
         """Text such as `better by 12.3 mm [11.9, 12.7] (95 %)`, with significant digits only."""
         if math.isnan(self.half_width_m):
             if self.count > 1:
-                return f"{Finding.NOTHING.value}: {1e3 * self.mean_m:+.3f} mm at all {self.count} points alike, which tells no interval"
+                alike = f"{1e3 * self.mean_m:+.3f} mm at all {self.count} points alike"
+                return f"{Finding.NOTHING.value}: {alike}, which tells no interval"
             return f"one point, {1e3 * self.mean_m:+.3f} mm: too few for an interval"
         digits = digits_mm(self.half_width_m)
         if self.finding is Finding.NOTHING:

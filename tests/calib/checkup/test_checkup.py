@@ -197,3 +197,12 @@ def test_wrong_input_moves_nothing(
     assert main(["check-up", "--arm", "right", "--points", "points.csv", "--out", "out", *options]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_tips_that_are_all_somewhat_farther_off_than_expected_are_no_change(seed: int) -> None:
+    at = quiet()
+    left = np.random.default_rng(seed).normal(0.0, 1.4 * NOISE_m, at.left_m.shape)
+    found = decide(dataclasses.replace(at, left_m=left))
+    assert (found.action, found.is_sure) == ("fine", True)
+    assert found.causes[0].cause.kind == "nothing"

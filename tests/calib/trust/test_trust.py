@@ -17,7 +17,7 @@ from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.flanks import SHARES, Gears, even_odds
 from calib.trust.held_out import ELLIPSOID_95
 from calib.trust.iso9283 import pose_figures
-from calib.trust.posterior import Evidence, linearised, posterior_of
+from calib.trust.posterior import SIZE_SPREAD, SIZES, Evidence, linearised, posterior_of
 from calib.trust.prediction import TipError
 from calib.trust.task import planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in, within_95_m
@@ -54,8 +54,14 @@ def inside(error: TipError, true_m: Array) -> float:
 
 @pytest.mark.parametrize(
     "hidden",
-    [(), (Hidden("joint_compliance", 2, 600.0),), (Hidden("encoder_eccentricity", 2, 0.008, 1.0),), (PLAY,)],
-    ids=["geometry", "compliance", "eccentricity", "play"],
+    [
+        (),
+        (Hidden("joint_compliance", 2, 600.0),),
+        (Hidden("encoder_eccentricity", 2, 0.008, 1.0),),
+        (PLAY,),
+        (Hidden("wobble", 2, 0.003, 1.0),),
+    ],
+    ids=["geometry", "compliance", "eccentricity", "play", "wobble"],
 )
 def test_true_errors_of_poses_that_were_not_recorded_lie_inside(hidden: tuple[Hidden, ...]) -> None:
     made, trust = recorded(*hidden), trusted(*hidden)
@@ -238,3 +244,28 @@ def test_draws_of_a_gear_scatter_about_the_place_that_is_expected_of_it() -> Non
     drawn = Discrepancy(ARM).strayed(poses, 4000, np.random.default_rng(7))
     assert np.abs(drawn.mean(axis=0)).max() < 5.0 / np.sqrt(4000)
     assert drawn.std(axis=0).max() > 0.5
+
+
+def test_what_no_pose_shows_is_as_wide_as_its_size_may_be_and_not_as_its_most_probable_one() -> None:
+    discrepancy = Discrepancy(ARM)
+    count = sum(source.count for source in discrepancy.sources)
+    evidence = Evidence(np.zeros((5, 3, 2 + count)), np.zeros((5, 3)), np.full(2, 0.3), discrepancy)
+    usual = np.array([1e-4, *(source.usual for source in discrepancy.sources)])
+    single = evidence.posterior(np.log(usual))
+    wider = evidence.over_sizes(single)
+    share = np.exp(-0.5 * (SIZES / SIZE_SPREAD) ** 2)
+    factor = float(share @ np.exp(2.0 * SIZES) / share.sum())
+    assert factor > 10.0
+    assert np.diag(wider.covariance)[2:] == pytest.approx(factor * np.diag(single.covariance)[2:], rel=1e-6)
+    assert np.diag(wider.covariance)[:2] == pytest.approx(np.diag(single.covariance)[:2])
+
+
+def test_averaging_over_sizes_makes_no_direction_more_certain() -> None:
+    points = recorded(PLAY).points
+    problem, discrepancy = problem_of(ARM, points, Choice()), Discrepancy(ARM)
+    at = Conditions(points.q_rad, points.direction, points.payload_kg, points.current_A)
+    evidence = Evidence(*linearised(problem, at, discrepancy, np.zeros(16)), np.full(16, 0.3), discrepancy)
+    single = evidence.posterior(np.log(np.array([2e-4, *(one.usual for one in discrepancy.sources)])))
+    more = evidence.over_sizes(single).covariance - single.covariance
+    assert np.linalg.eigvalsh(more).min() > -1e-9 * np.abs(more).max()
+    assert np.trace(more) > 0.0
