@@ -92,7 +92,7 @@ def test_off_asks_before_boards_let_an_arm_go_that_they_held(
         restarted(before, on.arm, on.period_s) as cell,
     ):
         cell.run(0.1)
-        monkeypatch.setattr(requests, "connected", lambda given: cell.client)
+        monkeypatch.setattr(requests, "listening", lambda given: cell.client)
         monkeypatch.setattr(sys, "stdin", io.StringIO())
         assert main(["off"]) == 2
         assert "off: releases the arm" in capsys.readouterr().err

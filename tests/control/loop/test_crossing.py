@@ -23,7 +23,7 @@ def test_the_judge_sees_torque_in_off() -> None:
     with stand("feetech") as one:
         (judge,) = one.judges.values()
         judge.runtime.parts.hardware.write = lambda *_: None  # type: ignore[method-assign]
-        one.play([{"meddle": "switched_on", "joint": 0, "after": 0.0, "arm": ""}, {"cycles": 60}])
+        one.play([{"meddle": "switched_on", "joint": 1, "after": 0.0, "arm": ""}, {"cycles": 60}])
         assert judge.broken == ["torque in OFF on 1 joints"]
 
 
