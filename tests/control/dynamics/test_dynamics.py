@@ -42,7 +42,8 @@ def _random_arm(seed: int) -> Arm:
         )
     drives = (Drive(1, 50.0, 2048, 0.03, 0.3, 24.0, rotor_inertia_kg_m2=1e-5),)
     gravity = _three(source.uniform(-10, 10, 3))
-    return Arm("any", tuple(links), gravity, "modified" if seed % 2 else "standard", drives)
+    convention = "modified" if seed % 2 else "standard"
+    return Arm("any", tuple(links), gravity, dh_convention=convention, drives=drives)
 
 
 def _three(values: np.ndarray) -> tuple[float, float, float]:
