@@ -93,3 +93,24 @@ def test_a_board_that_holds_after_a_time_out_has_torque_whatever_its_state_is_ca
     holding.has_torque = [True]
     assert drives.follow(0.0, holding) == []
     assert [fault.code for fault in drives.follow(1.5, holding)] == ["drive_not_disabled"]
+
+
+def test_a_way_leads_to_hold_or_off() -> None:
+    assert {bound for bound in Bound if bound.is_hold} == {Bound.ON, Bound.HOLD}
+    assert {bound for bound in Bound if bound.is_off} == {Bound.OFF, Bound.QUIT}
+
+
+def test_drives_that_were_ready_are_not_once_they_are_wanted_off_or_on_anew() -> None:
+    drives = DriveStates(("joint 1", "joint 2"))
+    drives.want(0.0, Wanted.ENABLING)
+    drives.follow(0.0, states(ENABLED, ENABLED))
+    assert drives.out_of_operation(states(OFF, OFF)) == []
+    drives.want(1.0, Wanted.DISABLED)
+    assert not drives.is_ready
+    drives.want(2.0, Wanted.ENABLED)
+    assert not drives.is_ready
+    assert drives.out_of_operation(states(ENABLED, OFF)) == ["joint 2"]
+    drives.want(3.0, Wanted.DISABLED)
+    assert drives.out_of_operation(states(OFF, OFF)) == []
+    drives.follow(3.0, states(ENABLED, OFF))
+    assert [fault.reaction for fault in drives.follow(4.5, states(ENABLED, OFF))] == [Reaction.BRAKE]
