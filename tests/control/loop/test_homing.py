@@ -275,11 +275,10 @@ def test_a_16_bit_counter_that_wraps_during_the_search_homes_alike() -> None:
     )
     with holding_cell(hidden, wired) as cell:
         cell.client.home()
-        cell.run(0.05)
+        cell.run(1.0)  # at rest: the counts are those of where it is
+        assert cell.runtime.parts.measurement.q_rad == pytest.approx(cell.rig.joint_rad(), abs=COUNT_rad)
         # Its zero cannot be believed by the next runtime: 16 bits are 2 rad, and the joint has 5.
         assert cell.client.ask("home")["homing"]
-        cell.client.stop()
-        assert cell.runtime.parts.measurement.q_rad == pytest.approx(cell.rig.joint_rad(), abs=COUNT_rad)
 
 
 def test_boards_that_still_know_their_zero_are_left_alone() -> None:
