@@ -38,7 +38,7 @@ def end_at_once(name: str = "") -> None:
 
 @contextlib.contextmanager
 def heard() -> Iterator[None]:
-    """Within the block they raise KeyboardInterrupt; then they do what they did before."""
+    """They raise KeyboardInterrupt within the block, at its end at the latest; then they do what they did before."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -49,6 +49,10 @@ def heard() -> Iterator[None]:
         with held():
             for number, handler in before.items():
                 signal.signal(number, handler)
+            # Later it would be lost, or kill a program that ends without a word: Python leaves SIGALRM at its default then.
+            is_to_come = signal.setitimer(signal.ITIMER_REAL, 0.0)[0] > 0.0
+        if is_to_come:
+            raise KeyboardInterrupt
 
 
 @contextlib.contextmanager

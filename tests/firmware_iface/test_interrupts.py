@@ -94,3 +94,15 @@ def test_an_interrupt_that_falls_into_a_destructor_is_raised_behind_it() -> None
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
     )
     assert (ended.stdout, ended.stderr) == ("raised\n", "")
+
+
+def test_an_interrupt_at_the_last_import_of_a_block_is_raised_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its second coming would be lost, or fall into Python's own end, where the alarm kills."""
+    (tmp_path / "last_one.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt), interrupts.heard():
+        importlib.import_module("last_one")
+    assert "last_one" in sys.modules  # whole
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
