@@ -106,7 +106,7 @@ def _lines(file: "io.BufferedReader | gzip.GzipFile", most_bytes: int, rows: Row
             place = (begun + error.start, begun + error.end)
             raise UnicodeDecodeError(error.encoding, error.object, *place, error.reason) from None
         begun += len(line)
-        if "\r" in text[:-2]:
+        if "\r" in text.removesuffix("\n").removesuffix("\r"):
             yield from io.StringIO(text, newline="")
         else:
             yield text

@@ -132,6 +132,10 @@ def observations_of(arm: Arm, points: Points, choice: Choice, shaped: Arm | None
             position[rows] = cavities
             frames.append(frame)
     acting = shaped or arm
+    made = corrections(acting, points, choice.effects)
+    if shaped is not None:  # it shapes the slopes; what is nominal is the arm's own
+        nominal = {one.name: one.nominal for one in corrections(arm, points, choice.effects)}
+        made = tuple(replace(one, nominal=nominal.get(one.name, 0.0)) for one in made)
     keys = [effect_key(text, arm) for text in choice.effects]
     wanted = [link for effect, link in keys if effect == FLEXURE]
     bent = known_bending(acting, points.q_rad, points.payload_kg, wanted)
@@ -142,7 +146,7 @@ def observations_of(arm: Arm, points: Points, choice: Choice, shaped: Arm | None
         tuple(frames),
         points.setup,
         points.point,
-        (*corrections(acting, points, choice.effects), *choice.corrections),
+        (*made, *choice.corrections),
         None if bent is None else bent.shift,
         *_orientations(arm, points, choice),
         _covariances(arm, points, choice),

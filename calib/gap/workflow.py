@@ -13,7 +13,7 @@ from calib.errors import CalibrationError
 from calib.gap.both import brought_together
 from calib.gap.consistent import consistent
 from calib.gap.effects.catalogue import needing_drives
-from calib.gap.finding import GapFinding, write_gap_json
+from calib.gap.finding import EffectName, GapFinding, write_gap_json
 from calib.gap.log import Log, joined_logs, read_log
 from calib.gap.maps.angles import angle_maps
 from calib.gap.maps.outcome import MapsFound
@@ -194,8 +194,16 @@ def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
 
 
 def _updated(arm: Arm, found: GapOutcome) -> Arm:
-    shaped = with_geometry(arm, found.finding) if found.static is None else found.static.file
-    return updated_arm(shaped, found.finding)
+    """The arm with what is named: its own drives, and its own effects where the other recordings took a name back."""
+    if found.static is None:
+        return updated_arm(with_geometry(arm, found.finding), found.finding)
+    taken_back = {one.name for one in found.static.finding.effects} - {
+        one.name for one in found.finding.effects
+    }
+    file = found.static.file
+    kept = [one for one in file.effects if EffectName(one.effect, one.joint) not in taken_back]
+    own = [one for one in arm.effects if EffectName(one.effect, one.joint) in taken_back]
+    return updated_arm(dataclasses.replace(file, drives=arm.drives, effects=(*kept, *own)), found.finding)
 
 
 def require_effects(names: Collection[str]) -> None:

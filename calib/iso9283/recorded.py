@@ -6,7 +6,7 @@ import itertools
 import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -209,10 +209,10 @@ def _number(path: str, line: int, name: str, value: str) -> float:
     return number
 
 
-def read_runs(path: Path, arm: Arm) -> list[Run]:
+def read_runs(path: Path, arm: Arm, is_as_given: bool = False) -> list[Run]:
     """Every run of a log.csv or log.csv.gz; Iso9283Error names file, line and column.
 
-    Rows without a set-point, such as during hand guiding, are omitted.
+    Rows without a set-point, such as during hand guiding, are omitted. `is_as_given`: its units are not doubted.
     """
     n, kinematics = arm.joint_count, Kinematics(arm)
     required = ["t_s", *(form.format(j) for form in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1))]
@@ -230,7 +230,7 @@ def read_runs(path: Path, arm: Arm) -> list[Run]:
     whole = [rows.run(kinematics) for rows in runs.values() if rows.count > 1]
     recorded = (rows for rows in runs.values() if rows.count > 1)
     for rows in itertools.islice(recorded, 1):  # the columns of one run are those of all
-        rows.require_meant(arm)
+        rows.require_meant(arm, is_as_given)
     if not whole:
         raise Iso9283Error(f"{path}: expected recorded runs of two rows or more with set-points, got none")
     return whole
@@ -259,13 +259,13 @@ class _Rows:
         if all(map(math.isfinite, numbers[self._required : self._required + self._n])):
             self._numbers.extend(numbers)
 
-    def require_meant(self, arm: Arm) -> None:
+    def require_meant(self, arm: Arm, is_as_given: bool) -> None:
         """UnusablePointsError if angles are not in radians or tips not in metres."""
         n, table = self._n, np.array(self._numbers).reshape(-1, len(self._names))
         q, tip = table[:, 1 : 1 + n], table[:, 1 + 2 * n :]
         m = len(table)
         tip = tip if tip.shape[1] else np.full((m, 3), np.nan)
-        points = make_points(["run"] * m, [""] * m, [1] * m, q, tip)
+        points = replace(make_points(["run"] * m, [""] * m, [1] * m, q, tip), is_as_given=is_as_given)
         require_columns_meant(arm, points, Choice().for_points(arm, points))
 
     def run(self, kinematics: Kinematics) -> Run:

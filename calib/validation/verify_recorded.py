@@ -63,7 +63,9 @@ def _about_frames(arms: Sequence[Arm], points: Points) -> tuple[str, ...]:
 
 
 def _is_unplaced(arm: Arm, points: Points) -> bool:
-    """Whether a calibration of this arm would identify the frame of the tips, too."""
+    """Whether a calibration of this arm would identify the frame of the tips; too few tips for that are taken for the base's."""
+    if np.isfinite(points.tip_m).all(axis=1).sum() < LEAST_POSES and not points.in_camera_frame:
+        return False
     return not {BASE, CAMERA}.isdisjoint(Choice().for_points(arm, points).freed)
 
 

@@ -36,7 +36,7 @@ def evaluate_files(
             raise Iso9283Error(
                 f"{log}: a recording, expected log.csv: `armwright export {log} --out DIR` makes one"
             )
-    runs: list[Run] = [run for log in logs for run in read_runs(log, arm)]
+    runs: list[Run] = [run for log in logs for run in read_runs(log, arm, is_as_given)]
     visited = {str(other): _poses(other, arm, is_as_given)[0] for other in others}
     corners = read_rectangle(programme) if programme is not None else None
     found = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*point_notes, *notes))

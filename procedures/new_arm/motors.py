@@ -217,7 +217,7 @@ def _acceleration(motor: Motor, gear: float, current_A: float, load: Load, joint
     torque = motor.torque_constant_Nm_A * current_A * gear
     inertia = load.inertia_kg_m2 + gear**2 * _rotor(motor, gear, joint)
     spare = ACCELERATING * max(torque - load.torque_Nm, 0.1 * torque)
-    return min(MOST_ACCELERATION_rad_s2, spare / inertia)
+    return min(MOST_ACCELERATION_rad_s2, spare / inertia) if inertia > 0.0 else MOST_ACCELERATION_rad_s2
 
 
 def _home(rest_rad: float, gear: float, limits: tuple[float, float], speed: float) -> Home:

@@ -83,7 +83,7 @@ def answered(
     order = [name for name in order if name in decision.names]
     last, nominal = files[-1], placed(looked.arm, points, parts.known).left()
     lefts = [one.fit.left() for one in files]
-    told = parts.report & last.told(points)
+    told = last.told(points, parts.report)
     gaps = [left.times(floor.tip_m, floor.turn_rad, told) for left in lefts]
     effects = [
         _named(around, decision, last, name, estimates[name], gap)

@@ -98,8 +98,8 @@ class File:
             found[key] = (value, math.hypot(float(np.fmax(sd, own.get(key, (0.0, math.nan))[1])), apart))
         return found
 
-    def told(self, points: Points) -> Mask:
-        """Poses (m,) that the file predicts: on which flank its loose gears lie is known; all, where that is so of few."""
+    def told(self, points: Points, among: Mask) -> Mask:
+        """Those poses (m,) of `among` of which the flank of its loose gears is known; all of them, where that is so of few."""
         loose = [one.joint for one in self.arm.effects if one.effect == "backlash" and one.joint is not None]
         at = RestingPoints(self.arm, points)
         told = (
@@ -107,7 +107,7 @@ class File:
             if loose
             else np.ones(len(points), dtype=bool)
         )
-        return told if told.mean() > 0.5 else np.ones_like(told)
+        return among & told if told[among].mean() > 0.5 else among
 
 
 def _of(arm: Arm, name: EffectName) -> Effect:

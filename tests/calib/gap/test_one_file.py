@@ -1,6 +1,7 @@
 """One fit, one file: what gap says is left is what its arm.toml leaves, which is what calibrate makes of the same names."""
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.gap.static.cases import Design, Hidden, designed
-from calib.arm_problem.assembly import Choice
+from calib.arm_problem.assembly import Choice, problem_of
 from calib.calibration.calibrate import CalibrationPlan, identified
 from calib.calibration.outcome import calibrated_arm
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
@@ -17,7 +18,7 @@ from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.poses.find import find
 from calib.gap.series.find import examine
 from calib.gap.series.split import split
-from calib.gap.workflow import Recordings, find_gap_in, write_gap
+from calib.gap.workflow import Recordings, _updated, find_gap_in, write_gap
 from calib.validation.verify_recorded import errors_of, predicted_tips
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
@@ -149,3 +150,33 @@ def test_runs_that_go_one_way_report_and_decide_both_ways() -> None:
     ways = {int(name) % 2 for name in parts.report_runs}
     assert ways == {0, 1}
     assert {k % 2 for k in np.unique(Table.run[parts.deciding]).tolist()} == {0, 1}
+
+
+def test_a_name_that_other_recordings_take_back_is_not_in_the_file_and_no_drive_is_invented() -> None:
+    arm, played = load_arm("right"), EffectName("backlash", 1)
+    searched = dataclasses.replace(
+        arm, effects=(Effect("backlash", 1, {"width_rad": 0.005}), Effect("encoder_scale", 2, {"scale": 0.004})),
+        drives=tuple(dataclasses.replace(drive, gear_ratio=1.0) for drive in arm.drives),
+    )  # fmt: skip
+    scaled = SimpleNamespace(
+        name=EffectName("encoder_scale", 2), parameters={"scale": (0.004, 1e-4)}, is_nothing=False
+    )
+    static = SimpleNamespace(
+        file=searched, finding=SimpleNamespace(effects=(SimpleNamespace(name=played), scaled))
+    )
+    outcome = SimpleNamespace(static=static, finding=SimpleNamespace(effects=(scaled,)))
+    written = _updated(arm, cast(Any, outcome))
+    assert [(one.effect, one.joint) for one in written.effects] == [("encoder_scale", 2)]
+    assert written.drives == arm.drives
+
+
+def test_what_calibrate_says_of_before_is_the_given_arm_also_where_loads_are_evaluated_twice() -> None:
+    arm, points = designed(7, (Hidden("backlash", 1, 0.006),), Design(rig="planar", free=24, visits=4))
+    plan = CalibrationPlan(choice=Choice(effects=("backlash:1",)).for_points(arm, points))
+    problem, found = identified(arm, points, plan)
+    width = next(k for k, one in enumerate(problem.parameters) if one.name == "backlash1")
+    assert problem.parameters[width].nominal == 0.0
+    assert found.x[width] * problem.parameters[width].bound == pytest.approx(0.006, rel=0.2)
+    first = problem_of(arm, points, plan.choice)
+    nothing = np.zeros(len(found.x))
+    assert problem.residuals(nothing) == pytest.approx(first.residuals(nothing), abs=1e-12)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.errors import UnusablePointsError
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.evaluation import evaluate
@@ -250,6 +251,13 @@ def test_a_log_that_is_none_is_refused_with_line_and_column(
 ) -> None:
     (tmp_path / "log.csv").write_text(text)
     with pytest.raises(Iso9283Error, match=says):
+        read_runs(tmp_path / "log.csv", arm)
+
+
+def test_a_log_in_degrees_is_doubted_unless_it_is_taken_at_its_word(arm: Arm, tmp_path: Path) -> None:
+    rows = "".join(f"1,{0.1 * k},{10 * k},{-5 * k},{7 * k},{10 * k},{-5 * k},{7 * k}\n" for k in range(1, 60))
+    (tmp_path / "log.csv").write_text(f"{LOG}\n{rows}")
+    with pytest.raises(UnusablePointsError, match="degrees"):
         read_runs(tmp_path / "log.csv", arm)
 
 

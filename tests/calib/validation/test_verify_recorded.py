@@ -155,3 +155,12 @@ def test_copies_count_once_and_identical_errors_have_no_interval() -> None:
     said = comparison_text(compare(["a"] * 12, [str(k) for k in range(12)], flat, flat, flat))
     assert "unknown" in said
     assert "nan" not in said
+
+
+def test_fewer_tips_than_place_a_frame_are_compared_in_the_base_frame() -> None:
+    true, points = seen_session()
+    few = points.chosen(range(LEAST_POSES - 1))
+    found = compare_arms(RIGHT, true, few)
+    assert len(found.point) == LEAST_POSES - 1
+    assert found.of("roll").after.max_m < 1e-9
+    assert found.of("roll").before.mean_m > 0.005

@@ -249,6 +249,17 @@ def test_an_arm_of_smart_servos_has_those_of_a_data_sheet_and_moves_on_the_mock(
         assert np.abs(np.array(cell.rig.joint_rad()) - target).max() < 0.01  # six counts of a servo
 
 
+@pytest.mark.parametrize("kind", ["feetech", "dynamixel"])
+def test_a_model_without_masses_makes_an_arm_of_smart_servos_whose_rotors_nobody_knows(
+    kind: str, tmp_path: Path
+) -> None:
+    bare = re.sub("<inertial>.*?</inertial>", "", chain([(-1.0, 1.0)] * 3, 2.0, 0.1))
+    (tmp_path / "bare.urdf").write_text(bare)
+    status, file = new(tmp_path, "--from-urdf", str(tmp_path / "bare.urdf"), "--boards", kind, "--yes")
+    assert status == 0
+    assert all(0.0 < drive.joint_acceleration_limit_rad_s2 < 100.0 for drive in load_arm(file).drives)
+
+
 def chain(ranges: list[tuple[float, float] | None], effort: float, kg: float) -> str:
     """A URDF of revolute joints with these limits, continuous where there is none, about y and z in turn."""
     parts = ['<robot name="chain"><link name="l0"/>']
