@@ -170,6 +170,8 @@ class GripperBoard:
         wanted = State.OPERATION_ENABLED if is_on else State.SWITCH_ON_DISABLED
         if torque is Wanted.AS_FOUND:
             board.ask_state()
+        elif torque is Wanted.DISABLED and board.state is State.FAULT and board.has_torque:
+            board.step_fault_reset()  # the hold that its time-out began ends, as it was asked for
         elif self._is_resetting:
             self._is_resetting = not board.step_fault_reset()
         elif board.state is wanted or board.state is State.FAULT:
@@ -192,6 +194,8 @@ class GripperBoard:
         """Upload the parameters where the board does not have them. Waits."""
         board = self._board
         if self._configured_resets != board.resets:
+            if board.state is State.FAULT and board.has_torque:
+                board.acknowledge_fault()  # it holds since the time-out of another host
             board.go_to(State.SWITCH_ON_DISABLED)
             for index, value in self._parameters():
                 board.write(index, value)

@@ -104,7 +104,10 @@ class Cycle(ArmState):
 
     def _watch(self, missed_in_row: int) -> None:
         for fault in self.drives.follow(self.now_s, self.parts.hardware.feedback):
-            self.fail(fault)
+            if not (
+                self.bound is Bound.QUIT and self.monitor.mode is Mode.OFF
+            ):  # it is on its way out, and would never leave
+                self.fail(fault)
         measured, watch = self.parts.measurement, self.parts.checks.watch
         # In every mode, and first: they are the cause of whatever else such a count looks like.
         if wrong := watch.miscounts(measured.leap_rad, measured.has_lost_turns, self.monitor.is_homed):

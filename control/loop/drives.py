@@ -66,6 +66,7 @@ class DriveStates:
             wanted = Wanted.ENABLED
         if wanted is not self.wanted:
             self._since_s = now_s
+            self._unwanted_since_s = [math.inf] * len(self._names)
             self.is_ready &= wanted.is_on and self.wanted.is_on
         self.wanted = wanted
         return wanted

@@ -149,7 +149,8 @@ class Runtime(Cycle):
         if action == "stop":
             gripper.stop()
             return
-        if self.monitor.mode in NO_GRIP_MODES or self.bound.is_off:
+        self.require_staying()
+        if self.monitor.mode in NO_GRIP_MODES:
             raise ArmError(
                 f"the arm is {self.monitor.mode.name}, so the gripper does not move: the arm must hold, move or be guided"
             )

@@ -152,7 +152,9 @@ class CellRequests:
     def _require_possible(self, arm: str, do: str) -> None:
         """ArmError says which other arm is in the way of a request."""
         runtimes, what = self._runtime.runtimes, do.replace("_", " ")
-        waits = do in WAITING or (do == "hold" and runtimes[arm].monitor.mode in (Mode.OFF, Mode.HELD))
+        asked = runtimes[arm]
+        is_off = asked.monitor.mode in (Mode.OFF, Mode.HELD) or not asked.drives.is_ready
+        waits = do in WAITING or (do == "hold" and is_off)
         if waits and (other := self._runtime.moving_beside(arm)):
             mode = runtimes[other].monitor.mode.name
             raise ArmError(

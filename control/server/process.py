@@ -141,8 +141,11 @@ def run(
 ) -> None:
     """Cycle after cycle, requests in between, until the runtime ends."""
     runtime = served.runtime
+    asked_to_end: list[
+        int
+    ] = []  # signals come in the middle of anything, of a request that waits for boards, too
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: runtime.go_off(quits=True))
+        signal.signal(number, lambda number, _: asked_to_end.append(number))
     beat = PeriodicTimer(AttendedClock(clock, runtime), period_s)
     follower = PhaseFollower(runtime.hardware.await_counts, clock, period_s)
     collector = Collector()
@@ -158,6 +161,9 @@ def run(
             server.poll()
         except Exception as error:  # bring the arm to rest first, then report the error
             failure = failure or error
+            runtime.go_off(quits=True)
+        if asked_to_end:
+            asked_to_end.clear()
             runtime.go_off(quits=True)
         for one in events:
             if one is not None:

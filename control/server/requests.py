@@ -33,7 +33,7 @@ BEGINS = {
     "run_joints": Event.MOVE,
 }  # refused by mode unread
 # Served while the arm goes on or off by itself; whatever else is asked then is refused, so that no answer is overtaken.
-WHILE_ON_ITS_WAY = messages.WATCHING | messages.STOPPING | {"enable", "hold", "digital"}
+WHILE_ON_ITS_WAY = messages.WATCHING | messages.STOPPING | {"enable", "hold", "digital", "gripper"}
 ADVICE = {
     Mode.OFF: "switch its drives on first (`armwright enable`)",
     Mode.HELD: "it is held by its boards: take it over (`armwright enable`), or let it go (`armwright off`)",

@@ -69,7 +69,6 @@ class Cia402Joint:
     def take(self, feedback: Feedback) -> None:
         """Write torque as current, supply and state."""
         drive, joint = self._drive, self._joint
-        drive.ask_supply()
         feedback.reply_at_s[joint] = drive.at_s
         if drive.state is None:
             feedback.statusword[joint] = 0
@@ -94,14 +93,16 @@ class Cia402Joint:
     ) -> None:  # fmt: skip
         """Send the set-point, or the next step towards the wanted state."""
         drive, joint = self._drive, self._joint
+        drive.ask_supply()
         feedback.sent_V[joint] = math.nan
         is_in_operation = drive.state is State.OPERATION_ENABLED
         if not (wanted.is_on and is_in_operation) or self._is_stopped:
             self._held = None
         if wanted is Wanted.AS_FOUND:
             return  # SYNC alone asks for its values
-        if self._is_stopped and drive.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
-            drive.quick_stop()  # and it stays there until the stop is acknowledged
+        is_driving = drive.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
+        if self._is_stopped and is_driving and wanted is not Wanted.DISABLED:
+            drive.quick_stop()  # and it stays there until the stop is acknowledged, or the arm goes off
         elif wanted is Wanted.DISABLED or self._is_stopped:
             drive.step_towards(State.SWITCH_ON_DISABLED)
         elif is_in_operation:

@@ -73,7 +73,8 @@ class OdriveDrive(PositionLoopDrive):
         self._axis.want_torque(torque_Nm)
 
     def _brake(self) -> None:
-        if self._is_enabled or (self._is_stopped and self._axis.is_driving):
+        holds_stop = self._is_stopped and self._axis.is_driving and not self._is_to_let_go
+        if self._is_enabled or holds_stop:
             self._hold()
         else:
             self._held = None

@@ -49,6 +49,7 @@ class PositionLoopDrive(NodeDrive):
         self._torque_Nm_A = self._sign * drive.torque_constant_Nm_A
         self._speed = SetPointSpeed(drive, clock, period_s)
         self._held: int | None = None
+        self._is_to_let_go = False
 
     @abstractmethod
     def _is_in_operation(self) -> bool:
@@ -78,6 +79,7 @@ class PositionLoopDrive(NodeDrive):
         joint = self._joint
         feedback.sent_V[joint] = math.nan
         self._is_enabled = self._may_drive(wanted, self._is_in_operation())
+        self._is_to_let_go = wanted is Wanted.DISABLED
         if wanted is Wanted.AS_FOUND:
             self._look()
             return

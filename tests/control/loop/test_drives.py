@@ -95,6 +95,17 @@ def test_a_board_that_holds_after_a_time_out_has_torque_whatever_its_state_is_ca
     assert [fault.code for fault in drives.follow(1.5, holding)] == ["drive_not_disabled"]
 
 
+def test_torque_of_an_earlier_off_does_not_make_a_later_one_late() -> None:
+    drives = DriveStates(("joint 1",))
+    drives.want(0.0, Wanted.DISABLED)
+    assert drives.follow(0.0, states(ENABLED)) == []
+    drives.want(0.5, Wanted.ENABLING)
+    assert drives.follow(0.5, states(ENABLED)) == []
+    drives.want(60.0, Wanted.DISABLED)
+    assert drives.follow(60.0, states(ENABLED)) == []
+    assert [fault.code for fault in drives.follow(61.5, states(ENABLED))] == ["drive_not_disabled"]
+
+
 def test_a_way_leads_to_hold_or_off() -> None:
     assert {bound for bound in Bound if bound.is_hold} == {Bound.ON, Bound.HOLD}
     assert {bound for bound in Bound if bound.is_off} == {Bound.OFF, Bound.QUIT}

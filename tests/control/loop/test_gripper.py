@@ -14,7 +14,7 @@ from control.model.end_effector import Gripper
 from control.recording.layout import about_columns, layout_of
 from control.safety.table import Mode
 from hil_mocks.scenario import GripperTable
-from tests.cell import RIGHT, Cell, handled, holding_cell, open_cell, scenario
+from tests.cell import RIGHT, Cell, handled, holding_cell, open_cell, restarted, scenario
 
 GRIPPER = Gripper(
     motor_node=4, travel_m=0.08, travel_per_turn_m=0.004, torque_constant_Nm_A=0.02, resistance_ohm=2.0, supply_V=24.0,
@@ -174,6 +174,35 @@ def test_without_the_host_its_board_does_what_the_file_says(reaction: Any) -> No
         clock.wait_until_s(clock.now_s() + 1.0)  # no cycle
         held_N = cell.rig.gripper()[1]
         assert held_N > 25.0 if reaction == "hold" else held_N < 1.5
+
+
+@contextmanager
+def found_gripping() -> Iterator[Cell]:
+    """The runtime was killed while the gripper held something; another one finds arm and gripper held by their boards."""
+    with gripping(replace(GRIPPER, on_fault="hold"), object_m=0.03) as before:
+        before.client.grip("open")
+        before.client.grip("close", force_N=40.0)
+        with restarted(before, replace(RIGHT, gripper=replace(GRIPPER, on_fault="hold"))) as cell:
+            cell.run(0.1)
+            assert cell.mode is Mode.HELD
+            assert cell.rig.gripper()[1] > 25.0
+            yield cell
+
+
+def test_a_gripper_that_holds_after_a_time_out_is_taken_over_with_the_arm() -> None:
+    with found_gripping() as cell:
+        cell.client.enable()
+        cell.run(0.5)
+        assert (cell.mode, cell.faults) == (Mode.HOLDING, [])
+        assert cell.client.grip("open")["state"] == "OPEN"
+
+
+def test_a_gripper_that_holds_after_a_time_out_lets_go_with_the_arm() -> None:
+    with found_gripping() as cell:
+        assert cell.channel.request({"do": "off", "lets_go": True})["ok"]
+        cell.run(1.0)
+        assert (cell.mode, cell.faults) == (Mode.OFF, [])
+        assert cell.rig.gripper()[1] < 5.0
 
 
 @pytest.mark.parametrize(
