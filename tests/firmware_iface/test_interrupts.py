@@ -15,8 +15,10 @@ from firmware_iface.installation import command
 
 SAID = "armwright: interrupted\n"
 PROGRAM = """
-import os, sys
+import os, signal, sys
 from firmware_iface.installation import run_command
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background job that the tests may be
 
 number, left = int(sys.argv.pop(1)), int(sys.argv.pop(1))
 
