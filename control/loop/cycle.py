@@ -104,9 +104,8 @@ class Cycle(ArmState):
 
     def _watch(self, missed_in_row: int) -> None:
         for fault in self.drives.follow(self.now_s, self.parts.hardware.feedback):
-            if not (
-                self.bound is Bound.QUIT and self.monitor.mode is Mode.OFF
-            ):  # it is on its way out, and would never leave
+            # A runtime on its way out would otherwise go from OFF to FAULT and back, and never leave.
+            if not (self.bound is Bound.QUIT and self.monitor.mode is Mode.OFF):
                 self.fail(fault)
         measured, watch = self.parts.measurement, self.parts.checks.watch
         # In every mode, and first: they are the cause of whatever else such a count looks like.
