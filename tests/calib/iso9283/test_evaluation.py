@@ -212,6 +212,24 @@ def test_runs_that_no_column_names_are_grouped_by_their_set_points(arm: Arm) -> 
     assert of[11].figures
 
 
+def weave_run() -> Run:
+    """Weaves along x for 6 s between two rests, at 95 % of its stroke; while it rests, somebody shakes the arm."""
+    t = np.arange(0.0, 10.0, 0.01)
+    moving = (t >= 2.0) & (t < 8.0)
+    since = np.clip(t - 2.0, 0.0, 6.0)
+    weave_m = 0.01 * np.sin(2 * np.pi * since)
+    wanted, seen = (
+        np.column_stack((0.25 + 0.05 * since, y_m, 0.3 + 0 * t))
+        for y_m in (weave_m, np.where(moving, 0.95 * weave_m, 0.02 * np.sin(6 * np.pi * t)))
+    )
+    return Run(1, "weave", 1, 0.05, t, wanted, wanted, t, seen)
+
+
+def test_weaving_is_that_of_the_motion_whatever_the_camera_sees_before_and_after(arm: Arm) -> None:
+    weaving = found(arm, visits(arm), [weave_run()])[14]
+    assert {f.symbol: f.value for f in weaving.figures} == pytest.approx({"WS": 5.0, "WF": 0.0}, abs=0.1)
+
+
 def test_settling_is_judged_in_a_band_that_is_no_finer_than_the_measurement(arm: Arm) -> None:
     points = visits(arm)
     coarse = [line_run(arm, k, "approach", noise_m=5e-4) for k in (1, 2, 3)]

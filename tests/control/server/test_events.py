@@ -10,6 +10,7 @@ import time
 
 import pytest
 
+from control.safety.table import Mode
 from control.server.events import Events
 from control.server.printer import Printer
 from tests.cell import Cell, holding_cell
@@ -60,6 +61,44 @@ def test_a_fault_is_told_with_its_remedy_and_its_acknowledgement(cell: Cell) -> 
     cell.run(0.1)
     cell.client.acknowledge()
     assert said[2:] == ["client 0: acknowledge", "windings shorted", "faults acknowledged"]
+
+
+def test_a_second_fault_acknowledges_nothing(cell: Cell) -> None:
+    said = heard_by(cell)
+    for joint in (3, 1):
+        cell.inject("over_temperature", f"motor{joint}")
+        cell.run(0.5)
+    assert [line.split(":")[0] for line in said] == ["FAULT", "FAULT joint 3", "FAULT joint 1"]
+
+
+@pytest.mark.usefixtures("nobody_below")
+def test_a_pause_a_jog_and_hand_guiding_are_told_as_what_they_are(cell: Cell) -> None:
+    said = heard_by(cell)
+    took_s = cell.start_move((0.2, -0.4, 0.3), speed=0.2)
+    run = cell.runtime.run_number
+    cell.run(0.1)
+    cell.client.pause()
+    cell.run(0.5)
+    cell.client.resume()
+    cell.until(lambda: cell.mode is Mode.HOLDING, 10.0)
+    cell.client.jog(joint=1, by_rad=0.02)
+    for weightless in (True, False):
+        cell.client.guide(weightless=weightless)
+        cell.run(0.01)
+        cell.client.hold()
+        cell.run(0.01)
+    assert [line for line in said if not line.startswith("client 0: ")] == [
+        f"motion {run} begun, {took_s:.1f} s",
+        "paused",
+        "resumed",
+        f"motion {run} ended: holding",
+        "jog begun",
+        "jog ended: holding",
+        "hand-guiding: the drives carry the arm's weight",
+        "holding",
+        "hand-guiding: drives open",
+        "holding",
+    ]
 
 
 def test_homing_is_told_and_polling_is_not() -> None:

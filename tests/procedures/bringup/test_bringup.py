@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from control.model.description import load_arm
 from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
+from firmware_iface.errors import BoardFaulted
 from firmware_iface.motor.cia402 import State
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
@@ -360,6 +362,20 @@ def test_a_joint_that_is_pushed_too_fast_is_let_go_of() -> None:
         ):
             [bench.cycle(0.0) for _ in range(1000)]
         assert bench.motors[1].state is State.SWITCH_ON_DISABLED
+
+
+def test_a_drive_that_hears_nothing_more_brakes_within_the_watchdog_of_the_arm() -> None:
+    with (
+        SteppedRig(RIGHT, hidden()) as rig,
+        Bench(wired_to(RIGHT, rig), rig.clock, MockOperator(rig, is_silent=True)) as bench,
+        contextlib.suppress(BoardFaulted),
+        bench.driving(1, DriveLimits(1.0, 1.0)),
+    ):
+        bench.cycle(1.0)
+        board, heard_s = rig.robot.motor_boards[0], rig.clock.now_s()
+        for share, kind in ((0.5, "voltage"), (1.3, "brake")):
+            rig.clock.wait_until_s(heard_s + share * RIGHT.limits.watchdog_s)
+            assert board.output.kind == kind
 
 
 class Sinking:
