@@ -60,7 +60,9 @@ class CellRuntime:
         self.runtimes = runtimes
         self.collisions = CollisionWatch(cell, runtimes)
         self._all: Sequence[Runtime] = tuple(runtimes.values())
-        self.together: Mapping[str, int] = {}  # arms that began a motion together, and their run then
+        self.joint_motions: list[
+            Mapping[str, int]
+        ] = []  # of each: the arms that began it, and their run then
         self._in_fault: set[str] = set()
         polled = [runtime.parts.hardware for runtime in self._all if runtime.parts.hardware.is_polled]
         self._attended = polled or [self._all[0].parts.hardware]
@@ -149,29 +151,34 @@ class CellRuntime:
             "",
         )
 
-    def in_one_motion(self) -> tuple[str, ...]:
-        """The arms that are still in the motion that they began together."""
+    def in_one_motion(self, arm: str) -> tuple[str, ...]:
+        """The arms that are still in the motion that they began together with this one; else this one alone."""
+        all_going = map(self._going, self.joint_motions)
+        return next((going for going in all_going if arm in going), (arm,))
+
+    def _going(self, began: Mapping[str, int]) -> tuple[str, ...]:
         return tuple(
             name
-            for name, run in self.together.items()
+            for name, run in began.items()
             if self.runtimes[name].run_number == run
             and self.runtimes[name].monitor.mode in (Mode.MOVING, Mode.PAUSED)
         )
 
     def _end_together(self) -> None:
         """Whatever ends a joint motion for one arm before its end, ends it for all: each stops on its path."""
-        if not self.together:
-            return
-        going = self.in_one_motion()
-        for name, run in self.together.items():
+        if self.joint_motions:
+            self.joint_motions = [began for began in self.joint_motions if self._goes_on(began)]
+
+    def _goes_on(self, began: Mapping[str, int]) -> bool:
+        going = self._going(began)
+        for name, run in began.items():
             if name not in going and (
                 self.runtimes[name].run_number != run or self.runtimes[name].was_stopped
             ):
                 for other in going:
                     self.runtimes[other].stop(f"arm {name!r}, which moves with it, was stopped")
-                going = ()
-        if not going:
-            self.together = {}
+                return False
+        return bool(going)
 
     def _stop_beside_a_fault(self) -> None:
         """An arm that has gone to FAULT stops all others, each on its path; those that hold go on holding."""

@@ -48,7 +48,7 @@ class CellRequests:
                 self._require_possible(arm, request.do)
             if request.do == "off":
                 return self._off(request, arm, client)
-            if request.do in PACING and len(partners := self._partners(arm)) > 1:
+            if request.do in PACING and len(partners := self._runtime.in_one_motion(arm)) > 1:
                 return self._of_all(request, partners, client)
             answer = self._requests[arm].handle(request._replace(arm=arm), client)
         except ArmError as error:
@@ -116,7 +116,7 @@ class CellRequests:
             ]
             self._requests[name].begin(motion, planned[name], client, others)
         runs = {name: self._runtime.runtimes[name].run_number for name in together}
-        self._runtime.together = runs
+        self._runtime.joint_motions.append(runs)
         return {"ok": True, "duration_s": duration_s, "runs": runs}
 
     def _require_two(self, client: int) -> None:
@@ -136,11 +136,6 @@ class CellRequests:
             return self._requests[name].prepared(planned, client)
         except ArmError as error:
             raise ArmError(f"arm {name!r}: {error}") from None
-
-    def _partners(self, arm: str) -> tuple[str, ...]:
-        """The arms that are in one motion with this one."""
-        moving = self._runtime.in_one_motion()
-        return moving if arm in moving else (arm,)
 
     def _off(self, request: Asked, arm: str, client: int) -> Message:
         """The drives of one arm; the end of the runtime is the end of all."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from control.model.cell import load_cell
 from control.motion.plan import plan_path
 from control.motion.waypoints import Waypoints
 from control.safety.table import Mode
 from control.server import cell_requests
 from tests.cell import FRICTION, scenario
-from tests.pair import APART, PAIR, PERIOD_S, Pair, holding_pair
+from tests.pair import APART, FREE, PAIR, PERIOD_S, Pair, holding_pair
 
 NEAR, WIDE = (0.1, 0.1, 0.7), (-0.5, -0.2, 0.5)
 
@@ -127,6 +129,37 @@ def test_what_ends_a_joint_motion_for_one_ends_it_for_all(ends: dict[str, object
         assert left.was_stopped
         assert left.stop_reason == "arm 'right', which moves with it, was stopped"
         assert left.set_point.q_rad != pytest.approx(NEAR, abs=0.05)
+
+
+FOUR = """name = "four"
+clearance_m = 0.06
+can = {interface = "socketcan", channel = "can0", bitrate = 1000000}
+"""
+ONE_OF_FOUR = """
+[[arm]]
+name = "arm{0}"
+file = "left"
+origin_m = [0.0, {0}.0, 0.0]
+encoder_ports = ["/dev/ttyACM{0}"]
+motor_nodes = {1}
+camera_port = 4731{0}
+"""
+
+
+def test_two_joint_motions_at_once_end_each_for_its_own_arms(tmp_path: Path) -> None:
+    nodes = ([1, 2, 3], [4, 5, 6], [7, 8, 9], [10, 11, 12])
+    text = "".join(ONE_OF_FOUR.format(number, of_it) for number, of_it in enumerate(nodes))
+    (tmp_path / "cell.toml").write_text(FOUR + text)
+    with holding_pair(cell=load_cell(str(tmp_path / "cell.toml"))) as four:
+        for names in (("arm0", "arm1"), ("arm2", "arm3")):
+            moves = {name: {"q_rad": FREE, "speed": 0.2} for name in names}
+            four.clients[names[0]].ask("move_together", moves=moves)
+        four.run(0.3)
+        four.clients["arm1"].ask("off")
+        four.until(lambda: four.mode("arm0") is Mode.HOLDING, 0.5)
+        assert four.mode("arm2") is four.mode("arm3") is Mode.MOVING
+        four.clients["arm2"].ask("off")
+        four.until(lambda: four.mode("arm3") is Mode.HOLDING, 0.5)
 
 
 def test_an_arm_that_moves_on_its_own_beside_another_is_not_stopped_with_it() -> None:
