@@ -69,6 +69,11 @@ class PolledLine:
         if question not in self._queue:
             self._queue.append(question)
 
+    def withdraw(self, question: Question) -> None:
+        """Take it back if it still waits in the queue."""
+        if question in self._queue:
+            self._queue.remove(question)
+
     def keep_asking(self, question: Question) -> None:
         """Ask it whenever nothing else is to be asked; see `post_starved`."""
         self._idle.append(question)

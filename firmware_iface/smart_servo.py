@@ -73,7 +73,8 @@ class SmartServo(ABC):
         return b"\x01"
 
     def post_torque(self, is_on: bool) -> None:
-        """Queue switching the torque, if it is not so already."""
+        """Queue switching the torque, if it is not so already; the opposite that still waits is withdrawn."""
+        self._line.withdraw(self._torque[not is_on])
         if self.is_torque_on is not is_on:
             self._line.post(self._torque[is_on])
             self._line.post(self.state_question)

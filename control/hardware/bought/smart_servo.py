@@ -168,6 +168,7 @@ class ServoDrive:
         servo, before = self._servo, self._torque
         if servo.is_torque_on:
             self._torque = Torque.ON
+            servo.post_torque(True)  # withdraws what was wanted a moment ago
             return
         if wanted is Wanted.ENABLING or before is Torque.FREED:
             self._coming = 0 if before is not Torque.COMING else self._coming

@@ -101,6 +101,20 @@ def test_a_torque_that_goes_off_by_itself_is_a_restart() -> None:
     assert isinstance(servo.problems[0], BoardReset)
 
 
+def test_of_two_wishes_for_its_torque_that_wait_only_the_latest_is_sent() -> None:
+    cable = Cable()
+    line = FeetechLine(cable.link, cable)
+    servo = FeetechServo(line, 3, "elbow")
+    cable.servo.table[40] = 1
+    servo.read_state()
+    servo.post_torque(False)
+    servo.post_torque(True)
+    for _ in range(20):
+        line.update()
+        cable.wait_until_s(cable.now_s() + 0.001)
+        assert cable.servo.table[40] == 1
+
+
 def test_an_answer_from_before_the_torque_was_switched_off_makes_no_restart() -> None:
     cable = Cable()
     servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
