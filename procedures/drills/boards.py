@@ -1,7 +1,10 @@
-"""Drills of arms whose boards hold them: torque that nobody asked for, that was found, and that somebody else switched off."""
+"""Drills of arms whose boards hold them: torque that nobody asked for, that was found, and that somebody else switched off.
+
+And of an arm.toml that is not true of the arm: an angle a turn off, a floor above the tip.
+"""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import dist
 
 from control.errors import ArmError
@@ -12,8 +15,9 @@ from procedures.drills.promise import GOES_ON, Outcome, Promise, length_m, stood
 from procedures.drills.stage import REST, Stage, stage
 from procedures.on_boards import on_boards
 
-KINDS = ("dynamixel", "feetech", "odrive", "cia402", "moteus")
-OBEYING = "moteus"  # its next command drives it again, whatever somebody else has sent
+HOLDING = ("dynamixel", "feetech", "odrive", "cia402", "moteus")
+NOTICING = HOLDING[:-1]  # the next command drives a moteus again, whatever somebody else has sent
+ABSOLUTE = ("dynamixel", "odrive")  # what is stored in a Feetech servo is compared when it is connected
 DURING_A_CYCLE_S = 0.004  # at its end, a goal may switch a Feetech servo on again before its state is read
 FALLS_mm = 900.0  # an arm without torque, or one of whose joints has none, falls as far as it can
 HELD_mm = 3.0
@@ -21,13 +25,18 @@ OBEYS_S = 0.3  # until a board that was told to go off is off
 LANDS_S = 20.0
 ASKED_AFTER_S = 0.004  # of `enable`: its drives are on their way
 AWAY_S = 1.0  # longer than any board's time-out
+UP_rad, DOWN_rad = (
+    (-0.6, 0.2, 0.2),
+    (-0.6, -1.0, 0.0),
+)  # the tip goes up, and down, from where every drill begins
+RAISED_m = 0.1  # of the floor over the tip
 
 
 @dataclass(frozen=True, slots=True)
 class BoardsDrill(Promise):
     """Something that befalls an arm on boards of one kind."""
 
-    kind: str = KINDS[0]
+    kind: str = HOLDING[0]
     act: Callable[[Stage], str] = field(default=lambda played: "")  # what was wrong afterwards, as text
 
     def run(self) -> Outcome:
@@ -47,16 +56,17 @@ class BoardsDrill(Promise):
     @classmethod
     def all(cls) -> Iterator["BoardsDrill"]:
         """The drills, each on every kind of boards that holds its joints."""
-        for name, says, codes, most_mm, act in (
-            ("off-at-once", "off pressed 4 ms after enable", GOES_ON, FALLS_mm, off_at_once),
-            ("restarted", "loop killed while it holds the arm, another started", GOES_ON, HELD_mm, restarted),
-            (
-                "torque-lost", "another program switches a drive off that holds", frozenset({"drive_left", "link"}),
-                FALLS_mm, torque_lost,
-            ),
-            ("torque-in-off", "another program switches a drive on while the arm is off", GOES_ON, FALLS_mm, torque_in_off),
+        lost = frozenset({"drive_left", "link"})
+        for name, says, codes, most_mm, act, kinds in (
+            ("off-at-once", "off pressed 4 ms after enable", GOES_ON, FALLS_mm, off_at_once, HOLDING),
+            ("restarted", "loop killed while it holds the arm, another started", GOES_ON, HELD_mm, restarted, HOLDING),
+            ("torque-lost", "another program switches a drive off that holds", lost, FALLS_mm, torque_lost, NOTICING),
+            ("torque-in-off", "another program switches a drive on while the arm is off", GOES_ON, FALLS_mm, torque_in_off,
+             HOLDING),
+            ("turn-off", "encoder 1 reads a turn too much", GOES_ON, FALLS_mm, a_turn_off, ABSOLUTE),
+            ("below-floor", "moves of an arm that stands below the floor", GOES_ON, FALLS_mm, below_floor, ABSOLUTE[:1]),
         ):  # fmt: skip
-            for kind in (kind for kind in KINDS if kind != OBEYING or act is not torque_lost):
+            for kind in kinds:
                 yield cls(f"{name}-{kind}", f"{says}, on {kind}", REST, codes, 0.1, most_mm, kind, act)
 
 
@@ -117,3 +127,28 @@ def torque_in_off(played: Stage) -> str:
     played.inject("switched_on", played.rig.robot.drive_names[1], at_s=played.now_s + DURING_A_CYCLE_S)
     played.run(OBEYS_S)
     return "the torque stayed" if any(_torques(played)) else ""
+
+
+def a_turn_off(played: Stage) -> str:
+    """A joint that reads a turn too much is neither enabled nor homed."""
+    first, *others = played.arm.drives
+    turn = round(first.encoder_counts_per_rev * first.gear_ratio)
+    played.arm = replace(played.arm, drives=(replace(first, zero_count=first.zero_count - turn), *others))
+    played.restart()
+    for do in ("enable", "home", "hold"):
+        if played.request({"do": do})["ok"]:
+            return f"{do} was accepted"
+    played.run(0.5)
+    return "it counts as homed" if played.assembly.runtime.monitor.is_homed else ""
+
+
+def below_floor(played: Stage) -> str:
+    """The arm is moved up, and in no other way; what is accepted is not stopped midway."""
+    limits = replace(played.arm.limits, floor_z_m=played.rig.tip_m()[2] + RAISED_m)
+    played.arm = replace(played.arm, limits=limits, table=None)
+    played.restart()
+    played.begin(REST)
+    if played.request({"do": "move_joints", "q_rad": DOWN_rad})["ok"]:
+        return "a move further down was accepted"
+    played.client.move_joints(UP_rad)
+    return "" if played.mode is Mode.HOLDING else f"the way up ended in {played.mode.name}"

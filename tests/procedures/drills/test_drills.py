@@ -38,6 +38,8 @@ AT_EACH_CHANGE = (
     "restarted-feetech",
     "torque-lost-cia402",
     "torque-in-off-dynamixel",
+    "turn-off-odrive",
+    "below-floor-dynamixel",
 )
 AT_NIGHT = (
     "drift-20000-rest",
