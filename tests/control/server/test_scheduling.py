@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import gc
+import os
+import signal
 import weakref
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import pytest
 
+from control.loop.drives import Bound
 from control.loop.punctuality import Punctuality
+from control.server.process import run
 from control.server.scheduling import COLLECT_EVERY_S, MOST_YOUNG, Collector, isolated_cpus, strain
+from control.server.server import Server
 from tests.cell import open_cell
 
 
@@ -70,6 +76,7 @@ def test_garbage_is_collected_once_a_second_where_the_arm_stands_and_never_where
     with open_cell() as cell:
         cell.client.enable()
         cell.run(1.0)
+        gc.collect()  # what was imported on the way here counts as young
         collector, garbage = Collector(), knots(10)
         assert not collector.look(0.0, cell.runtime)
         assert garbage() is not None, "collected while the arm is held"
@@ -99,3 +106,26 @@ def test_what_would_make_a_cycle_late_is_collected_once_the_drives_are_off() -> 
         cell.run(1.0)
         assert collector.look(2.0 * COLLECT_EVERY_S, cell.runtime), "the next deadline is a period from now"
         assert garbage() is None
+
+
+def test_a_signal_that_comes_while_a_request_is_served_ends_the_runtime_after_it() -> None:
+    """A request may wait for boards; nothing else is begun in the middle of it."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    with open_cell() as cell:
+
+        class Serving:
+            polls = 0
+
+            def poll(self) -> None:
+                self.polls += 1
+                if self.polls == 5:
+                    os.kill(os.getpid(), signal.SIGTERM)
+                    assert cell.runtime.bound is Bound.NOWHERE
+
+        serving = Serving()
+        try:
+            run(cell.assembly, cast(Server, serving), cell.rig.clock, cell.runtime.period_s, [])
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        assert (cell.runtime.bound, serving.polls) == (Bound.QUIT, 6)
