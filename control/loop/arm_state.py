@@ -73,7 +73,12 @@ class ArmState:
             self.stillness.enter_mode(self.now_s)
 
     def end_way_to_hold(self) -> None:
-        """What was asked since, or a fault, ends it; a way off goes on. An arm that was off a moment ago is off again."""
+        """What was asked since, or a fault, ends it; a way off goes on. An arm that was off a moment ago is off again.
+
+        A take-over goes to its end: boards of which some are ours already are safest under control, and then the arm holds.
+        """
+        if self.monitor.mode is Mode.HELD:
+            return
         if self.bound is Bound.ON and self.monitor.mode is Mode.BRAKED:
             self.on(Event.SWITCH_OFF)
         if self.bound.is_hold:

@@ -113,7 +113,11 @@ class Cycle(ArmState):
             for fault in wrong:
                 self.fail(fault)
             return
-        if self.monitor.mode is Mode.HELD and not self.bound.is_hold and not self.parts.hardware.has_torque():
+        if (
+            self.monitor.mode is Mode.HELD
+            and shutdown.is_left_held(self)
+            and not self.parts.hardware.has_torque()
+        ):
             self.on(Event.RELEASED)
         if self.monitor.mode in (Mode.OFF, Mode.HELD):
             return

@@ -1,7 +1,8 @@
 """What is wanted of the drives, and whether they are there: the one record of it, and the comparison in every cycle.
 
-`drives_wanted` derives it from the mode and from where the arm is on its way to; nothing else sets it. So OFF cannot leave a
-drive on, whatever was asked before and however requests cross. The loop hands it to the boards with each command.
+`drives_wanted` derives it from the mode and from where the arm is on its way to; so OFF cannot leave a drive on, whatever was
+asked before and however requests cross. Only a take-over of boards that hold the arm sets it itself, as it begins: nothing leads
+back from it. The loop hands it to the boards with each command.
 """
 
 import math
@@ -39,14 +40,14 @@ class Bound(Enum):
 def drives_wanted(mode: Mode, bound: Bound, before: Wanted) -> Wanted:
     """What is wanted of the drives in a mode. Only on the way to hold are they switched on; a fault ends that.
 
-    In HELD boards go on by themselves until the arm is taken over; in FAULT what was off stays off.
+    In HELD boards go on by themselves until a take-over begins, which goes to its end; in FAULT what was off stays off.
     """
     if mode is Mode.OFF:
         return Wanted.DISABLED
-    if mode is not Mode.FAULT and bound.is_hold:
-        return Wanted.ENABLING
     if mode in (Mode.FAULT, Mode.HELD) and not before.is_on:
         return before
+    if mode is Mode.HELD or (mode is not Mode.FAULT and bound.is_hold):
+        return Wanted.ENABLING
     return Wanted.ENABLED
 
 

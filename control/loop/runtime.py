@@ -35,13 +35,23 @@ class Runtime(Cycle):
     """The arm under control with its requests; ArmError says why one is refused."""
 
     def acknowledge(self) -> tuple[Fault, ...]:
-        """Acknowledge the faults on a person's request. Faulted drives are reset; none is switched on by it."""
+        """Acknowledge the faults on a person's request. Faulted drives are reset; none is switched on by it.
+
+        A reset ends the hold of boards whose host has gone: while boards hold the arm as they were found, none is reset.
+        """
         if self.parts.gripper is not None and self.parts.gripper.state is GripperState.FAILED:
             self.parts.gripper.recover()
             self.has_waited = True
             self.parts.hardware.reset_gripper()
         are_drives_faulted = any(self.parts.hardware.feedback.drive_faults)
-        if are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault):
+        is_left_held = shutdown.is_left_held(self) and self.parts.hardware.has_torque()
+        if is_left_held and not self.monitor.faults:
+            raise ArmError(
+                f"{shutdown.HELD}, and is let go when their drives are reset: {shutdown.TAKES_OVER}, `armwright off` lets it go"
+            )
+        if not is_left_held and (
+            are_drives_faulted or (self.monitor.mode is Mode.FAULT and not self.monitor.is_held_fault)
+        ):
             self.has_waited = True
             try:
                 self.parts.hardware.reset_drive_faults()

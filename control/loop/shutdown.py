@@ -12,6 +12,10 @@ from control.loop.homing import require_plausible, take_known_zeros
 from control.loop.motion_modes import stop
 from control.safety.table import CONTROLLED_MODES, Event, Mode
 
+HELD = "the arm is held by its boards"
+TAKES_OVER = "`armwright enable` takes it over"
+LETS_GO = " `armwright off`, which lets the arm go, and"
+
 
 def begin(state: ArmState, quits: bool, lets_go: bool) -> None:
     """Start the shutdown: stop, hold, brake, off. The cycle continues it. An end of the runtime is not taken back.
@@ -23,8 +27,8 @@ def begin(state: ArmState, quits: bool, lets_go: bool) -> None:
     if is_left_held(state):
         if not (lets_go or quits):
             raise ArmError(
-                "the arm is held by its boards, and falls when they let go: somebody must hold it, then `armwright off` lets it"
-                " go (socket: `lets_go`); `armwright enable` takes it over"
+                f"{HELD}, and falls when they let go: somebody must hold it, then `armwright off` lets it go (socket: `lets_go`);"
+                f" {TAKES_OVER}"
             )
         if lets_go:
             state.on(Event.SWITCH_OFF)
@@ -49,10 +53,8 @@ def follow(state: ArmState) -> None:
 
 
 def is_left_held(state: ArmState) -> bool:
-    """Whether the arm is held by its boards, which this runtime has not taken over."""
-    return state.monitor.mode is Mode.HELD or (
-        state.monitor.mode is Mode.FAULT and state.drives.wanted is Wanted.AS_FOUND
-    )
+    """Whether the arm is held by its boards, of which this runtime has begun to take over none."""
+    return state.monitor.mode in (Mode.HELD, Mode.FAULT) and state.drives.wanted is Wanted.AS_FOUND
 
 
 def has_left(state: ArmState) -> bool:
@@ -90,6 +92,8 @@ def want_hold(state: ArmState) -> None:
         state.on(Event.CONNECT)
     elif mode is Mode.GUIDING:
         state.on(Event.BRAKE)
+    elif mode is Mode.HELD:
+        state.drives.want(state.now_s, Wanted.ENABLING)
     is_from_off = mode in (Mode.OFF, Mode.HELD) or state.bound is Bound.ON
     state.bound = Bound.ON if is_from_off else Bound.HOLD
 
@@ -106,7 +110,7 @@ def _prepare(state: ArmState) -> None:
         names = zip(state.parts.joint_names, bits_of, strict=True)
         raise ArmError(
             f"the drive of {', '.join(name for name, bits in names if bits not in expected)} is in FAULT: make the arm safe, then"
-            " `armwright acknowledge`, which resets it: what it holds may sink"
+            f"{LETS_GO if is_held else ''} `armwright acknowledge`, which resets it: what it holds may sink"
         )
     state.has_waited = True
     if any(bits_of):
@@ -115,12 +119,14 @@ def _prepare(state: ArmState) -> None:
 
 
 def follow_hold(state: ArmState) -> None:
-    """Take the next step towards HOLDING if it is requested and the drives are ready."""
-    if not (state.bound.is_hold and state.drives.is_ready):
+    """Take the next step towards HOLDING if it is wanted and the drives are ready. A take-over gets there on its way off, too."""
+    if not state.drives.is_ready:
         return
-    if state.monitor.mode in (Mode.BRAKED, Mode.HELD):
-        if state.bound is Bound.ON:
+    is_taken_over = state.monitor.mode is Mode.HELD
+    if is_taken_over or (state.monitor.mode is Mode.BRAKED and state.bound.is_hold):
+        if is_taken_over or state.bound is Bound.ON:
             take_known_zeros(state)
-        state.bound = Bound.NOWHERE
+        if not state.bound.is_off:
+            state.bound = Bound.NOWHERE
         state.parts.servo.reset()
         state.on(Event.ENABLE)

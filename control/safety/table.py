@@ -198,7 +198,8 @@ _NOTES: Final = (
     "  `enable`. In OFF it only clears the list.",
     "- Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest. Ctrl-C in HELD leaves the arm held.",
     "- In OFF no drive has torque. One that has it all the same is switched off, and is a fault after a second.",
-    "- From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then, and there is no step.",
+    "- From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then, and there is no step;",
+    "  what is asked meanwhile, `stop` or `off`, is done from HOLDING.",
     "- While the arm goes on or off by itself, nothing else begins. `stop`, `brake` and `off` end the way on: from OFF the arm",
     "  is OFF again at once. `enable` and `hold` catch an arm that sinks on its way off, unless the runtime ends, too.",
 )

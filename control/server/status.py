@@ -10,6 +10,7 @@ from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.rotation import quaternion_of
 from control.loop.homing import doubt
 from control.loop.runtime import Runtime
+from control.loop.shutdown import TAKES_OVER
 from control.recording.recorder_state import RecorderState
 from control.safety.table import CONTROLLED_MODES, Mode
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD
@@ -23,9 +24,13 @@ SHUTDOWN_STEPS = {
     Mode.BRAKED: "lowering: windings shorted until the arm is at rest",
     Mode.FAULT: "in FAULT, waiting for the arm to come to rest",
     Mode.OFF: "waiting for the drives to switch off",
-    Mode.HELD: "leaving the arm held by its boards",
+    Mode.HELD: "taking the arm over from its boards",
 }
 NEAR = 0.9  # of a limit: warn below
+_ADVICE = "`armwright acknowledge` when it is safe"
+_HELD_ADVICE = (
+    f"a reset would let the arm go; {TAKES_OVER} where it only timed out, `armwright off` lets it go"
+)
 
 
 def status_of(runtime: Runtime) -> dict[str, Any]:
@@ -173,12 +178,13 @@ def _state_name(statusword: int) -> str:
 
 
 def _warnings(runtime: Runtime) -> list[str]:
-    parts = runtime.parts
+    parts, monitor = runtime.parts, runtime.monitor
     warnings = []
     for name, bits in zip(parts.joint_names, parts.hardware.feedback.drive_faults, strict=True):
-        if bits and not runtime.monitor.faults:
+        if bits and not monitor.faults:
+            is_held = monitor.mode is Mode.HELD
             warnings.append(
-                f"the drive of {name} is in FAULT (bits 0x{bits:02x}): `armwright acknowledge` when it is safe"
+                f"the drive of {name} is in FAULT (bits 0x{bits:02x}): {_HELD_ADVICE if is_held else _ADVICE}"
             )
     if out := runtime.drives.out_of_operation(parts.hardware.feedback):
         warnings.append(
@@ -186,9 +192,9 @@ def _warnings(runtime: Runtime) -> list[str]:
         )
     if runtime.jogging is not None and runtime.jogging.limited:
         warnings.append(runtime.jogging.limited)
-    if runtime.monitor.mode in CONTROLLED_MODES - {Mode.HOMING} and not runtime.monitor.is_homed:
+    if monitor.mode in CONTROLLED_MODES - {Mode.HOMING} and not monitor.is_homed:
         warnings.append("not homed: joint angles are not valid yet (`armwright home`)")
-    if runtime.monitor.is_homed:
+    if monitor.is_homed:
         warnings += _near_range(runtime)
     elif why := doubt(runtime):
         warnings.append(why)

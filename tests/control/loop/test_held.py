@@ -73,14 +73,55 @@ def test_boards_that_let_go_by_themselves_end_it(held: Cell) -> None:
     assert (held.mode, held.faults) == (Mode.OFF, [])
 
 
-def test_a_stop_while_it_is_taken_over_leaves_it_held(held: Cell) -> None:
-    before_rad = held.rig.joint_rad()
-    held.client.ask("enable")
-    held.client.ask("stop")
-    held.run(1.0)
-    assert held.mode is Mode.HELD
-    assert held.rig.joint_rad() == pytest.approx(before_rad, abs=2e-3)
-    assert "somebody must hold it" in held.refusal(do="off")
+@pytest.mark.parametrize("kind", ["dynamixel", "odrive", "moteus", "reference"])
+@pytest.mark.parametrize("cycles", [0, 1, 2])
+def test_a_stop_while_it_is_taken_over_ends_where_every_stop_does(kind: str, cycles: int) -> None:
+    """Boards of which some obey already are not left without a watch: the arm holds, under control."""
+    with held_on(kind) as held:
+        before_rad = held.rig.joint_rad()
+        held.client.ask("enable")
+        held.run(cycles * held.runtime.period_s)
+        held.client.ask("stop")
+        held.run(1.0)
+        assert (held.mode, held.runtime.drives.wanted) == (Mode.HOLDING, Wanted.ENABLED)
+        assert held.rig.joint_rad() == pytest.approx(before_rad, abs=5e-3)
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "odrive", "moteus", "reference"])
+@pytest.mark.parametrize("cycles", [0, 1, 2])
+@pytest.mark.parametrize("quits", [False, True])
+def test_off_while_it_is_taken_over_is_the_way_off_of_every_arm(kind: str, cycles: int, quits: bool) -> None:
+    with held_on(kind) as held:
+        held.client.ask("enable")
+        held.run(cycles * held.runtime.period_s)
+        held.runtime.go_off(quits)
+        modes = []
+        for _ in range(20_000):
+            held.run(held.runtime.period_s)
+            modes += [held.mode] if held.mode not in modes else []
+            if held.mode is Mode.OFF:
+                break
+        held.run(0.2)
+        assert modes[-3:] == [Mode.HOLDING, Mode.BRAKED, Mode.OFF]
+        assert (held.torques(), held.faults, held.channel.is_running) == ([False] * 3, [], not quits)
+
+
+@pytest.mark.parametrize("kind", ["reference", "moteus"])
+def test_acknowledge_lets_nothing_go(kind: str) -> None:
+    """Boards that hold after the time-out of their host let go when they are reset."""
+    with held_on(kind) as held:
+        before_rad = held.rig.joint_rad()
+        assert any(
+            "`armwright enable` takes it over" in one
+            for one in held.channel.request({"do": "status"})["warnings"]
+        )
+        assert "`armwright enable` takes it over" in held.refusal(do="acknowledge")
+        held.runtime.fail(JUMP)
+        held.run(0.1)
+        held.client.acknowledge()
+        held.run(0.5)
+        assert (held.mode, held.runtime.hardware.has_torque()) == (Mode.HELD, True)
+        assert held.rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)  # and none of them fell
 
 
 def test_a_fault_changes_nothing_and_is_acknowledged_to_it(held: Cell) -> None:
