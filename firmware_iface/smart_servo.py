@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import ClassVar, Final, Protocol
 
 from firmware_iface.errors import BoardReset, LinkError, MisuseError, Problems, RequestRefused
@@ -31,10 +31,12 @@ class SmartServo(ABC):
     CALLED: ClassVar[str]
     WIRE: ClassVar[ServoWire]
     TORQUE: ClassVar[int]  # address of the switch
+    DELAY: ClassVar[int]  # address of the return delay time
     FORCE: ClassVar[int]  # address of what limits the force, two bytes
     values_question: ServoQuestion
     state_question: ServoQuestion
     REMEDY: ClassVar[str] = ""  # what else to check if it does not answer
+    ERRORS: ClassVar[Mapping[int, str]]  # bits of its hardware error
 
     def __init__(self, line: ServoLine, number: int, name: str) -> None:
         ids = self.WIRE.IDS
@@ -49,7 +51,12 @@ class SmartServo(ABC):
         self.temperature_degC = 0.0
         self.at_s = -math.inf
         self.is_torque_on: bool | None = None
-        self.hardware_error = 0
+        self.hardware_error = self.frees_at = self.weakens_at = 0
+        """The errors that it has; those at which it lets its joint go, and those at which it holds on with less torque, as stored
+        in it. Both end with a restart. At any other it holds on as before.
+        """
+        self.return_delay_s = 0.0
+        """By which it waits with each answer."""
         self.is_watchdog_expired = False
         self.resets = 0
         self.known = self.reached = (
@@ -144,6 +151,20 @@ class SmartServo(ABC):
     def _reading(self, span: tuple[int, int], taken: Callable[[bytes, float], None]) -> ServoQuestion:
         """The question for the values at an address, of a length."""
         return self._question(lambda: self.WIRE.read(self.number, *span), span[1], taken)
+
+    def at_errors(self, how_weak: str = "") -> str:
+        """What it does at each error, in words."""
+
+        def named(bits: int) -> str:
+            return ", ".join(name for bit, name in self.ERRORS.items() if bit & bits)
+
+        weak, free = self.weakens_at, self.frees_at
+        does = (
+            ("free at ", named(free), ""),
+            ("weaker at ", named(weak), how_weak),
+            ("holds on at ", named(~(free | weak)), ""),
+        )
+        return "; ".join(what + names + how for what, names, how in does if names)
 
     def _note_restart(self) -> None:
         self.resets += 1

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections.abc import Mapping
 from typing import ClassVar, Final
 
 from firmware_iface.clock import Clock
@@ -13,16 +14,16 @@ from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import ServoWire, SmartServo
 
 REBOOT_s = 0.5
-STORED_SPAN, LIMITS_SPAN = (
-    (10, 14),
-    (48, 8),
-)  # address and length: drive mode to homing offset; position limits
-MODEL, TORQUE_ENABLE, GOAL_POSITION, PROFILE, GOAL_CURRENT = 0, 64, 116, 108, 102
+STORED_SPAN = (0, 69)  # address and length: model to status return level
+RETURN_DELAY, TORQUE_ENABLE, GOAL_POSITION, PROFILE, GOAL_CURRENT = 9, 64, 116, 108, 102
 # Address and length: torque to bus watchdog; current to temperature.
 STATE_SPAN, VALUES_SPAN = (64, 35), (126, 21)
 HARDWARE_ERROR, BUS_WATCHDOG = 70, 98
 WATCHDOG_STEP_s, LONGEST_WATCHDOG = 0.02, 127
 WATCHDOG_ERROR = 0xFF
+WATCHDOG_SINCE: Final = 38  # firmware that has a bus watchdog; in the XL330 all have
+DELAY_STEP_s: Final = 2e-6
+ALL_ANSWERED: Final = 2  # status return level
 COUNTS_PER_TURN: Final = 4096
 WITHIN_LIMITS: Final = (
     3  # the mode that keeps its position limits; its homing offset is at most a quarter of a turn
@@ -35,12 +36,13 @@ POSITION_MODES: Final = {
     WITH_FORCE: "current-based position",
 }
 # Unit of the present current by model number (e-Manual); models without a current are not here.
+XL330: Final = (1190, 1200)  # -M077, -M288
 CURRENT_UNIT_A: Final = {
-    1190: 0.001, 1200: 0.001,  # XL330-M077, -M288
+    **dict.fromkeys(XL330, 0.001),
     1020: 0.00269, 1030: 0.00269, 1120: 0.00269, 1130: 0.00269,  # XM430-W350, -W210, XM540-W270, -W150
 }  # fmt: skip
-_STORED = struct.Struct("<BB8xi")  # drive mode, operating mode, homing offset
-_LIMITS = struct.Struct("<ii")  # greatest position, least
+# Model; firmware; return delay, drive mode, operating mode; homing offset; position limits; shutdown; status return level
+_STORED = struct.Struct("<H4xB2xBBB8xi24xii7xB4xB")
 _VALUES = struct.Struct("<hiiiiHB")  # current, velocity, position, two of a trajectory, voltage, temperature
 
 
@@ -66,8 +68,11 @@ class DynamixelServo(SmartServo):
 
     CALLED = "Dynamixel"
     WIRE: ClassVar[ServoWire] = wire
-    TORQUE, FORCE = TORQUE_ENABLE, GOAL_CURRENT
-    REMEDY = ", protocol 2.0"
+    TORQUE, DELAY, FORCE = TORQUE_ENABLE, RETURN_DELAY, GOAL_CURRENT
+    REMEDY = ", protocol 2.0, status return level 2"
+    ERRORS: ClassVar[Mapping[int, str]] = {
+        0x01: "voltage", 0x04: "heat", 0x08: "encoder", 0x10: "shock", 0x20: "overload"
+    }  # fmt: skip
 
     def __init__(self, line: DynamixelLine, number: int, name: str) -> None:
         super().__init__(line, number, name)
@@ -82,22 +87,31 @@ class DynamixelServo(SmartServo):
     # ---- outside of the cycle
 
     def identify(self) -> str:
-        """Ask model and operating mode. Raises BoardSilent, WrongIdentity."""
-        self.model = int.from_bytes(self._read(MODEL, 2), "little")
+        """Ask model, mode, and what is stored of its position, its answers and its errors. Raises BoardSilent, WrongIdentity."""
+        self.model, firmware, delay, drive_mode, mode, offset, most, least, self.frees_at, level = (
+            _STORED.unpack(self._read(*STORED_SPAN))
+        )
         if self.model not in CURRENT_UNIT_A:
             known = ", ".join(map(str, CURRENT_UNIT_A))
             raise WrongIdentity(
                 f"{self.where}: expected a model that measures its current (model numbers {known}), it is model {self.model}"
             )
         self._current_unit_A = CURRENT_UNIT_A[self.model]
-        drive_mode, mode, offset = _STORED.unpack(self._read(*STORED_SPAN))
-        most, least = _LIMITS.unpack(self._read(*LIMITS_SPAN))
         self._mode = mode
-        if mode not in POSITION_MODES:
-            raise WrongIdentity(
-                f"{self.where}: expected operating mode 3, 4 or 5 (position), it is {mode}: set it with Dynamixel Wizard"
-            )
-        notes = [f"model {self.model}", f"{POSITION_MODES[mode]} mode"]
+        for is_right, expected, found, remedy in (
+            (
+                firmware >= WATCHDOG_SINCE or self.model in XL330,
+                f"firmware {WATCHDOG_SINCE} or newer (bus watchdog)", firmware, "update it",
+            ),
+            (mode in POSITION_MODES, "operating mode 3, 4 or 5 (position)", mode, "set it"),
+            (level == ALL_ANSWERED, "status return level 2 (register 68: writing is answered)", level, "set it"),
+        ):  # fmt: skip
+            if not is_right:
+                raise WrongIdentity(
+                    f"{self.where}: expected {expected}, it is {found}: {remedy} with Dynamixel Wizard"
+                )
+        self.return_delay_s = delay * DELAY_STEP_s
+        notes = [f"model {self.model}", f"firmware {firmware}", f"{POSITION_MODES[mode]} mode"]
         if mode == WITHIN_LIMITS:
             offset = min(max(offset, -COUNTS_PER_TURN // 4), COUNTS_PER_TURN // 4)
             self.reached = range(least, most + 1)
@@ -105,7 +119,7 @@ class DynamixelServo(SmartServo):
         self.known = range(offset, offset + COUNTS_PER_TURN)
         notes += [f"homing offset {offset}"] if offset else []
         notes += ["sense of its position reversed"] if drive_mode & REVERSED else []
-        return ", ".join(notes)
+        return ", ".join(notes) + "; " + self.at_errors()
 
     def set_up(self, watchdog_s: float) -> None:
         """No motion profile, and the bus watchdog, which a restart clears. Nothing is stored, and the torque stays as it is."""

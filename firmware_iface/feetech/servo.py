@@ -1,6 +1,7 @@
 """One Feetech STS servo on a half-duplex line, seen from the host."""
 
 import struct
+from collections.abc import Mapping
 from typing import ClassVar, Final
 
 from firmware_iface.clock import Clock
@@ -10,18 +11,21 @@ from firmware_iface.link import ByteLink
 from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import ServoWire, SmartServo
 
-STORED_SPAN = (9, 25)  # address and length: position limits to mode
-MODEL, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 3, 40, 41, 42, 46, 48
+STORED_SPAN = (0, 37)  # address and length: firmware to overload torque
+RETURN_DELAY, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 7, 40, 41, 42, 46, 48
 STATE_SPAN = (40, 31)  # address and length: torque to current
 CURRENT_UNIT_A: Final = 0.0065
 MODELS: Final = {777: "STS3215", 2825: "STS3250"}
 # Torque; acceleration to lock; position, speed, load; voltage, temperature; asynchronous write; error; moving; two bytes; current
+DELAY_STEP_s: Final = 2e-6
 COUNTS_PER_TURN: Final = 4096
 FURTHEST: Final = 7 * COUNTS_PER_TURN  # of a goal without position limits: seven turns
 BEYOND_A_TURN: Final = 0x10  # bit of the phase: the position counts on beyond a turn until the supply is cut
 REVERSED: Final = 0x80  # bit of the phase: the position has the other sense
-# Least and greatest position; to the phase; to the resolution; position correction with its sign in bit 11; mode
-_STORED = struct.Struct("<HH5xB11xBHB")
+OVERLOAD: Final = 0x20  # of the errors: load above a share of the torque for a time; it keeps another share
+# Firmware; model; return delay, response level; least and greatest position; phase, unloading condition; resolution; position
+# correction with its sign in bit 11; mode; protective torque, protection time, overload torque
+_STORED = struct.Struct("<BBxH2xBBHH5xBB10xBHBBBB")
 _STATE = struct.Struct("<B15xHHHBBxBB2xH")
 
 
@@ -48,11 +52,15 @@ class FeetechServo(SmartServo):
 
     CALLED = "STS servo"
     WIRE: ClassVar[ServoWire] = wire
-    TORQUE, FORCE = TORQUE, TORQUE_LIMIT
+    TORQUE, DELAY, FORCE = TORQUE, RETURN_DELAY, TORQUE_LIMIT
+    ERRORS: ClassVar[Mapping[int, str]] = {
+        0x01: "voltage", 0x02: "sensor", 0x04: "heat", 0x08: "current", OVERLOAD: "overload"
+    }  # fmt: skip
 
     def __init__(self, line: FeetechLine, number: int, name: str) -> None:
         super().__init__(line, number, name)
         self._is_wanted = self._must_be_on = False  # the torque
+        self._has_turns = False  # it counts on, and has no position limits
         self.values_question = self.state_question = self._reading(STATE_SPAN, self._take_state)
         line.servos.append(self)
 
@@ -69,24 +77,30 @@ class FeetechServo(SmartServo):
     # ---- outside of the cycle
 
     def identify(self) -> str:
-        """Ask model and mode. Raises BoardSilent, WrongIdentity."""
-        model = int.from_bytes(self._read(MODEL, 2), "little")
+        """Ask model, mode, and what is stored of its position, its answers and its errors. Raises BoardSilent, WrongIdentity."""
+        (
+            major, minor, model, delay, level, least, most, phase, unloads_at, resolution, correction, mode,
+            kept_percent, protection_10ms, overload_percent,
+        ) = _STORED.unpack(self._read(*STORED_SPAN))  # fmt: skip
         if model not in MODELS:
             known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
             raise WrongIdentity(f"{self.where}: expected model {known}, it is model {model}")
-        least, most, phase, resolution, correction, mode = _STORED.unpack(self._read(*STORED_SPAN))
-        if mode != 0:
-            raise WrongIdentity(
-                f"{self.where}: expected mode 0 (position), it is {mode}: set it with Feetech's FD tool"
-            )
-        if resolution > 1:
-            raise WrongIdentity(
-                f"{self.where}: expected angular resolution 1 (register 30: {COUNTS_PER_TURN} counts a turn), it is {resolution}:"
-                " set it with Feetech's FD tool"
-            )
+        for what, is_right, expected, found in (
+            ("mode", mode == 0, "0 (position)", mode),
+            ("response level (register 8)", level == 1, "1 (writing is answered)", level),
+            ("angular resolution (register 30)", resolution <= 1, f"1 ({COUNTS_PER_TURN} counts a turn)", resolution),
+        ):  # fmt: skip
+            if not is_right:
+                raise WrongIdentity(
+                    f"{self.where}: expected {what} {expected}, it is {found}: set it with Feetech's FD tool"
+                )
+        self.return_delay_s = delay * DELAY_STEP_s
         self.known = range(COUNTS_PER_TURN)
         self.reached = range(least, most + 1) if most > least else range(-FURTHEST, FURTHEST + 1)
-        notes = [f"model {MODELS[model]}", "position mode"]
+        self._has_turns = most <= least and bool(phase & BEYOND_A_TURN)
+        self.weakens_at = unloads_at & OVERLOAD if kept_percent else 0
+        self.frees_at = unloads_at & ~self.weakens_at
+        notes = [f"model {MODELS[model]}", f"firmware {major}.{minor}", "position mode"]
         if most <= least:
             notes.append("no position limits: goals of several turns")
         elif (least, most) != (0, COUNTS_PER_TURN - 1):
@@ -94,7 +108,8 @@ class FeetechServo(SmartServo):
         notes += [f"position correction {wire.signed(correction, 11)}"] if correction else []
         notes += ["counts on beyond a turn until its supply is cut"] if phase & BEYOND_A_TURN else []
         notes += ["sense of its position reversed"] if phase & REVERSED else []
-        return ", ".join(notes)
+        overload = f" (above {overload_percent} % for {protection_10ms / 100:g} s; {kept_percent} % are left)"
+        return ", ".join(notes) + "; " + self.at_errors(overload)
 
     def set_up(self, watchdog_s: float) -> None:
         """No ramp and no speed limit. Nothing is stored, the torque stays as it is; there is no watchdog to set."""
@@ -104,7 +119,12 @@ class FeetechServo(SmartServo):
         self.read_state()
 
     def require_force_limit(self) -> None:
-        """Every STS keeps a torque limit."""
+        """Every STS keeps a torque limit. WrongIdentity unless its counts and goals go on beyond the turn that it is found in."""
+        if not self._has_turns:
+            raise WrongIdentity(
+                f"{self.where}: expected counts and goals beyond a turn for a gripper (register 18 with bit 4, position limits 0"
+                " and 0): set them with Feetech's FD tool"
+            )
 
     def limit_force(self, current_A: float, share: float) -> None:
         """A torque limit: a `share` of the duty, which gives the current at rest."""

@@ -22,11 +22,13 @@ from hil_mocks.devices.dynamixel_table import (
     GOAL,
     GOAL_CURRENT,
     LENGTH_ERROR,
+    MIN_VOLTAGE,
     MODE,
     POSITION,
     REGISTERED,
     RETURN_DELAY,
     RETURN_LEVEL,
+    SHUTDOWN,
     STORED_END,
     TABLE_BYTES,
     TORQUE,
@@ -86,7 +88,6 @@ class ServoSetup:
     volts_per_rad_s: float
     model: int = 1020
     current_unit_A: float = 0.00269
-    return_delay_s: float = 0.0
     mode: int = POSITION  # CURRENT_BASED keeps the goal current
 
 
@@ -100,7 +101,7 @@ class DynamixelMock:
         self.table = bytearray(control_table.initial(0))
         struct.pack_into("<H", self.table, 0, setup.model)
         self.table[6], self.table[7], self.table[MODE] = 46, setup.number, setup.mode
-        self.table[RETURN_DELAY] = round(setup.return_delay_s / DELAY_STEP_S)
+        self.table[RETURN_DELAY] = 0  # as armwright asks for; 250 at delivery
         self.power_up()
 
     def power_up(self, now_s: float = 0.0) -> None:
@@ -130,6 +131,11 @@ class DynamixelMock:
         """From an instruction's last byte to its answer."""
         return LATENCY_S + self.table[RETURN_DELAY] * DELAY_STEP_S
 
+    @property
+    def _is_shut_down(self) -> bool:
+        """Whether it has an error of those at which it is to let go; only a restart ends that."""
+        return bool(self.table[ERROR_STATUS] & self.table[SHUTDOWN])
+
     # ---- instructions
 
     def answer(self, instruction: int, parameters: bytes, now_s: float) -> bytes | None:
@@ -153,7 +159,7 @@ class DynamixelMock:
         """Write to the control table; returns an error number."""
         if error := control_table.refusal(self.table, address, data):
             return error
-        if address == TORQUE and data[0] and self.table[ERROR_STATUS]:
+        if address == TORQUE and data[0] and self._is_shut_down:
             return 0  # stays off until it is restarted
         if address == TORQUE and data[0] and not self.table[TORQUE]:
             struct.pack_into("<i", self.table, GOAL, self.position)
@@ -222,9 +228,11 @@ class DynamixelMock:
             "<hiiiiHB", self.table, VALUES, min(max(round(current_A / self.setup.current_unit_A), -32767), 32767),
             round(motor.speed_turns_s * 60.0 / 0.229), self.position, 0, 0, round(supply_V * 10), 35,
         )  # fmt: skip
-        if self.forced_error:
-            self.table[ERROR_STATUS] |= self.forced_error
-        if self.table[ERROR_STATUS]:
+        # No overvoltage: the arms of the tests have 24 V. An error that shuts it down lasts, the others as long as their causes.
+        low = LOW_VOLTAGE if supply_V * 10 < control_table.value(self.table, MIN_VOLTAGE) else 0
+        self.table[ERROR_STATUS] &= self.table[SHUTDOWN]
+        self.table[ERROR_STATUS] |= self.forced_error | low
+        if self._is_shut_down:
             self.table[TORQUE] = 0
         watchdog = self.table[WATCHDOG]
         if self.table[TORQUE] and 0 < watchdog < 0x80 and now_s - self._heard_s > 0.02 * watchdog:

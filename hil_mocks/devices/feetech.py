@@ -5,6 +5,10 @@ watchdog: without the host it holds its last goal. A goal position that is writt
 (FTServo_Arduino, WritePos) move servos after power-up and never write the torque switch. Of what is sent to all only PING is
 answered, by all servos at once. Of several servos that are read at once each waits for the one before it: after a silent one
 nobody answers.
+
+What an error does stands in the table (Feetech, "STS Servo Memory Table Analysis"). At those of the unloading condition the
+motor is let go as long as they last; but overload, a load above its threshold for its time, leaves a share of the torque until
+that is switched off. A bit of the phase says whether the position counts on beyond a turn.
 """
 
 from __future__ import annotations
@@ -21,15 +25,15 @@ from hil_mocks.devices.servo_motor import ServoMotor
 
 COUNTS_PER_TURN = 4096
 BROADCAST = 0xFE
-OVER_HEATED, OVERLOAD = 0x04, 0x20
-RETURN_DELAY, RETURN_LEVEL, MIN_POSITION, MAX_POSITION, PHASE, STORED_END = (
-    7,
-    8,
-    9,
-    11,
-    18,
-    40,
-)  # what is below the last is kept without supply
+LOW_VOLTAGE, OVER_HEATED, OVERLOAD = 0x01, 0x04, 0x20
+RETURN_DELAY, RETURN_LEVEL, MIN_POSITION, MAX_POSITION, HIGHEST_VOLTAGE, LOWEST_VOLTAGE = 7, 8, 9, 11, 14, 15
+PHASE, UNLOADING, RESOLUTION, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = 18, 19, 30, 34, 35, 36
+STORED_END = 40  # what is below is kept without supply
+# At delivery; the highest voltage as for the arms of the tests, which have 24 V.
+STORED = {
+    0: 3, 1: 10, RETURN_LEVEL: 1, HIGHEST_VOLTAGE: 254, LOWEST_VOLTAGE: 40, PHASE: 0x0C, UNLOADING: 44, RESOLUTION: 1,
+    PROTECTIVE_TORQUE: 20, PROTECTION_TIME: 200, OVERLOAD_TORQUE: 80,
+}  # fmt: skip
 FULL_ANGLE = 0x10  # bit of the phase: the position counts on beyond a turn
 TORQUE, GOAL, TORQUE_LIMIT, LOCK, POSITION, REGISTERED, ERROR, CURRENT, TABLE_BYTES = (
     40,
@@ -80,9 +84,11 @@ class FeetechMock:
         self._read_turns = read_turns
         self.table = bytearray(TABLE_BYTES)
         struct.pack_into("<H", self.table, 3, setup.model)
-        self.table[5], self.table[RETURN_LEVEL] = setup.number, 1
+        self.table[5] = setup.number
+        for address, value in STORED.items():
+            self.table[address] = value
         struct.pack_into("<H", self.table, MAX_POSITION, 0 if setup.turns_on else COUNTS_PER_TURN - 1)
-        self.table[PHASE] = 0x0C | (FULL_ANGLE if setup.turns_on else 0)
+        self.table[PHASE] |= FULL_ANGLE if setup.turns_on else 0
         self.power_up()
         self._deaf_until_s = 0.0
 
@@ -95,6 +101,8 @@ class FeetechMock:
         self._registered: tuple[int, bytes] | None = None
         self._deaf_until_s = now_s + BOOT_S
         self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
+        self._loaded_from_s = now_s  # since when the load has been above the overload torque
+        self._is_overloaded = False
 
     @property
     def delay_s(self) -> float:
@@ -163,18 +171,48 @@ class FeetechMock:
         return b"\xff\xff" + inside + bytes((255 - sum(inside) % 256,))
 
     def tick(self, now_s: float, current_A: float, supply_V: float) -> None:
-        """Run one control period. A servo with an error lets its motor go, and goes on when the error is gone."""
+        """Run one control period. A servo that an error has let go goes on when the error is gone."""
         motor = self._motor
         motor.measure(now_s)
         speed = round(motor.speed_turns_s * COUNTS_PER_TURN)
-        self.table[ERROR] = self.forced_error
+        self.table[ERROR] = self._errors(now_s, supply_V)
         struct.pack_into(
-            "<HHHBB", self.table, POSITION, _raw(self.position), _raw(speed), 0, round(supply_V * 10), 35
+            "<HHHBB",
+            self.table,
+            POSITION,
+            _raw(self.position),
+            _raw(speed),
+            self._load(supply_V),
+            round(supply_V * 10),
+            35,
         )
         struct.pack_into("<H", self.table, CURRENT, _raw(round(current_A / CURRENT_UNIT_A)))
-        is_driven = self.table[TORQUE] and not self.table[ERROR] and now_s >= self._deaf_until_s
+        protected = self.table[ERROR] & self.table[UNLOADING]
+        is_driven = self.table[TORQUE] and not protected & ~OVERLOAD and now_s >= self._deaf_until_s
         (permille,) = struct.unpack_from("<H", self.table, TORQUE_LIMIT)
+        if protected & OVERLOAD:
+            permille = min(permille, 10 * self.table[PROTECTIVE_TORQUE])
         self.output = motor.controlled(supply_V * min(permille, 1000) / 1000) if is_driven else OPEN
+
+    def _load(self, supply_V: float) -> int:
+        """The duty of its output, in thousandths; its sign in bit 10."""
+        if self.output.kind != "voltage" or supply_V <= 0.0:
+            return 0
+        permille = round(1000.0 * self.output.value / supply_V)
+        return min(abs(permille), 1000) | (0x400 if permille < 0 else 0)
+
+    def _errors(self, now_s: float, supply_V: float) -> int:
+        """The status byte."""
+        lowest, highest = self.table[LOWEST_VOLTAGE], self.table[HIGHEST_VOLTAGE]
+        voltage = 0 if lowest <= supply_V * 10 <= highest else LOW_VOLTAGE
+        is_loaded = self._load(supply_V) & 0x3FF > 10 * self.table[OVERLOAD_TORQUE]
+        if not self.table[TORQUE]:
+            self._is_overloaded = is_loaded = False
+        if not is_loaded:
+            self._loaded_from_s = now_s
+        elif now_s - self._loaded_from_s > 0.01 * self.table[PROTECTION_TIME]:
+            self._is_overloaded = True
+        return self.forced_error | voltage | (OVERLOAD if self._is_overloaded else 0)
 
 
 class FeetechLineMock:

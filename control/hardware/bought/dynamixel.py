@@ -16,9 +16,9 @@ FAULT_OF = ((0x01, SUPPLY_LOW), (0x04, OVER_TEMPERATURE), (0x08, OWN_ENCODER), (
 LINE_BYTES, SERVO_BYTES = 14 + 60 + 14, 5 + 1 + 32
 
 
-def cycle_s(servos: int, baud: int) -> float:
+def cycle_s(servos: int, baud: int, delays_s: Sequence[float] = ()) -> float:
     """How long the packets of one cycle take on a line: the shortest period of the loop."""
-    return line_s(servos, baud, LINE_BYTES, SERVO_BYTES, questions=2)
+    return line_s(servos, baud, LINE_BYTES, SERVO_BYTES, questions=2, delays_s=delays_s)
 
 
 def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:

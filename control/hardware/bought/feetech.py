@@ -17,9 +17,9 @@ FAULT_OF = (
 LINE_BYTES, SERVO_BYTES = 8 + 8, 3 + 1 + 37
 
 
-def cycle_s(servos: int, baud: int) -> float:
+def cycle_s(servos: int, baud: int, delays_s: Sequence[float] = ()) -> float:
     """How long the packets of one cycle take on a line: the shortest period of the loop."""
-    return line_s(servos, baud, LINE_BYTES, SERVO_BYTES, questions=1)
+    return line_s(servos, baud, LINE_BYTES, SERVO_BYTES, questions=1, delays_s=delays_s)
 
 
 def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:

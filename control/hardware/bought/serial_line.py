@@ -45,6 +45,17 @@ class PolledBoards:
         self._line.update()
 
 
+def require_fit(
+    called: str, port: str, boards: int, baud: int, needed_s: float, period_s: float, remedy: str
+) -> None:
+    """Raise MisuseError if a cycle's packets need longer than the loop has. `remedy`: besides a slower loop."""
+    if needed_s > period_s:
+        raise MisuseError(
+            f"{called} line {port}: {boards} boards at {baud} baud need {needed_s * 1e3:.1f} ms per cycle, the loop has"
+            f" {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, or {remedy}"
+        )
+
+
 def open_lines(
     boards: Sequence[Board], opened: Opened, period_s: float, called: str, remedy: str,
     cycle_s: Callable[[int, int], float], open_on: Callable[[ByteLink, Sequence[Board]], PolledBoards],
@@ -59,11 +70,7 @@ def open_lines(
             link = open_serial(port, on_it[0].baud, LOOKS_BEFORE_A_READ)
             opened.closers.append(link.close)
             needed_s = cycle_s(len(on_it), link.baud) if link.baud else 0.0
-            if needed_s > period_s:
-                raise MisuseError(
-                    f"{called} line {port}: {len(on_it)} boards at {link.baud} baud need {needed_s * 1e3:.1f} ms per cycle, the"
-                    f" loop has {period_s * 1e3:.1f} ms: serve with --rate {math.floor(1.0 / needed_s)} or less, or {remedy}"
-                )
+            require_fit(called, port, len(on_it), link.baud, needed_s, period_s, remedy)
             polled = open_on(link, on_it)
             opened.lines.append(polled)
             opened.polled.append(polled)

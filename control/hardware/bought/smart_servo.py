@@ -8,9 +8,9 @@ switch it on by that alone.
 import math
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
-from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines
+from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines, require_fit
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
 from control.hardware.roles import AskedEncoders
@@ -108,6 +108,7 @@ class ServoDrive:
         self._fault_of = fault_of
         self._configured_resets = -1
         self._faults = 0
+        self._is_freed = False  # by an error of its own
         self._held: int | None = None
         self._wanted = Wanted.AS_FOUND
         self._torque = Torque.OFF
@@ -121,6 +122,7 @@ class ServoDrive:
             feedback.statusword[joint] = 0
             return
         self._faults |= sum(bit for mask, bit in self._fault_of if servo.hardware_error & mask)
+        self._is_freed |= bool(servo.hardware_error & servo.frees_at)
         self._faults |= WATCHDOG if servo.is_watchdog_expired else 0
         feedback.current_A[joint] = self._sign * servo.current_A
         feedback.supply_V[joint] = servo.supply_V
@@ -139,9 +141,9 @@ class ServoDrive:
         self._wanted, servo.goal = wanted, None
         if wanted is Wanted.AS_FOUND:
             return
-        # Only a servo that is set up is driven. One with an error of its own has let its joint go, and must not take it again
-        # when the error ends.
-        is_able = self._configured_resets == servo.resets and not self._faults & ~(EMERGENCY_STOP | WATCHDOG)
+        # Only a servo that is set up is driven. One that an error of its own has freed must not take its joint again when that
+        # ends; one that holds on in spite of its error is not let go by us.
+        is_able = self._configured_resets == servo.resets and not self._is_freed
         mode = modes[joint]
         if not (wanted.is_on and is_able):
             self._let_go(Torque.OFF)
@@ -198,10 +200,11 @@ class ServoDrive:
         self._servo.read_state()
 
     def acknowledge_faults(self) -> None:
-        """End a hardware error by restarting the servo, torque off. Raises BoardFaulted."""
+        """End a hardware error that has freed or weakened the servo by restarting it, torque off. Raises BoardFaulted."""
         servo = self._servo
         servo.read_state()
-        if servo.hardware_error:
+        holds_on = servo.is_torque_on and not servo.hardware_error & (servo.frees_at | servo.weakens_at)
+        if servo.hardware_error and not holds_on:
             servo.reboot()
             servo.read_state()
         if servo.hardware_error:
@@ -210,7 +213,7 @@ class ServoDrive:
             )
         if self._faults & ~EMERGENCY_STOP:
             self._configured_resets = -1  # set up anew, which clears the bus watchdog
-        self._faults, self._held = 0, None
+        self._faults, self._held, self._is_freed = 0, None, False
 
     def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
         """The encoder's offset is used with every goal."""
@@ -230,18 +233,30 @@ class ServoDrive:
             self._servo.goal = self._held = self._servo.position
 
 
-def line_s(servos: int, baud: int, line_bytes: int, servo_bytes: int, questions: int) -> float:
-    """How long a cycle's packets take: bytes for the line and for each servo, and questions that are answered."""
+def line_s(
+    servos: int, baud: int, line_bytes: int, servo_bytes: int, questions: int, delays_s: Sequence[float]
+) -> float:
+    """How long a cycle's packets take: bytes for the line and for each servo, and questions that are answered.
+
+    `delays_s`: by which each servo waits with its answer. All answer one of the questions, one of them each other.
+    """
     packets_s = (line_bytes + servos * servo_bytes) * 10 / baud
-    return packets_s + questions * TURN_AROUND_S + servos * ANSWER_GAP_S
+    waits_s = sum(delays_s) + (questions - 1) * max(delays_s, default=0.0)
+    return packets_s + questions * TURN_AROUND_S + servos * ANSWER_GAP_S + waits_s
+
+
+class CycleTime(Protocol):
+    """How long the packets of one cycle take on a line of so many servos: the shortest period of the loop."""
+
+    def __call__(self, servos: int, baud: int, delays_s: Sequence[float] = ()) -> float: ...
 
 
 def open_servos(
     arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened,
     line_of: Callable[[ByteLink, Clock], L], servo_of: Callable[[L, int, str], SmartServo],
-    cycle_s: Callable[[int, int], float], fault_of: FaultMap,
+    cycle_s: CycleTime, fault_of: FaultMap,
 ) -> None:  # fmt: skip
-    """Open the lines of these servos and identify every one. `cycle_s`: of so many servos at a baud rate."""
+    """Open the lines of these servos and identify every one."""
     joints = {drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)}
 
     def open_on(link: ByteLink, on_it: Sequence[Board]) -> PolledBoards:
@@ -252,6 +267,14 @@ def open_servos(
                 servos.append(servo_of(line, described.address, described.name))
                 joint, drive = joints[described.name]
                 _join(servos[-1], joint, drive, arm.limits.watchdog_s, fault_of, opened)
+        delays_s = [servo.return_delay_s for servo in servos]
+        if link.baud and any(delays_s):
+            waiting = ", ".join(str(servo.number) for servo in servos if servo.return_delay_s)
+            fastest_Hz = math.floor(1.0 / cycle_s(len(servos), link.baud))
+            remedy = f"set return delay time (register {servos[0].DELAY}) of id {waiting} to 0: up to {fastest_Hz} Hz"
+            needed_s = cycle_s(len(servos), link.baud, delays_s)
+            opened.identities.append((line.name, f"carries {math.floor(1.0 / needed_s)} Hz; {remedy}"))
+            require_fit("servo", line.name, len(servos), link.baud, needed_s, period_s, remedy)
         return PolledBoards(line, servos, line.post_cycle)
 
     open_lines(boards, opened, period_s, "servo", "raise the servos' baud rate", cycle_s, open_on)

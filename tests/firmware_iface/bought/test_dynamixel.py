@@ -61,7 +61,10 @@ class Cable:
 def test_a_servo_says_who_and_where_it_is(echoes: bool) -> None:
     cable = Cable(echoes=echoes)
     servo = DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow")
-    assert servo.identify() == "model 1020, position mode"
+    told = (
+        "model 1020, firmware 46, position mode; free at heat, shock, overload; holds on at voltage, encoder"
+    )
+    assert servo.identify() == told
     servo.set_up(0.2)
     assert (servo.position, servo.supply_V, servo.is_torque_on) == (1024, 12.0, False)
     assert cable.servo.table[98] == 10
@@ -77,6 +80,26 @@ def test_models_without_a_current_other_modes_and_bad_ids_are_refused() -> None:
         DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
     with pytest.raises(MisuseError, match="0 to 252"):
         DynamixelServo(DynamixelLine(cable.link, cable), 254, "elbow")
+
+
+@pytest.mark.parametrize(
+    ("address", "value", "expected"),
+    [
+        (6, 36, r"firmware 38 or newer \(bus watchdog\), it is 36: update it with Dynamixel Wizard"),
+        (68, 1, r"status return level 2 \(register 68: .*\), it is 1: set it with Dynamixel Wizard"),
+    ],
+)
+def test_what_the_watchdog_and_the_answers_need_is_compared(address: int, value: int, expected: str) -> None:
+    cable = Cable()
+    cable.servo.table[address] = value
+    with pytest.raises(WrongIdentity, match=expected):
+        DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
+
+
+def test_every_xl330_has_a_watchdog() -> None:
+    cable = Cable(model=1200)
+    cable.servo.table[6] = 10
+    assert "firmware 10" in DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
 
 
 def test_a_silent_servo_is_an_error_that_says_what_to_check() -> None:

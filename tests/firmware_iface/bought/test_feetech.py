@@ -64,7 +64,10 @@ class Cable:
 def test_a_servo_is_identified_set_up_and_read(echoes: bool) -> None:
     cable = Cable(echoes=echoes)
     servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
-    assert servo.identify() == "model STS3215, position mode"
+    assert servo.identify() == (
+        "model STS3215, firmware 3.10, position mode; free at heat, current; weaker at overload (above 80 % for 2 s; 20 % are"
+        " left); holds on at voltage, sensor"
+    )
     servo.set_up(0.2)
     assert (servo.position, servo.is_torque_on, servo.hardware_error) == (1024, False, 0)
     assert servo.current_A == pytest.approx(-100 * CURRENT_UNIT_A)
@@ -80,7 +83,7 @@ def test_another_model_or_mode_and_a_silent_line_say_what_to_do() -> None:
     with pytest.raises(WrongIdentity, match=r"mode 0 .*, it is 1: set it with Feetech's FD tool"):
         FeetechServo(FeetechLine(wheel.link, wheel), 3, "elbow").identify()
     wheel.is_cut = True
-    with pytest.raises(BoardSilent, match=r"no answer to READ 3 .*asked 3 times.*check its supply, id 3"):
+    with pytest.raises(BoardSilent, match=r"no answer to READ 0 .*asked 3 times.*check its supply, id 3"):
         FeetechServo(FeetechLine(wheel.link, wheel), 3, "elbow").identify()
     with pytest.raises(MisuseError, match="0 to 252, got 253"):
         FeetechServo(FeetechLine(cable.link, cable), 253, "elbow")
@@ -142,8 +145,34 @@ def test_what_is_stored_of_its_position_is_told_and_counts_of_another_size_are_r
     table[9:13] = bytes(4)
     assert "no position limits: goals of several turns" in servo.identify()
     table[30] = 3
-    with pytest.raises(WrongIdentity, match=r"angular resolution 1 .*4096 counts a turn\), it is 3"):
+    with pytest.raises(WrongIdentity, match=r"angular resolution \(register 30\) 1 \(4096 .*\), it is 3"):
         servo.identify()
+
+
+def test_what_it_does_at_an_error_is_what_is_stored_in_it() -> None:
+    cable = Cable()
+    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
+    table = cable.servo.table
+    table[7], table[19], table[34] = 250, 0x21, 0
+    assert servo.identify().endswith("; free at voltage, overload; holds on at sensor, heat, current")
+    assert (servo.frees_at, servo.weakens_at, servo.return_delay_s) == (0x21, 0, pytest.approx(5e-4))
+    table[8] = 0
+    with pytest.raises(
+        WrongIdentity, match=r"response level \(register 8\) 1 \(writing is answered\), it is 0"
+    ):
+        servo.identify()
+
+
+def test_a_gripper_needs_counts_and_goals_beyond_a_turn() -> None:
+    cable = Cable()
+    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "hand")
+    servo.identify()
+    with pytest.raises(WrongIdentity, match=r"register 18 with bit 4, position limits 0 and 0"):
+        servo.require_force_limit()
+    cable.servo.table[9:13] = bytes(4)
+    cable.servo.table[18] |= 0x10
+    servo.identify()
+    servo.require_force_limit()
 
 
 def test_a_servo_without_torque_gets_no_goal_because_that_would_switch_it_on() -> None:

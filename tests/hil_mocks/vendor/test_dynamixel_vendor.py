@@ -235,6 +235,23 @@ def test_a_hardware_error_is_an_alert_that_only_a_restart_ends(line: DynamixelLi
     assert servo.table[70] == 0
 
 
+def test_an_error_that_does_not_shut_down_leaves_the_torque_and_ends_with_its_cause(
+    line: DynamixelLineMock, handler: Any
+) -> None:
+    port, servo = Port(line), line.servos[1]
+    handler.write1ByteTxRx(port, 1, 64, 1)
+    struct.pack_into("<H", servo.table, 34, 121)  # lowest voltage, 0.1 V
+    handler.ping(port, 1)
+    assert (servo.table[64], servo.table[70]) == (1, 0x01)
+    struct.pack_into("<H", servo.table, 34, 95)
+    handler.ping(port, 1)
+    assert (servo.table[64], servo.table[70]) == (1, 0)
+    servo.table[63] |= 0x01
+    struct.pack_into("<H", servo.table, 34, 121)
+    handler.ping(port, 1)
+    assert (servo.table[64], servo.table[70]) == (0, 0x01)
+
+
 def test_any_single_flipped_bit_of_a_status_packet_is_noticed(line: DynamixelLineMock) -> None:
     line.servos[1].tick(0.05, 0.0, 12.0)
     status = line.servos[1].answer(0x02, struct.pack("<HH", 132, 4), 0.1)

@@ -150,6 +150,46 @@ def test_an_error_is_in_every_status_until_its_cause_is_gone(port: Port, handler
     assert handler.ping(1)[2] == 0
 
 
+@pytest.mark.parametrize(
+    ("error", "unloads_at", "is_free"),
+    [(0x01, 44, False), (0x02, 44, False), (0x04, 44, True), (0x08, 44, True), (0x01, 45, True)],
+)
+def test_an_error_frees_the_motor_by_the_unloading_condition(
+    port: Port, handler: Any, error: int, unloads_at: int, is_free: bool
+) -> None:
+    servo = port.line.servos[1]
+    handler.unLockEprom(1)
+    handler.write1ByteTxRx(1, 19, unloads_at)
+    handler.WritePosEx(1, 1000, 0, 0)
+    servo.forced_error = error
+    handler.ping(1)
+    assert (servo.output.kind == "open") is is_free
+
+
+def test_overload_leaves_the_protective_torque_until_the_torque_is_switched_off(
+    port: Port, handler: Any
+) -> None:
+    servo = port.line.servos[1]
+    handler.WritePosEx(1, 3000, 0, 0)  # it is held at -1024
+    for _ in range(1900):
+        handler.read1ByteTxRx(1, 65)
+    assert (handler.ping(1)[2], servo.output.value) == (0, 12.0)
+    for _ in range(200):
+        handler.read1ByteTxRx(1, 65)
+    assert (handler.ping(1)[2], servo.output.value) == (0x20, pytest.approx(2.4))
+    assert handler.read2ByteTxRx(1, sdk.SMS_STS_PRESENT_LOAD_L)[0] == 200
+    handler.write1ByteTxRx(1, sdk.SMS_STS_TORQUE_ENABLE, 0)
+    handler.ping(1)
+    assert handler.ping(1)[2] == 0
+
+
+def test_the_voltage_is_compared_with_what_is_stored(port: Port, handler: Any) -> None:
+    handler.unLockEprom(1)
+    handler.write1ByteTxRx(1, 15, 121)
+    handler.ping(1)
+    assert handler.ping(1)[2] == 0x01
+
+
 def test_any_single_flipped_bit_of_a_status_packet_is_noticed(port: Port) -> None:
     port.line.servos[1].tick(1.0, 0.0, 12.0)
     status = port.line.servos[1].answer(0x02, bytes((56, 2)), 1.1)
