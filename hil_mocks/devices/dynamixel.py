@@ -46,6 +46,8 @@ OVER_HEATED, OVERLOAD, LOW_VOLTAGE = 0x04, 0x20, 0x01
 DELAY_STEP_S = 2e-6
 REBOOT_S = 0.2
 LATENCY_S = 0.0001
+# Other than an XM430 at delivery: answers at once, and the lowest voltage of an XL330, since arms of 5 V are played, too.
+STORED = {RETURN_DELAY: 0, MIN_VOLTAGE: 35}
 
 
 class Instruction(IntEnum):
@@ -101,7 +103,8 @@ class DynamixelMock:
         self.table = bytearray(control_table.initial(0))
         struct.pack_into("<H", self.table, 0, setup.model)
         self.table[6], self.table[7], self.table[MODE] = 46, setup.number, setup.mode
-        self.table[RETURN_DELAY] = 0  # as armwright asks for; 250 at delivery
+        for address, value in STORED.items():
+            self.table[address] = value
         self.power_up()
 
     def power_up(self, now_s: float = 0.0) -> None:

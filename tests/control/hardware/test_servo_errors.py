@@ -9,8 +9,8 @@ from control.hardware.connect import connect
 from control.safety.fault import Reaction
 from control.safety.table import Mode
 from firmware_iface.errors import ConnectionFailed
-from hil_mocks.devices import dynamixel_table
-from hil_mocks.devices import feetech as sts
+from hil_mocks.devices import dynamixel as dynamixel_mock
+from hil_mocks.devices import feetech as feetech_mock
 from hil_mocks.rig import SteppedRig
 from tests.cell import Cell, holding_cell, scenario, wired_to
 from tests.kinds import ON_BOARDS
@@ -19,7 +19,10 @@ SECOND = {"dynamixel": "servo2", "feetech": "feetech2"}
 LOWEST_dV = 237  # the servo allows no less than 23.7 V, of 24
 SAGGED_V = 23.5
 VOLTAGE = 0x01
-AT_DELIVERY = {"dynamixel": 52, "feetech": 44}  # shutdown (register 63), unloading condition (register 19)
+MOCKS = {"dynamixel": dynamixel_mock, "feetech": feetech_mock}
+LOWEST_VOLTAGE = {"dynamixel": 34, "feetech": 15}  # registers
+UNLOADS_AT = {"dynamixel": 63, "feetech": 19}
+AT_DELIVERY = {"dynamixel": 52, "feetech": 44}
 RETURN_DELAY = {"dynamixel": 9, "feetech": 7}
 
 
@@ -30,16 +33,9 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 def store(monkeypatch: pytest.MonkeyPatch, kind: str, unloads_at: int) -> None:
     """Mock servos of the kind with this lowest voltage, and these errors at which they let go."""
-    if kind == "feetech":
-        monkeypatch.setitem(sts.STORED, sts.LOWEST_VOLTAGE, LOWEST_dV)
-        monkeypatch.setitem(sts.STORED, sts.UNLOADING, unloads_at)
-        return
-    for address, value in (
-        (dynamixel_table.MIN_VOLTAGE, LOWEST_dV),
-        (dynamixel_table.SHUTDOWN, unloads_at),
-    ):
-        item = dynamixel_table.ITEMS[address]
-        monkeypatch.setitem(dynamixel_table.ITEMS, address, item._replace(initial=value))
+    mock = MOCKS[kind]
+    monkeypatch.setitem(mock.STORED, LOWEST_VOLTAGE[kind], LOWEST_dV)
+    monkeypatch.setitem(mock.STORED, UNLOADS_AT[kind], unloads_at)
 
 
 def moved_rad(cell: Cell, before_rad: tuple[float, ...]) -> float:
@@ -97,7 +93,7 @@ def test_answers_that_servos_delay_cost_a_rate_that_is_told_or_refused(kind: str
     slow_Hz, fast_Hz = int(1.0 / cycle_s(3, 1_000_000, [5e-4] * 3)), int(1.0 / cycle_s(3, 1_000_000))
     remedy = rf"set return delay time (register {RETURN_DELAY[kind]}) of id 1, 2, 3 to 0: up to {fast_Hz} Hz"
     with SteppedRig(arm, scenario()) as rig:
-        for servo in rig.robot.bought.lines[0].servos.values():  # type: ignore[attr-defined]
+        for servo in rig.robot.bought.lines[0].servos.values():
             servo.table[RETURN_DELAY[kind]] = 250
         wired = wired_to(arm, rig)
         connection = connect(wired, rig.clock, 0.01)
