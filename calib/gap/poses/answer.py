@@ -79,7 +79,12 @@ def answered(
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa)
     changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
     order = _ordered(around, best, changed)
-    decision, files, reasons = _files(looked, decision, {name: estimates[name] for name in order}, reasons)
+    beside = {
+        name: estimated(around.evidence, best, name).parameters for name in _open_members(around, decision)
+    }
+    decision, files, reasons = _files(
+        looked, decision, {name: estimates[name] for name in order}, beside, reasons
+    )
     order = [name for name in order if name in decision.names]
     last, nominal = files[-1], placed(looked.arm, points, parts.known).left()
     lefts = [one.fit.left() for one in files]
@@ -115,6 +120,7 @@ def _files(
     looked: Looked,
     decision: Decision,
     found: Mapping[EffectName, Estimated],
+    beside: Mapping[EffectName, Parameters],
     reasons: Mapping[EffectName, str],
 ) -> tuple[Decision, list[File], Mapping[EffectName, str]]:
     """The file with the geometry alone, then with one name more at a time; without names that it cannot hold."""
@@ -126,6 +132,7 @@ def _files(
             looked.points,
             looked.parts.known,
             {key: named[key] for key in keys[:count]},
+            beside if 0 < count == len(keys) else {},
             count == len(keys),
         )
         for count in range(len(keys) + 1)
@@ -139,7 +146,18 @@ def _files(
         decision, names=names, remainders=(*decision.remainders, *((name,) for name in why))
     )
     kept = {name: own for name, own in found.items() if name not in why}
-    return _files(looked, decision, kept, {**reasons, **why})
+    return _files(looked, decision, kept, beside, {**reasons, **why})
+
+
+def _open_members(around: Around, decision: Decision) -> list[EffectName]:
+    """Of every ambiguous set what the best set has, beside the names."""
+    present = dict.fromkeys(around.terms[k].key for k, _ in decision.best.members)
+    return [
+        name
+        for group in decision.ambiguous
+        for name in group
+        if name in present and name not in decision.names
+    ]
 
 
 def _named_alone(around: Around, best: Weighed, names: Sequence[EffectName]) -> Weighed:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,10 +36,13 @@ STEPS = 2  # of the places of frames, tool and boards, which follow in nearly a 
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """An arm as its file says it, what `calibrate` says of its parameters, and the file's own fit to all poses."""
+    """An arm as its file says it, what `calibrate` says of its parameters, the names' standard deviations by linear unknown, and
+    the file's own fit to all poses.
+    """
 
     arm: Arm
     found: Identification
+    sd: Mapping[str, float]
     fit: Fit
 
     @classmethod
@@ -49,29 +52,51 @@ class File:
         points: Points,
         rows: Mask,
         named: Mapping[EffectName, Parameters],
+        beside: Mapping[EffectName, Parameters],
         is_last: bool = True,
     ) -> File:
         """`arm` with what is named in place of its own, all identified at the poses of a mask (m,).
 
         `named`: first estimates, which stay where poses do not show the effect (loads); without parameters it is taken out.
+        `beside`: what acts, but is in no file, as one of an ambiguous set: it is identified with the names, which else took its
+        part; then, with their values kept, the rest of the arm follows the poses as far as it can without it.
         Stages on the way to the last file are fitted from one start, as they are only drawn.
         """
         gone = {(name.effect, name.joint) for name, own in named.items() if not own}
         kept = tuple(one for one in arm.effects if (one.effect, one.joint) not in gone)
-        started = [effect_of(name, own) for name, own in named.items() if own and name.effect != FRAME]
-        begun = with_totals(dataclasses.replace(arm, effects=kept, maps=()), started)
-        keys = [
-            one.effect if one.joint is None else f"{one.effect}:{one.joint}"
-            for one in started
-            if one.effect in LAWS
-        ]
-        freed = (BASE,) if EffectName(FRAME) in named else ()
-        choice = Choice(effects=tuple(keys), freed=freed).for_points(begun, points)
-        plan = CalibrationPlan(choice) if is_last else CalibrationPlan(choice, LeastSquares(), starts_count=1)
-        _, found = identified(begun, points, plan, rows)
-        made = calibrated_arm(begun, found, points)
+        bare = dataclasses.replace(arm, effects=kept, maps=())
+        freed = (BASE,) if EffectName(FRAME) in {**named, **beside} else ()
+
+        def identify(started: Sequence[Effect], is_free: bool) -> tuple[Identification, Arm]:
+            begun = with_totals(bare, started)
+            keys = [
+                one.effect if one.joint is None else f"{one.effect}:{one.joint}"
+                for one in started
+                if is_free and one.effect in LAWS
+            ]
+            choice = Choice(effects=tuple(keys), freed=freed).for_points(begun, points)
+            plan = (
+                CalibrationPlan(choice)
+                if is_last
+                else CalibrationPlan(choice, LeastSquares(), starts_count=1)
+            )
+            _, found = identified(begun, points, plan, rows)
+            return found, calibrated_arm(begun, found, points)
+
+        acting = {**named, **beside}
+        found, made = identify(
+            [effect_of(name, own) for name, own in acting.items() if own and name.effect != FRAME], True
+        )
+        sd = {one.parameter.name: one.sd for one in found.estimates}
+        if beside:
+            values = [
+                one
+                for one in made.effects
+                if EffectName(one.effect, one.joint) in named and one.effect != FRAME
+            ]
+            found, made = identify(values, False)
         read = parse_arm(arm_text(made), Path(f"{arm.name}.toml"))
-        return cls(dataclasses.replace(read, path=arm.path), found, placed(read, points, rows))
+        return cls(dataclasses.replace(read, path=arm.path), found, sd, placed(read, points, rows))
 
     def has(self, name: EffectName) -> bool:
         """Whether the file has the effect: a width or a softness below nought is none."""
@@ -86,11 +111,10 @@ class File:
         """
         effect = _of(self.arm, name)
         own: Parameters = {}
-        by_name = {one.parameter.name: one.sd for one in self.found.estimates}
         terms = [one.name(name.joint) for one in LAWS.get(name.effect, ()) if not one.is_side]
-        if terms and all(term in by_name for term in terms):
+        if terms and all(term in self.sd for term in terms):
             values = np.array(linear_values(name.effect, effect.parameters))
-            own = parameters_of(name.effect)(values, np.diag([by_name[term] ** 2 for term in terms]))
+            own = parameters_of(name.effect)(values, np.diag([self.sd[term] ** 2 for term in terms]))
         found = {}
         for key, value in effect.parameters.items():
             before, sd = first.get(key, (value, math.nan))

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.gap.static.cases import Design, Hidden, designed
+from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.calibration.calibrate import CalibrationPlan, identified
 from calib.calibration.outcome import calibrated_arm
@@ -61,6 +62,30 @@ def test_calibrate_with_the_names_of_gap_makes_the_same_arm_of_the_same_poses() 
     np.testing.assert_allclose(found.file.dh, other.dh, atol=2e-5)
     apart = points.chosen(np.flatnonzero(found.split.report))
     np.testing.assert_allclose(errors_of(found.file, apart), errors_of(other, apart), atol=5e-6)
+
+
+def test_what_one_of_a_set_does_is_not_taken_by_the_names_and_the_file_leaves_no_more_for_it() -> None:
+    case = rough_case(
+        "many", 92_000
+    )  # a joint's eccentricity, which its short travel does not tell from a scale
+    found = find(case.arm, case.points)
+    assert [{one.joint for one in group} for group in found.finding.ambiguous] == [{1}]
+    keys = ("joint_compliance:2", "backlash:3")
+    assert {f"{one.effect}:{one.joint}" for one in found.file.effects} == set(keys)
+    some, apart = (
+        case.points.chosen(np.flatnonzero(rows)) for rows in (found.split.known, found.split.report)
+    )
+    plan = CalibrationPlan(Choice(effects=keys).for_points(case.arm, some))
+    names_alone = calibrated_arm(case.arm, identified(case.arm, some, plan)[1], some)
+    off = [
+        abs(next(one for one in arm.effects if one.effect == "backlash").parameters["width_rad"] / true - 1.0)
+        for arm in (found.file, names_alone)
+        for true in (one.value for one in case.hidden if one.effect == "backlash")
+    ]
+    assert off[0] < 0.03
+    assert off[1] > 0.08
+    left = [np.sqrt(np.mean(errors_of(arm, apart) ** 2)) for arm in (found.file, names_alone)]
+    assert left[0] < 1.01 * left[1]
 
 
 @pytest.mark.parametrize(
