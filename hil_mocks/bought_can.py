@@ -76,6 +76,7 @@ def _cia402(node: int, joint: int, drive: Drive, shaft: Shaft) -> Cia402Mock:
         torque_constant_Nm_A=drive.torque_constant_Nm_A,
         resistance_ohm=drive.resistance_ohm,
         current_limit_A=drive.current_limit_A,
+        rotor_inertia_kg_m2=drive.rotor_inertia_kg_m2,
         **({"vendor": MAXON, "product": EPOS4} if is_epos4 else {}),
     )
     return Cia402Mock(setup, shaft.own_count)

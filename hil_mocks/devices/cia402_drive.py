@@ -15,7 +15,7 @@ from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
 
 INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05
 CSP, CSV, CST = 8, 9, 10
-POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL = 20.0, 2.0, 40.0  # 1/s; -; 1/s
+POSITION_RATE, SPEED_RATE, SPEED_GAIN, SPEED_INTEGRAL = 20.0, 430.0, 2.0, 40.0  # 1/s; 1/s; - at most; 1/s
 SPEED_FILTER_S = 0.0015
 OVER_CURRENT, OVER_HEATED, SUPPLY_LOW, HEARTBEAT_LOST = 0x2310, 0x4310, 0x3220, 0x8130
 _LOWEST_SUPPLY_V = 9.0
@@ -38,6 +38,7 @@ class Cia402Setup:
     torque_constant_Nm_A: float
     resistance_ohm: float
     current_limit_A: float
+    rotor_inertia_kg_m2: float = 0.0  # 0: not known
     rated_torque_Nm: float = 0.5
     vendor: int = 0x0000_0402
     product: int = 0x0000_0001
@@ -46,6 +47,12 @@ class Cia402Setup:
     def is_epos4(self) -> bool:
         """Whether its dictionary is that of maxon's EDS (EPOS4, firmware 0x0170) and not the plain one of CiA 402."""
         return self.vendor == MAXON
+
+    @property
+    def speed_gain(self) -> float:
+        """As the vendor's tool tunes it: the quicker the motor by itself, the less it takes."""
+        motor_s = self.rotor_inertia_kg_m2 * self.resistance_ohm / self.torque_constant_Nm_A**2
+        return min(SPEED_GAIN, SPEED_RATE * motor_s) if motor_s else SPEED_GAIN
 
     @property
     def rated_current_A(self) -> float:
@@ -335,7 +342,7 @@ class Cia402Mock:
     def _to_speed(self, counts_s: float, step_s: float) -> Output:
         volts_per_count_s = self.setup.torque_constant_Nm_A * 6.283185307179586 / self.setup.counts_per_turn
         error_V = volts_per_count_s * (counts_s - self._speed)
-        wanted_V = volts_per_count_s * counts_s + SPEED_GAIN * error_V + self._integral_V
+        wanted_V = volts_per_count_s * counts_s + self.setup.speed_gain * error_V + self._integral_V
         limited_V = min(max(wanted_V, -self._supply_V), self._supply_V)
         if wanted_V == limited_V:
             self._integral_V += SPEED_INTEGRAL * error_V * step_s

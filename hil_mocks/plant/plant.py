@@ -58,6 +58,7 @@ class Plant:
         self._steadying = [0.0] * len(self._free_damping)  # N m s/rad, by the hand
         self._is_steadied = False
         self._blocked_by: dict[int, set[str]] = {}
+        self._gravity_m_s2 = self._model.opt.gravity.copy()
         self._delay_steps = round(effects.command_delay_s / options.timestep_s)
         self._pending: deque[tuple[int, int, int, float]] = deque()
         self._load_friction = tuple(
@@ -207,6 +208,10 @@ class Plant:
             self._data.qvel[[self._at.motor_hinge[j], self._at.link_hinge[j]]] = 0.0
         (holders.add if is_blocked else holders.discard)(by)
         self._damp(j)
+
+    def carry(self, is_carried: bool) -> None:
+        """Take the weight off all links, as a person who supports them does, or leave it to the joints again."""
+        self._model.opt.gravity[:] = 0.0 if is_carried else self._gravity_m_s2
 
     def _damp(self, j: int) -> None:
         """Give the dofs of joint j the damping that they have now."""

@@ -3,7 +3,8 @@
     volts = K speed_set + integral(gain (speed_set - speed))
 
 A voltage-driven motor is a speed source with a lag (J R / K^2, some 20 ms), so an integral alone is enough, and it compensates
-friction and gravity. Signs: `turned_rad` and speeds are in the joint's sign, corrected by the caller's wiring.
+friction and gravity. It stays from one motion to the next, and holds the joint at their ends: a weak motor's link falls faster on
+shorted windings than the joint is to turn. Signs: `turned_rad` and speeds are in the joint's sign, corrected by the caller's wiring.
 """
 
 import math
@@ -67,6 +68,7 @@ class JointDriver:
         self.scale = 1.0  # true joint angle over the draft's; measured meanwhile
         self._motor_sign, self._encoder_sign = motor_sign, encoder_sign
         self._caution = caution
+        self._weight_V = 0.0  # the integral of a joint that turns
         self._per_count = abs(JointMap(drive).radians_per_count)
         self._zero_count = bench.observe(0.02).counts[channel]
 
@@ -87,11 +89,13 @@ class JointDriver:
         """Limits for a motion at this speed over this distance."""
         current_A = self._caution.current_A
         constant = self.drive.gear_ratio * self.drive.torque_constant_Nm_A
-        volts = current_A * self.drive.resistance_ohm + 1.5 * constant * abs(speed_rad_s)
+        holding_V = current_A * self.drive.resistance_ohm
+        volts = holding_V + 1.5 * constant * abs(speed_rad_s)
+        sinking_rad_s = holding_V / constant  # on shorted windings, under a weight that this current holds
         return DriveLimits(
             current_A,
             min(volts, self.drive.supply_V),
-            max(RUNAWAY * abs(speed_rad_s), 0.5) / self.radians_per_count,
+            max(RUNAWAY * abs(speed_rad_s), 0.5, sinking_rad_s) / self.radians_per_count,
             (abs(travel_rad) + 0.2) / self.radians_per_count,
         )
 
@@ -105,7 +109,7 @@ class JointDriver:
         sign = math.copysign(1.0, distance_rad)
         speed_set = sign * abs(speed_rad_s)
         constant = self.drive.gear_ratio * self.drive.torque_constant_Nm_A
-        integral = 0.0
+        integral = self._weight_V
         run = Run(End.REACHED)
         limits = self.limits(speed_rad_s, distance_rad)
         with self.bench.driving(self.node, limits):
@@ -119,6 +123,8 @@ class JointDriver:
                 span_s = row[0] - run.rows[-1][0] if run.rows else 0.0
                 if (abs(volts) < room and not sample.is_limited) or volts * (speed_set - row[2]) < 0.0:
                     integral += INTEGRAL_1_s * constant * (speed_set - row[2]) * span_s
+                if row[2] * sign > 0.5 * abs(speed_rad_s):  # at a stop it pushes, too
+                    self._weight_V = integral
                 run.rows.append(row)
                 run.flags.append(sample.flags[self.channel])
                 run.limited.append(sample.is_limited)
@@ -130,7 +136,7 @@ class JointDriver:
                 if has_stalled(run.rows, abs(speed_rad_s)):
                     run.end = End.STALLED
                     break
-            self._brake()
+            self._hold()
         return run
 
     def _row(self, sample: Sample) -> tuple[float, float, float, float, float]:
@@ -142,11 +148,11 @@ class JointDriver:
             self._motor_sign * sample.current_A,
         )
 
-    def _brake(self) -> None:
-        """Command 0 V until the joint is at rest; monitoring continues."""
+    def _hold(self) -> None:
+        """Command what carries the weight until the joint is at rest; monitoring continues."""
         end_s = self.bench.clock.now_s() + REST_S
         while self.bench.clock.now_s() < end_s:
-            self.bench.cycle(0.0)
+            self.bench.cycle(self._motor_sign * self._weight_V)
 
     def go_to(self, angle_rad: float, speed_rad_s: float) -> Run:
         """Move to an angle from the first pose."""

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from statistics import fmean
+from statistics import fmean, median
 
 from control.hardware.words import HOME_SWITCH, QUADRATURE_ERROR, SIGNAL_LOST
 from procedures.bringup.driving import End, JointDriver, Run
@@ -259,10 +259,16 @@ def _edge(run: Run) -> float:
 
 
 def _index_behind(driver: JointDriver, found: Measured, direction: int) -> float:
-    """Find the first index pulse after the switch; return the distance."""
+    """Find the first index pulse after the switch; return the distance.
+
+    A joint that sinks while the index is armed passes it: the pulses lie whole motor turns apart.
+    """
     before_rad = driver.where_rad()
     longest_rad = 2.2 * 2.0 * math.pi / driver.drive.gear_ratio * max(1.0, driver.scale)
     latches = driver.latches(1, direction, INDEX_SPEED_rad_s, longest_rad)
-    if latches:
-        found.index_rad = driver.angle_rad(latches[0]) / driver.scale
+    if latches and found.spacings_count:
+        edge_rad, _, _ = found.edges[-1]
+        behind_rad = direction * (driver.angle_rad(latches[0]) / driver.scale - edge_rad)
+        turn_rad = median(found.spacings_count) * driver.radians_per_count / driver.scale
+        found.index_rad = edge_rad + direction * (behind_rad % turn_rad)
     return abs(driver.where_rad() - before_rad)

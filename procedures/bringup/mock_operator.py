@@ -16,7 +16,8 @@ class MockOperator:
         self._rig = rig
         self._random = random.Random(f"operator {seed}")
         self._is_silent = is_silent
-        self._look()
+        self._before = rig.joint_rad()
+        self.let_go()
 
     def say(self, text: str) -> None:
         """Print it."""
@@ -26,13 +27,8 @@ class MockOperator:
     def allow(self, what: str) -> bool:
         """Always True; notes the joint angles before the motion."""
         self.say(f"  {what}  [mock operator: go]")
-        self._look()
+        self._before = self._rig.joint_rad()
         return True
-
-    def _look(self) -> None:
-        """Note the joint angles and the speeds at which the joints sink."""
-        self._before, self._seen_s = self._rig.joint_rad(), self._rig.clock.now_s()
-        self._sinking_rad_s = self._rig.robot.plant.joint_speed_rad_s()
 
     def wants_stop(self) -> bool:
         """Never."""
@@ -40,9 +36,7 @@ class MockOperator:
 
     def what_moved(self, joint_count: int) -> tuple[int, int] | None:
         """The joint that has turned most since the last motion was allowed."""
-        span_s = self._rig.clock.now_s() - self._seen_s
-        places = zip(self._before, self._rig.joint_rad(), self._sinking_rad_s, strict=True)
-        turned = [now - before - sinking * span_s for before, now, sinking in places]
+        turned = [now - before for before, now in zip(self._before, self._rig.joint_rad(), strict=True)]
         joint = max(range(joint_count), key=lambda j: abs(turned[j]))
         answer = (joint + 1, 1 if turned[joint] > 0.0 else -1) if abs(turned[joint]) > SEEN_RAD else None
         words = (
@@ -56,11 +50,15 @@ class MockOperator:
         return self._rig.joint_rad()[joint - 1] + self._random.gauss(0.0, READING_SD_RAD)
 
     def support(self, joint: int) -> None:
-        """Hold all links but one."""
-        for other in range(len(self._rig.joint_rad())):
-            self._rig.robot.plant.block(other, other != joint - 1, "operator")
+        """Hold all links but one, whose weight its motor carries."""
+        self._hold(joint)
 
     def let_go(self) -> None:
-        """Release all links."""
-        for other in range(len(self._rig.joint_rad())):
-            self._rig.robot.plant.block(other, False, "operator")
+        """Carry the weight of all links, which may turn."""
+        self._hold(None)
+
+    def _hold(self, free: int | None) -> None:
+        plant = self._rig.robot.plant
+        plant.carry(free is None)
+        for j in range(plant.joints):
+            plant.block(j, free is not None and j != free - 1, "operator")

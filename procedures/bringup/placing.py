@@ -102,6 +102,12 @@ def place_limits(result: Diagnosis, found: Measured, offset_rad: float, scale: f
     if (lower, upper) == (drive.joint_lower_rad, drive.joint_upper_rad):
         return
     stops = " and ".join(f"{math.degrees(stop):.1f} deg" for stop in measured if not math.isnan(stop))
+    if not lower < upper:
+        result.problems.append(
+            f"{name}: END STOPS at {stops} leave no range: it did not come from one to the other: free the joint and run"
+            " again"
+        )
+        return
     result.changes.append(
         f"{name}: END STOPS are at {stops}: joint_lower_rad = {lower:g}, joint_upper_rad = {upper:g} (draft"
         f" {drive.joint_lower_rad:g} and {drive.joint_upper_rad:g})"

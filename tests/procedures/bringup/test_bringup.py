@@ -27,10 +27,12 @@ from hil_mocks.scenario import FaultTable, Scenario
 from procedures.bringup import measuring
 from procedures.bringup.bench import Bench
 from procedures.bringup.diagnosis import rewired
+from procedures.bringup.findings import Diagnosis
 from procedures.bringup.journal import Journal, brought_up
 from procedures.bringup.measuring import Measured
 from procedures.bringup.mock_operator import MockOperator
 from procedures.bringup.operator import Stopped
+from procedures.bringup.placing import place_limits
 from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
 from procedures.bringup.workbench import DriveLimits, SafetyTrip
 from tests.cell import RIGHT, scenario, wired_to, with_drive
@@ -130,6 +132,39 @@ def test_a_good_arm_passes_and_its_keys_stay_as_they_are(tmp_path: Path) -> None
     arm = new_arm(outcome, journal, draft)
     assert arm.drives == draft.drives
     assert {(e.effect, e.joint) for e in arm.effects} == {("coulomb_friction", 3), ("viscous_friction", 3)}
+
+
+def test_a_weak_motor_whose_link_sinks_on_shorted_windings_is_measured_like_a_strong_one(
+    tmp_path: Path,
+) -> None:
+    """At 0.6 rad/s: past index pulses from one motion to the next, and faster than the motions are."""
+    options = [
+        "--joints",
+        "3",
+        "--lengths",
+        "0.12",
+        "0.36",
+        "0.28",
+        "--yes",
+        "--out",
+        str(tmp_path / "w.toml"),
+    ]
+    assert main(["new", *options]) == 0
+    draft = with_drive(load_arm(tmp_path / "w.toml"), 3, joint_lower_rad=0.3, joint_upper_rad=1.6)
+    outcome, journal = brought(tmp_path, draft=draft, options=Options((3,), None, 0.6, True))
+    assert (outcome.problems, outcome.diagnoses[3].changes) == ([], [])
+    figures = outcome.diagnoses[3].figures
+    assert figures["index_spacing_counts"] == draft.drives[2].encoder_counts_per_rev
+    assert figures["coulomb_Nm"] == pytest.approx(0.0768, rel=0.1)  # 4 % of 1.92 Nm
+    assert figures["upper_stop_rad"] == pytest.approx(1.65, abs=4e-3)
+    assert new_arm(outcome, journal, draft).drives == draft.drives
+
+
+def test_end_stops_that_leave_no_range_are_a_problem_and_no_limits() -> None:
+    result = Diagnosis(RIGHT.drives[0])
+    place_limits(result, Measured(stops_rad=[[-1.0], [-1.0]]), 0.0, 1.0)
+    assert "END STOPS at -57.3 deg and -57.3 deg leave no range" in result.problems[0]
+    assert result.drive == RIGHT.drives[0]
 
 
 REWIRED = [
