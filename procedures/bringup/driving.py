@@ -4,7 +4,8 @@
 
 A voltage-driven motor is a speed source with a lag (J R / K^2, some 20 ms), so an integral alone is enough, and it compensates
 friction and gravity. It stays from one motion to the next, and holds the joint at their ends: a weak motor's link falls faster on
-shorted windings than the joint is to turn. Signs: `turned_rad` and speeds are in the joint's sign, corrected by the caller's wiring.
+shorted windings than the joint is to turn.
+Signs: `turned_rad` and speeds are in the joint's sign, corrected by the caller's wiring.
 """
 
 import math
