@@ -1,0 +1,1 @@
+"""Journeys of a user through several parts of armwright; `runner.py` walks them."""
