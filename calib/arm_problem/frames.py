@@ -56,6 +56,11 @@ class Frame:
         return Frame(self.name, frozen(turned), frozen(origin), self.is_free)
 
 
+def seen_less_far_m(place_m: Array, moved: Array) -> Array:
+    """Places (m, 3) less where they are taken to be once their frame has moved by (6,): a translation and a rotation vector."""
+    return np.asarray(place_m - place_m @ rotation_of(moved[3:]).T - moved[:3])
+
+
 def rotation_of(vector_rad: Array) -> Array:
     """exp([w]x), (3, 3): Rodrigues' formula."""
     angle = float(np.linalg.norm(vector_rad))

@@ -256,7 +256,9 @@ def _tips(draft: _Draft, joint: Array, arm: Mapping[str, Any]) -> Array:
         *new, r = turned(frame, row, joint[:, k] if k < joint.shape[1] else still)  # type: ignore[arg-type]
         frame, origin = tuple(new), origin + r
     tip = origin.T
-    return np.asarray(tip + base[:3] + np.cross(base[3:], tip))
+    return np.asarray(
+        tip - base[:3] - np.cross(base[3:], tip)
+    )  # in the camera's frame, which lies so in the arm's
 
 
 def _frictions(draft: _Draft) -> str:

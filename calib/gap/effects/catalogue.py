@@ -93,11 +93,11 @@ def other_forms(law: Law) -> tuple[Law, ...]:
     )
 
 
-def parameters(law: Law, covariance: Array) -> Parameters:
+def parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     """A law's values as the file's parameters, each with its standard deviation."""
     series = series_of(law.name.effect)
     if series is not None and series.parameters is not None:
-        return series.parameters(law, covariance)
+        return series.parameters(arm, law, covariance)
     return parameters_of(law.name.effect)(np.array(law.values), covariance)
 
 

@@ -20,6 +20,7 @@ from calib.gap.signals.angles import motor_ahead
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.terms import Form
 from calib.gap.signals.terms import Term as Law
+from control.model.arm import Arm
 from control.model.effects import EFFECTS
 
 ORDERS = tuple(float(order) for order in range(1, 97))  # waves a turn of the motor
@@ -81,7 +82,7 @@ def _wave(around: OperatingPoint, law: Law) -> Response:
     return around.scene.split(np.stack(slopes, axis=1))
 
 
-def _parameters(law: Law, covariance: Array) -> Parameters:
+def _parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     wave = parameters_of("cogging")(np.array(law.values), covariance)
     return {**wave, "order": (law.order, 0.0)}
 

@@ -21,6 +21,7 @@ from calib.gap.residuals.scene import Response
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import Form, Values
 from calib.gap.signals.terms import Term as Law
+from control.model.arm import Arm
 from control.model.effects import EFFECTS
 
 TIME_CONSTANTS_s = np.geomspace(30.0, 30_000.0, 19)  # of poses
@@ -102,7 +103,7 @@ def _known(series: InSeries, name: EffectName, given: Mapping[str, float]) -> La
     return Law(name, series.form, (given["final_rad"], given["time_constant_s"]))
 
 
-def _parameters(law: Law, covariance: Array) -> Parameters:
+def _parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
     return dict(zip(EFFECTS[law.name.effect].required, zip(law.values, sd, strict=False), strict=True))
 

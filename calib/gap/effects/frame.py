@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.assembly import BASE_FRAME, Choice, base_frame_of
-from calib.arm_problem.frames import rotation_of
+from calib.arm_problem.frames import rotation_of, rotation_vector, seen_less_far_m
 from calib.arrays import Array
 from calib.gap.effects.columns import straight
 from calib.gap.effects.pose_scene import Scene
@@ -44,35 +43,35 @@ def _frame(record: EffectRecord, scene: Scene) -> Iterator[Term]:
         sizes += [SHIFT_m, TURN_rad]
     yield Term(
         EffectName(record.effect), "", len(sizes), 0, 1.0, slope_m=np.stack(columns), turn_rad=np.stack(turns),
-        parameters=sized(np.array(sizes), _total(arm)), traits=record.traits,
+        parameters=sized(np.array(sizes), _of_axes(arm)), traits=record.traits,
     )  # fmt: skip
 
 
-def _total(arm: Arm) -> ToParameters:
-    """The frame of the arm's file, moved by what is found."""
-    known = base_frame_of(arm)
-
-    def made(value: Array, covariance: Array) -> Parameters:
-        move, turn = _move_and_turn(value)
-        rotation = rotation_of(turn)
-        vector = Rotation.from_matrix(rotation @ known.rotation).as_rotvec()
-        total = np.concatenate((rotation @ known.origin_m + move, vector))
-        sd = np.concatenate(_move_and_turn(np.sqrt(np.diag(covariance))))
-        return {
-            name: (float(v), float(s))
-            for name, v, s in zip(BASE_FRAME, total, sd, strict=True)
-            if abs(v) > ROUNDING or s > 0.0
-        }
-
-    return made
+def _of_axes(arm: Arm) -> ToParameters:
+    """The total, of coefficients of some axes."""
+    return lambda value, covariance: _total(arm, _moved(value), _moved(np.sqrt(np.diag(covariance))))
 
 
-def _move_and_turn(value: Array) -> tuple[Array, Array]:
-    """Of coefficients (2,) or (4,) that alternate, (3,) each."""
-    move, turn = np.zeros(3), np.zeros(3)
-    axes = list(_AXES_OF[len(value)])
-    move[axes], turn[axes] = value[0::2], value[1::2]
-    return move, turn
+def _total(arm: Arm, moved: Array, sd: Array) -> Parameters:
+    """The frame of the arm's file, moved by (6,), with standard deviations (6,)."""
+    known, rotation = base_frame_of(arm), rotation_of(moved[3:])
+    total = (*(rotation @ known.origin_m + moved[:3]), *rotation_vector(rotation @ known.rotation))
+    return {
+        name: (float(v), float(s))
+        for name, v, s in zip(BASE_FRAME, total, sd, strict=True)
+        if abs(v) > ROUNDING or s > 0.0
+    }
+
+
+def _moved(value: Array) -> Array:
+    """Translation and rotation vector (6,) of coefficients (2,) or (4,) that alternate."""
+    axes, found = np.array(_AXES_OF[len(value)]), np.zeros(6)
+    found[axes], found[3 + axes] = value[0::2], value[1::2]
+    return found
+
+
+def _in_series(arm: Arm, law: Law, covariance: Array) -> Parameters:
+    return _total(arm, np.array(law.values), np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def beyond_linear_m(one: Term, coefficients: Array, position_m: Array) -> Array:
@@ -80,13 +79,12 @@ def beyond_linear_m(one: Term, coefficients: Array, position_m: Array) -> Array:
 
     Half the square of a turn of 20 mrad is 0.1 mm at arm's length: as much as the noise.
     """
-    move, turn = _move_and_turn(coefficients * np.tile((SHIFT_m, TURN_rad), len(coefficients) // 2))
-    moved = position_m - (position_m @ rotation_of(turn).T + move)
+    moved = _moved(coefficients * np.tile((SHIFT_m, TURN_rad), len(coefficients) // 2))
     linear = 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", coefficients, one.slope_m)
-    return np.asarray(moved - linear)
+    return np.asarray(seen_less_far_m(position_m, moved) - linear)
 
 
-def _geometry(law: Law, covariance: Array) -> Parameters:
+def _geometry(arm: Arm, law: Law, covariance: Array) -> Parameters:
     """Of four deviations a link, those that are not nothing."""
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
     named = {f"link{k // 4 + 1}_{LINK_KEYS[k % 4]}": (v, sd[k]) for k, v in enumerate(law.values)}
@@ -97,7 +95,7 @@ RECORDS = (
     EffectRecord(
         FRAME,
         poses=InPoses(1.0, _frame, "markers on the arm's base, or the board seated anew", is_total=False),
-        series=InSeries((Form(FRAME, "frame", 3e-4, count=6),), straight, "tip"),
+        series=InSeries((Form(FRAME, "frame", 3e-4, count=6),), straight, "tip", parameters=_in_series),
     ),
     EffectRecord(
         GEOMETRY,

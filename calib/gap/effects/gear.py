@@ -28,6 +28,7 @@ from control.dynamics.static_pose import (
     gravity_Nm,
     known_torque_per_A,
 )
+from control.model.arm import Arm
 from control.model.effect_laws import backlash_rad, compliance_rad
 
 CLEAR_SHARE = 0.5  # of the poses must lie on a known flank: else a play fits anything
@@ -161,7 +162,7 @@ def _known_spring(series: InSeries, name: EffectName, given: Mapping[str, float]
     return Law(name, series.form, (1.0 / given["stiffness_Nm_rad"], given.get("damping_Nm_s_rad", 0.0), 0.0))
 
 
-def _spring_parameters(law: Law, covariance: Array) -> Parameters:
+def _spring_parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     found = parameters_of("joint_compliance")(np.array(law.values), covariance)
     damping, sd = law.values[1], float(np.sqrt(max(covariance[1, 1], 0.0)))
     return {**found, "damping_Nm_s_rad": (damping, sd)} if damping > DAMPED_sd * sd else found

@@ -118,7 +118,7 @@ def _known_inertia(series: InSeries, name: EffectName, given: Mapping[str, float
     return Law(name, form, (given[form.name],))
 
 
-def _inertia_parameters(law: Law, covariance: Array) -> Parameters:
+def _inertia_parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     return {law.form.name: (law.values[0], float(np.sqrt(max(covariance[0, 0], 0.0))))}
 
 

@@ -53,10 +53,10 @@ class InSeries:
     is_common: bool = False  # every gear has it
     places: Callable[[Arm], Iterable[int | None]] = lambda arm: (None,)  # links; of joints it is all of them
     least: Callable[[Arm, Law], float] = lambda arm, law: -math.inf  # that a law's first value can be
-    # the law of an `[[effect]]`, and the parameters of a law with the covariance of its values, where these are not simply
-    # those of the effect's linear unknowns
+    # the law of an `[[effect]]`, and the parameters of a law of an arm with the covariance of its values, where these are not
+    # simply those of the effect's linear unknowns
     known: Callable[[InSeries, EffectName, Mapping[str, float]], Law | None] | None = None
-    parameters: Callable[[Law, Array], Parameters] | None = None
+    parameters: Callable[[Arm, Law, Array], Parameters] | None = None
 
     @property
     def form(self) -> Form:

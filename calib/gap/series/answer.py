@@ -350,7 +350,7 @@ def named_effects(verdict: Verdict) -> tuple[NamedEffect, ...]:
     return tuple(
         NamedEffect(
             name,
-            parameters(verdict.laws[name], verdict.covariance[name]),
+            parameters(fit.around.scene.arm, verdict.laws[name], verdict.covariance[name]),
             math.nan,
             probability=fit.decision.probability[name],
             share=share[name],

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.assembly import base_frame_of
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.gap.log import Log, Run
@@ -39,7 +40,8 @@ class Motion:
     """A run at a constant rate: (m, n) arrays; `usable` (m, n) says which samples count.
 
     q, speed, acceleration and current are state-filtered; voltage_V is as commanded (0 where the driver is off),
-    `is_off` where it is. `frames` are the samples that the camera saw, tip_m (frames, 3); q_raw, current_raw_A (m, n).
+    `is_off` where it is. `frames` are the samples that the camera saw, tip_m (frames, 3) in the base frame as the arm's file has
+    it; q_raw, current_raw_A (m, n).
     """
 
     name: str
@@ -256,7 +258,7 @@ def _motion(arm: Arm, run: Run, filters: Filters, period: float) -> Motion:
         run.payload_kg[np.clip(held, 0, len(run) - 1)],
         usable,
         frames[good],
-        np.array(run.tip_m[seen[good]]),
+        base_frame_of(arm).to_base(run.tip_m[seen[good]]),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arm_problem.frames import seen_less_far_m
 from calib.arm_problem.link_bending import bending_m
 from calib.arrays import Array
 from calib.gap.signals.angles import joint_ahead
@@ -57,8 +58,7 @@ class Tips:
                     self._kinematics.identification_jacobian(r.q_raw[r.frames]) for r in self._recording.runs
                 ]
             return np.asarray(self._dh[k] @ np.array(term.values))
-        shift, turn = np.array(term.values[:3]), np.array(term.values[3:])
-        return np.asarray(shift + np.cross(turn, self._rigid[k]))
+        return seen_less_far_m(run.tip_m, np.array(term.values))
 
     def _bent(self, link: int, extra_kg: float) -> list[Array]:
         """How the tip moves per 1 / EI of a link as its loads hang on it and are thrown about, (frames, 3) of each run.

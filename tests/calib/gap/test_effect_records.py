@@ -81,7 +81,7 @@ def test_what_the_file_has_becomes_a_law_and_the_same_parameters_again(effect: E
     assert law.bounded() == law
     assert law.is_worth_a_name(np.full(3, 30.0))
     count = len(law.values)
-    found = parameters(law, np.diag(np.full(count, 1e-12)))
+    found = parameters(RIGHT, law, np.diag(np.full(count, 1e-12)))
     assert {name: value for name, (value, _) in found.items()} == pytest.approx(dict(effect.parameters))
     assert all(sd >= 0.0 for _, sd in found.values())
 

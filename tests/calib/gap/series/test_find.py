@@ -11,13 +11,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.arm_problem.assembly import BASE_FRAME, Choice, problem_of
+from calib.arm_problem.frames import Frame, rotation_of
+from calib.arm_problem.parameters import dh_names
 from calib.arrays import Array
+from calib.calibration.outcome import calibrated_arm
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, Run
 from calib.gap.model_update import as_totals
 from calib.gap.series.find import examine, find
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.recording import UnusableLogError
+from calib.identify.identification import identify
+from calib.identify.objective import LeastSquares
+from calib.points.points import Points
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Effect
 from tests.calib.gap.series.prescribed import Hidden, arm_with_friction, log_of
@@ -238,3 +245,51 @@ def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:
     assert found.effects[0].parameters["final_rad"][0] == pytest.approx(0.004, rel=0.1)
     value_s, sd_s = found.effects[0].parameters["time_constant_s"]
     assert abs(value_s - 1.5) < 2.0 * sd_s < 0.45  # runs of 2 s
+
+
+def test_a_frame_that_motions_name_is_the_total_that_calibrate_places_from_the_same_tips() -> None:
+    vector = (
+        0.4,
+        -0.2,
+        0.1,
+        0.1,
+        -0.3,
+        0.8,
+    )  # of the file, as docs/formats.md has it; the camera has moved since
+    there = Frame("camera", rotation_of(np.array([0.106, -0.304, 0.797])), np.array([0.403, -0.204, 0.098]))
+    arm = replace(
+        ARM, effects=(*ARM.effects, Effect("base_frame", None, dict(zip(BASE_FRAME, vector, strict=True))))
+    )
+    log = log_of(ARM)
+    runs = [replace(run, tip_m=(run.tip_m - there.origin_m) @ there.rotation) for run in log.runs]
+    found = find(arm, replace(log, runs=tuple(runs)), candidates=("base_frame",))
+    assert names(found) == [EffectName("base_frame")]
+    assert found.gap_after < 1.1 < found.gap_before
+
+    seen = [np.isfinite(run.tip_m[:, 0]) for run in runs]
+    q, tip = (
+        np.concatenate([getattr(run, k)[rows] for run, rows in zip(runs, seen, strict=True)])
+        for k in ("q_rad", "tip_m")
+    )
+    m, nothing = len(q), np.full((len(q), 3), np.nan)
+    points = Points(
+        ("free",) * m,
+        ("p",) * m,
+        tuple(range(m)),
+        q,
+        tip,
+        np.zeros((m, 3)),
+        nothing,
+        nothing[:, 0],
+        nothing[:, 0],
+    )
+    choice = Choice(freed=("base",), fixed=dh_names(len(arm.links)))
+    placed = calibrated_arm(arm, identify(problem_of(arm, points, choice), objective=LeastSquares()), points)
+    (frame,) = (one for one in placed.effects if one.effect == "base_frame")
+    (named,) = found.effects
+    assert {key: value for key, (value, _) in named.parameters.items()} == pytest.approx(
+        dict(frame.parameters), abs=1e-4
+    )
+    np.testing.assert_allclose(
+        [v for v, _ in named.parameters.values()], (*there.origin_m, 0.106, -0.304, 0.797), atol=2e-4
+    )
