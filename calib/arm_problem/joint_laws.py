@@ -55,7 +55,7 @@ class RestingPoints:
         return np.asarray(self.resting.held_Nm[:, joint - 1])
 
     def warmed(self, joint: int) -> Array:
-        """The share (m,) of its final value that a joint's drift has reached, 0 where no time is known.
+        """The share (m,) of its final value that a joint's drift has reached since the recording began, 0 where no time is known.
 
         CalibrationError unless the arm's file says how fast: the drift is not linear in its time constant.
         """
@@ -65,9 +65,7 @@ class RestingPoints:
                 f"{DRIFT} of joint {joint}: arm {self._arm.name} has no [[effect]] that says its time_constant_s; `armwright gap`"
                 " finds it"
             )
-        time = self.points.t_s
-        gone = time - np.nanmin(time) if np.isfinite(time).any() else np.zeros(len(time))
-        return np.nan_to_num(1.0 - np.exp(-gone / given[0].parameters["time_constant_s"]))
+        return np.nan_to_num(1.0 - np.exp(-self.points.elapsed_s / given[0].parameters["time_constant_s"]))
 
     def bent(self, link: int) -> Bending:
         """What a link's bending does to the tip and to the last link, per 1 / EI."""

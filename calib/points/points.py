@@ -8,6 +8,7 @@ Comma-separated, .csv or .csv.gz.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -35,7 +36,8 @@ class Points:
     unknown. orientation (m, 4): unit quaternion w, x, y, z of the measured target in the same frame as tip_m, NaN where not
     measured. covariance (m, 12): of the position and of the orientation, upper triangles as in calib.points.covariance, NaN where
     unknown. `extra` holds columns beyond the format, as text. is_as_given: the user said that the file means what it says,
-    whatever it looks like (`calib.doubt`).
+    whatever it looks like (`calib.doubt`). began_s: when the recording began of which these are poses, by default the earliest
+    of them, NaN without times.
     """
 
     setup: tuple[str, ...]
@@ -51,9 +53,12 @@ class Points:
     orientation: Array = field(default_factory=lambda: frozen(np.zeros((0, 4))))  # empty: none was measured
     covariance: Array = field(default_factory=lambda: frozen(np.zeros((0, 12))))  # empty: none is known
     is_as_given: bool = False
+    began_s: float = math.nan
 
     def __post_init__(self) -> None:
         """Without any orientation or covariance, a row of NaN for each pose."""
+        if math.isnan(self.began_s) and np.isfinite(self.t_s).any():
+            object.__setattr__(self, "began_s", float(np.nanmin(self.t_s)))
         for name, width in (("orientation", 4), ("covariance", 12)):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, _known(None, (len(self.setup), width)))
@@ -66,6 +71,11 @@ class Points:
     def joint_count(self) -> int:
         """N."""
         return int(self.q_rad.shape[1])
+
+    @property
+    def elapsed_s(self) -> Array:
+        """Times (m,) since the recording began."""
+        return np.asarray(self.t_s - self.began_s)
 
     @property
     def in_camera_frame(self) -> bool:
@@ -89,7 +99,7 @@ class Points:
             self.orientation[k],
             self.covariance[k],
         )
-        return replace(some, is_as_given=self.is_as_given)
+        return replace(some, is_as_given=self.is_as_given, began_s=self.began_s)
 
 
 def make_points(
@@ -157,4 +167,5 @@ def joined(parts: Sequence[Points]) -> Points:
         np.concatenate([part.orientation for part in parts]),
         np.concatenate([part.covariance for part in parts]),
     )
-    return replace(whole, is_as_given=all(part.is_as_given for part in parts))
+    began_s = float(np.fmin.reduce([part.began_s for part in parts]))
+    return replace(whole, is_as_given=all(part.is_as_given for part in parts), began_s=began_s)

@@ -32,10 +32,9 @@ QUICKEST_s = 0.6  # quicker, a drift has gone by before a run counts, and is a z
 
 
 def _in_poses(record: EffectRecord, scene: Scene) -> Iterator[Term]:
-    time = scene.points.t_s
-    if not np.isfinite(time).all() or np.ptp(time) == 0.0:
+    elapsed = scene.points.elapsed_s
+    if not np.isfinite(elapsed).all() or np.ptp(elapsed) == 0.0:
         return
-    elapsed = time - time.min()
     for j in range(scene.points.joint_count):
         for constant in TIME_CONSTANTS_s[TIME_CONSTANTS_s <= TIMES_SPAN * elapsed.max()].tolist():
             law = 1.0 - np.exp(-elapsed / constant)

@@ -58,7 +58,7 @@ def _variable(around: Around, one: Term) -> tuple[Array, str]:
     if one.variable.startswith("q") and one.variable[1:].isdigit():
         return np.degrees(points.q_rad[:, int(one.variable[1:]) - 1]), f"{one.variable} [deg]"
     if one.variable == "time":
-        return points.t_s - points.t_s.min(), "time [s]"
+        return points.elapsed_s, "time [s]"
     if joint is None or joint > points.joint_count:
         return np.arange(len(points), dtype=float), "pose"
     load = around.gravity_Nm()

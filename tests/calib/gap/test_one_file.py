@@ -20,6 +20,7 @@ from calib.gap.poses.find import find
 from calib.gap.series.find import examine
 from calib.gap.series.split import split
 from calib.gap.workflow import Recordings, _updated, find_gap_in, write_gap
+from calib.points.points import joined
 from calib.validation.verify_recorded import errors_of, predicted_tips
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
@@ -112,6 +113,19 @@ def test_what_poses_name_is_in_every_prediction_of_the_file_and_calibrate_identi
     (written,) = calibrated_arm(dataclasses.replace(arm, effects=(off,)), made, bent).effects
     assert written.parameters[first] == pytest.approx(parameters[first], rel=0.05)
     assert written.parameters.keys() == parameters.keys()
+
+
+def test_a_part_of_a_recording_is_as_warm_as_it_was_in_the_whole() -> None:
+    arm, points = designed(45, (), Design(step=8, free=20))
+    warming = Effect("thermal_drift", 1, {"final_rad": 0.004, "time_constant_s": 900.0})
+    known = dataclasses.replace(arm, effects=(warming,))
+    middle = len(points) // 2
+    late, early = (points.chosen(rows) for rows in (range(middle, len(points)), range(middle)))
+    whole = predicted_tips(known, points)
+    assert np.abs(whole - predicted_tips(arm, points))[middle:].min(axis=0).max() > 1e-4
+    np.testing.assert_array_equal(predicted_tips(known, late), whole[middle:])
+    again = points.chosen([*range(middle, len(points)), *range(middle)])
+    np.testing.assert_array_equal(predicted_tips(known, joined((late, early))), predicted_tips(known, again))
 
 
 def load_friction(joint: int, q: np.ndarray, speed: np.ndarray, link: np.ndarray) -> np.ndarray:
