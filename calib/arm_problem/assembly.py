@@ -21,7 +21,7 @@ from calib.errors import CalibrationError, UnusablePointsError
 from calib.points.covariance import matrices_of
 from calib.points.points import Points
 from control.kinematics.rotation import matrices
-from control.model.arm import Arm
+from control.model.arm import Arm, Effect
 from control.model.table import SETUPS, board_cavities, board_origin, board_rotation, table_of
 
 BASE = "base"
@@ -224,6 +224,19 @@ def _board(arm: Arm, setup: str, choice: Choice) -> Frame | None:
         return None
     known = _known_frame(arm, setup, choice)
     return Frame(known.name, known.rotation, known.origin_m, "table" in choice.freed)
+
+
+def with_own_base(arm: Arm) -> Arm:
+    """The arm whose file says that tips are measured in its base frame, unless it ties their frame to the base already."""
+    if _has_base_frame(arm) or _is_tied_by_table(arm):
+        return arm
+    return replace(arm, effects=(*arm.effects, Effect("base_frame", None, dict.fromkeys(BASE_FRAME, 0.0))))
+
+
+def without_base(arm: Arm) -> Arm:
+    """The arm whose file does not say where the frame of tips and boards stands."""
+    table = None if arm.table is None else replace(arm.table, known_pose=False)
+    return replace(arm, table=table, effects=tuple(e for e in arm.effects if e.effect != "base_frame"))
 
 
 def _has_base_frame(arm: Arm) -> bool:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.arm_problem.assembly import BASE, Choice, problem_of
+from calib.arm_problem.assembly import BASE, Choice, problem_of, with_own_base
 from calib.arm_problem.checks import require_usable, still_joints
 from calib.arm_problem.joint_effects import unclear_flanks, unphysical
 from calib.arm_problem.problem import ArmProblem
@@ -68,6 +68,7 @@ class Calibrated:
 def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance = silent) -> Calibrated:
     """Identify, find outliers, cross-validate, give a verdict. UnusablePointsError if the points allow no calibration."""
     advance("checking the points", 0.0)
+    arm = with_own_base(arm) if BASE in plan.choice.fixed else arm  # so that its file says it, too
     asked, plan = plan, replace(plan, choice=plan.choice.for_points(arm, points))
     problem = problem_of(arm, points, plan.choice)
     warnings = [

@@ -36,6 +36,12 @@ ASSESSING = (
                 metavar="P",
                 help="use recorded poses with measured tips, or lengths; nothing moves",
             ),
+            option(
+                "--free",
+                choices=("base",),
+                help="place the frame of the points' tips where each model fits best",
+            ),
+            option("--fix", choices=("base",), help="base: the points' tips are in the arm's base frame"),
             AS_GIVEN,
             WIRE_AT,
             FREE_ZERO,

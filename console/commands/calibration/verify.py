@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from calib.arm_problem.assembly import with_own_base, without_base
 from calib.errors import CalibrationError
 from calib.report.verification import Verification
 from calib.validation.verify import comparison_text
@@ -46,12 +47,15 @@ def run(given: argparse.Namespace) -> int:
     pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     require_writable(Path(given.out))
     if given.points is not None:
+        pair = _framed(pair, given)
         recorded = on_recorded(
             pair, Path(given.points), given.free_zero, wires_at(given.wire_at or []), given.as_given
         )
         return _finish(given, recorded, free_folder(Path(given.out)))
     if given.free_zero or given.wire_at:
         raise ArmError("--wire-at and --free-zero are for lengths: give them with --points")
+    if given.free or given.fix:
+        raise ArmError("--free and --fix say where recorded tips were measured: give them with --points")
     programme = _programme(given, calibrated)
     out = free_folder(Path(given.out))
     drive = Drive.planned(pair, programme, _near(calibrated), out)
@@ -70,6 +74,14 @@ def run(given: argparse.Namespace) -> int:
             sys.stderr.write(f"armwright: {error}\n  the measurements are in {out}\n")
             return 1
     return _finish(given, verification, out)
+
+
+def _framed(pair: Pair, given: argparse.Namespace) -> Pair:
+    """Both models as if their files said of the tips' frame what the options say."""
+    if given.free and given.fix:
+        raise ArmError("the base frame cannot be both fixed and free: omit one of the two")
+    said = without_base if given.free else with_own_base if given.fix else None
+    return pair if said is None else Pair(*(Model(said(one.arm)) for one in (pair.nominal, pair.calibrated)))
 
 
 def _programme(given: argparse.Namespace, arm: Arm) -> Programme:

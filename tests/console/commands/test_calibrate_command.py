@@ -1,6 +1,7 @@
 """`armwright calibrate`: the operator's way from points.csv to a calibrated arm, with right and wrong input."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,12 @@ import pytest
 
 from calib.points.points import Points
 from calib.points.reading import read_points
+from calib.validation.verify_recorded import errors_of
 from console.main import main
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
-from control.model.description import load_arm
+from control.model.description import load_arm, save_arm
 from control.model.table import SETUPS, cavities, table_of
 from tests.places import REAL
 
@@ -121,6 +123,21 @@ def test_fixed_and_freed_parameters_and_bounds_are_what_was_asked_for(points, tm
     assert found["d1"]["bound"] == 0.008
     assert found["L2"]["bound"] == 0.001
     assert [e.effect for e in load_arm(tmp_path / "arm.toml").effects] == ["base_frame"]
+
+
+def test_a_base_that_was_fixed_stays_so_for_whoever_reads_the_file(points, tmp_path) -> None:
+    save_arm(
+        replace(load_arm("right"), table=None), tmp_path / "bare.toml"
+    )  # nothing says where tips are measured
+    more = ["--arm", str(tmp_path / "bare.toml"), "--starts", "1"]
+    for out, fix in (("placed", []), ("fixed", ["--fix", "base"])):
+        assert calibrate(points, tmp_path / out, *more, *fix) == 0
+    placed, fixed = (load_arm(tmp_path / out / "arm.toml") for out in ("placed", "fixed"))
+    moved, _ = read_points(points, fixed.joint_count)
+    moved = replace(moved, tip_m=moved.tip_m + np.array([0.0, 0.0, 0.01]))
+    assert any(value for effect in placed.effects for value in effect.parameters.values())
+    assert [set(effect.parameters.values()) for effect in fixed.effects] == [{0.0}]
+    assert errors_of(fixed, moved).mean(axis=0) == pytest.approx([0.0, 0.0, 0.01], abs=0.001)
 
 
 def test_a_point_in_the_wrong_place_is_named_and_can_be_left_out(tmp_path, capsys) -> None:

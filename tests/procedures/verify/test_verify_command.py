@@ -110,6 +110,32 @@ def test_another_program_gets_the_figures_and_nothing_else(
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_the_frame_of_the_tips_is_placed_or_taken_for_the_bases_as_calibrate_is_told(
+    calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points, _ = read_points(measured, 3)
+    write_points(tmp_path / "moved.csv", replace(points, tip_m=points.tip_m + np.array((0.02, -0.01, 0.03))))
+    bare = tmp_path / "bare.toml"
+    save_arm(replace(load_arm(calibrated), table=None, calibration=None), bare)
+
+    def mean_m(out: str, arm: Path, *more: str) -> float:
+        given = ["--arm", str(arm), "--against", "right", "--points", str(tmp_path / "moved.csv"), *more]
+        assert main(["verify", *given, "--out", str(tmp_path / out)]) in (0, 1)
+        return float(
+            json.loads((tmp_path / out / "verify.json").read_text())["by_setup"]["free"]["after"]["mean_m"]
+        )
+
+    assert mean_m("told", calibrated) == pytest.approx(0.0374, abs=0.001)  # by the table, where it was
+    assert mean_m("free", calibrated, "--free", "base") < 0.0004
+    assert mean_m("bare", bare) < 0.0004
+    assert mean_m("fixed", bare, "--fix", "base") == pytest.approx(0.0374, abs=0.001)
+    capsys.readouterr()
+    given = ["--arm", str(bare), "--against", "right", "--mock", "--free", "base"]
+    assert main(["verify", *given, "--out", str(tmp_path / "none")]) == 2
+    assert "give them with --points" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_an_arm_that_is_worse_ends_with_status_1(
     calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
