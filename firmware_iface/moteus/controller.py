@@ -12,6 +12,7 @@ from firmware_iface.node_bus import NodeBus
 
 ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
+TEXT_ANSWERS = 20  # of its console, until a line is there
 SETTLE_s = 0.02  # in which a fault whose cause persists comes back
 LATER_s, LATER_REPLIES = 0.05, 3  # a start that moves by so much, in so many replies, is another one
 _HALF: Final = 1 << 31  # of the counter's range
@@ -49,6 +50,7 @@ class Moteus:
         self._started_s = math.inf  # of its counter of milliseconds, on the host's clock; not yet known
         self._later = 0  # replies in a row by which it started later than that
         self._identity: dict[int, float] = {}
+        self._text: bytes | None = None  # the last answer of its console
         self._bus = bus
         bus.nodes[number] = self
 
@@ -103,6 +105,27 @@ class Moteus:
         )
         return f"firmware 0x{version:06x}, serial number {''.join(f'{word:08x}' for word in serial)}"
 
+    def setting(self, name: str) -> float:
+        """A setting by its name in tview; NaN, too, if its firmware has none of this name. BoardSilent."""
+        while self._said():
+            pass  # to somebody else
+        self._bus.send(wire.say(self.number, f"conf get {name}\n".encode()))
+        said = b""
+        for _ in range(TEXT_ANSWERS):
+            said += self._said()
+            if b"\n" in said:
+                break
+        try:
+            return float(said)
+        except ValueError:
+            return math.nan
+
+    def _said(self) -> bytes:
+        """What its console has said since it was asked last. BoardSilent."""
+        self._text = None
+        self._asks(wire.ask_text(self.number), lambda: self._text is not None)
+        return self._text or b""
+
     def await_status(self, is_asked_only: bool = False) -> None:
         """Wait for values that are sent from now on, as the answer to the present command or to none. BoardSilent."""
         asked_s = self._bus.clock.now_s()
@@ -138,6 +161,9 @@ class Moteus:
     def take(self, payload: bytes, now_s: float) -> None:
         """Process a reply of this controller."""
         try:
+            if (text := wire.text_in(payload)) is not None:
+                self._text = text
+                return
             found = wire.values(payload)
             if Register.SERIAL in found:
                 self._identity = found

@@ -1,10 +1,13 @@
-"""Frames of a moteus controller on CAN FD, without I/O. Source: moteus' CAN protocol and register references.
+"""Frames of a moteus controller on CAN FD, without I/O. Source: moteus' CAN protocol, register and diagnostic references.
 
 id: reply wanted << 15 | source << 8 | destination; the host is 0, so a reply comes with controller << 8
 
 A frame holds subframes, and NOP (0x50) up to a length that CAN FD has; numbers are little endian.
 write 0x00, read 0x10, reply 0x20, each + type << 2 (int8, int16, int32, f32) + number of registers, 0: it follows as varuint;
 then the first register as varuint, then the values. 0x30, 0x31: a write or read failed; register and error as varuints.
+
+Text goes to and from its console in 0x40 (to it), 0x41 (from it) and 0x42 (asks for it), each + channel, 1, as varuint, then the
+number of bytes as varuint; "conf get NAME" is answered by a line with the value of a setting.
 
 registers: 0x000 mode, 0x001 position in turns, 0x002 turns/s, 0x003 torque Nm, 0x004 Q current A, 0x00C how the position
 is referenced (2: to the output), 0x00D supply (int16: 0.1 V), 0x00E degC, 0x00F fault, 0x05E inputs of aux1, 0x070 ms since
@@ -24,6 +27,9 @@ _LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 _TYPES: Final = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
 _WANTS_REPLY: Final = 0x8000
 _REPLY, _WRITE_ERROR, _READ_ERROR = 0x20, 0x30, 0x31
+_TEXT_TO, _TEXT_FROM, _ASK_TEXT = 0x40, 0x41, 0x42
+_CONSOLE: Final = 1  # a channel
+_TEXT_BYTES: Final = 48  # of an answer
 
 Frame = tuple[int, bytes]
 
@@ -104,9 +110,34 @@ def ask(controller: int, query: bytes = QUERY) -> Frame:
     return _frame(controller, query)
 
 
+def say(controller: int, text: bytes) -> Frame:
+    """A line to its console; it has no reply. At most 61 bytes."""
+    return controller, _padded(bytes((_TEXT_TO, _CONSOLE, len(text))) + text)
+
+
+def ask_text(controller: int) -> Frame:
+    """Ask what its console has said since."""
+    return _frame(controller, bytes((_ASK_TEXT, _CONSOLE, _TEXT_BYTES)))
+
+
+def text_in(payload: bytes) -> bytes | None:
+    """What its console said; None if the frame is another. ValueError if it is cut short."""
+    if payload[:1] != bytes((_TEXT_FROM,)):
+        return None
+    channel, at = _varuint(payload, 1)
+    length, at = _varuint(payload, at)
+    if channel != _CONSOLE or len(payload) < at + length:
+        raise ValueError("cut short, or of another channel")
+    return payload[at : at + length]
+
+
 def _frame(controller: int, subframes: bytes) -> Frame:
+    return _WANTS_REPLY | controller, _padded(subframes)
+
+
+def _padded(subframes: bytes) -> bytes:
     length = next(length for length in _LENGTHS if length >= len(subframes))
-    return _WANTS_REPLY | controller, subframes.ljust(length, bytes((NOP,)))
+    return subframes.ljust(length, bytes((NOP,)))
 
 
 def values(payload: bytes) -> dict[int, float]:

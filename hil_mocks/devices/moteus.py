@@ -1,7 +1,7 @@
-"""A moteus controller on CAN FD, written from moteus' CAN protocol and register references.
+"""A moteus controller on CAN FD, written from moteus' CAN protocol, register, diagnostic and configuration references.
 
 A state machine without I/O: `receive` frames, `tick` once per control period, read `output`. Its position loop is that of a board
-tuned on the bench; registers that no test needs are unknown to it. What is assumed of its settings is in `MoteusSetup`.
+tuned on the bench; registers that no test needs are unknown to it. Of its console it knows `conf get`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hil_mocks.devices.servo_motor import ServoMotor
 STOPPED, FAULT, POSITION, TIMEOUT, ZERO_VELOCITY, BRAKED = 0, 1, 10, 11, 12, 15
 DRIVER_FAULT, OVER_VOLTAGE, OVER_HEATED, SUPPLY_LOW = 33, 34, 38, 40
 LIMITED_SHARE = 0.98  # of the current limit: more is at the limit
-NOP = 0x50
+NOP, TEXT_TO, TEXT_FROM, ASK_TEXT = 0x50, 0x40, 0x41, 0x42
 _HALF = 1 << 31  # of the range of the counter of milliseconds
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 BOOT_S = 0.15
@@ -43,7 +43,7 @@ COMMAND = {
 
 @dataclass(frozen=True, slots=True)
 class MoteusSetup:
-    """Motor, identity and settings. `timeout_mode` 10: slow down and hold."""
+    """Motor, identity and settings. `home_switch`: whether pin 1 of aux1 is set up for it."""
 
     number: int
     torque_constant_Nm_A: float
@@ -52,6 +52,19 @@ class MoteusSetup:
     firmware: int = 0x010304
     home_state: int = 1  # referenced to the rotor
     timeout_s: float = 0.1
+    timeout_mode: int = POSITION  # slow down and hold
+    home_switch: bool = True
+
+    def stored(self) -> dict[str, str]:
+        """Its settings, as `conf get` gives them. Kv: peak voltage between two phases, as moteus_tool finds it."""
+        kv = 30.0 / math.pi * math.cos(math.pi / 6.0) / self.torque_constant_Nm_A
+        return {
+            "motor.Kv": f"{kv:.6f}", "motor_position.rotor_to_output_ratio": "1.000000",
+            "servo.timeout_mode": str(self.timeout_mode), "servo.default_timeout_s": f"{self.timeout_s:.6f}",
+            "servo.voltage_mode_control": "0", "servo.fixed_voltage_mode": "0",
+            "servo.default_velocity_limit": "nan", "servo.default_accel_limit": "nan",
+            "servo.max_current_A": f"{self.limit_A:.6f}", "aux1.pins.0.mode": "14" if self.home_switch else "0",
+        }  # fmt: skip
 
 
 class MoteusMock:
@@ -84,6 +97,7 @@ class MoteusMock:
         self._command = dict(COMMAND)
         self._expires_s = math.inf
         self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns)
+        self._typed = self._says = b""  # to its console and by it
 
     @property
     def milliseconds(self) -> int:
@@ -111,6 +125,7 @@ class MoteusMock:
         """Obey what is written, and then answer what is read."""
         written: dict[int, float] = {}
         wanted: list[tuple[int, int, int]] = []  # type, first register, count
+        texts = b""
         at = 0
         while at < len(payload):
             kind = payload[at]
@@ -118,6 +133,16 @@ class MoteusMock:
             if kind == NOP:
                 continue
             type_, count = kind >> 2 & 3, kind & 3
+            if kind in (TEXT_TO, ASK_TEXT):
+                _, at = _varuint(payload, at)  # the channel
+                length, at = _varuint(payload, at)
+                if kind == ASK_TEXT:
+                    said, self._says = self._says[:length], self._says[length:]
+                    texts += bytes((TEXT_FROM, 1, len(said))) + said
+                else:
+                    self._type(payload[at : at + length])
+                    at += length
+                continue
             if not count:
                 count, at = _varuint(payload, at)
             first, at = _varuint(payload, at)
@@ -130,7 +155,14 @@ class MoteusMock:
                 at += struct.calcsize(FORMATS[type_])
         if 0x000 in written:
             self._obey(int(written[0x000]), written)
-        return b"".join(self._reply(*one) for one in wanted)
+        return b"".join(self._reply(*one) for one in wanted) + texts
+
+    def _type(self, text: bytes) -> None:
+        """Text to its console; lines are obeyed."""
+        *lines, self._typed = (self._typed + text).split(b"\n")
+        for line in lines:
+            name = line.decode().removeprefix("conf get ").strip()
+            self._says += (self.setup.stored().get(name, "ERR error reading") + "\r\n").encode()
 
     def _obey(self, mode: int, written: dict[int, float]) -> None:
         """Enter a mode. A fault and a time-out are left by STOPPED alone."""
@@ -204,9 +236,12 @@ class MoteusMock:
         return OVER_VOLTAGE if supply_V > HIGHEST_SUPPLY_V else self.forced_error
 
     def _driven(self, supply_V: float) -> Output:
-        if self.mode == BRAKED:
+        mode = self.setup.timeout_mode if self.mode == TIMEOUT else self.mode
+        if mode == BRAKED:
             return BRAKE
-        if self.mode == TIMEOUT:
+        if self.mode == TIMEOUT and mode == ZERO_VELOCITY:
+            self._motor.goal_turns = self._motor.turns
+        if self.mode == TIMEOUT and mode != STOPPED:
             return self._motor.controlled(supply_V)
         if self.mode != POSITION:
             return OPEN

@@ -6,7 +6,7 @@ a time-out holds the joint by the board's settings. Both are left only by `ackno
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from control.hardware.bought.can_node import NodeEncoder, each, open_bus, own_encoder
 from control.hardware.bought.position_loop import PositionLoopDrive
@@ -26,7 +26,7 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_fd_can
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted
+from firmware_iface.errors import BoardFaulted, WrongIdentity
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.controller import Moteus, MoteusBus
 from firmware_iface.moteus.wire import Mode
@@ -35,6 +35,60 @@ from firmware_iface.moteus.wire import Mode
 _FAULT_OF: Final = {
     33: OVER_CURRENT, 34: SUPPLY_HIGH, 38: OVER_TEMPERATURE, 39: BAD_COMMAND, 40: SUPPLY_LOW, 44: OVER_CURRENT,
 }  # fmt: skip
+
+
+class Setting(NamedTuple):
+    """A setting by its name in tview, and what is expected of it; `is_right` is given NaN where it is not set, or not known."""
+
+    name: str
+    is_right: Callable[[float, Drive], bool]
+    expected: str
+
+
+def _goes_at_once(most: float, drive: Drive) -> bool:
+    return math.isnan(most) or drive.pid.mode != "position"
+
+
+def _reaches(most_A: float, drive: Drive) -> bool:
+    return math.isinf(drive.current_limit_A) or not most_A < drive.current_limit_A
+
+
+_DIGITAL_INPUT: Final = 14
+SETTINGS: Final = (
+    Setting("servo.timeout_mode", lambda mode, _: mode in (10, 15), "10 (holds without the host) or 15 (brakes)"),
+    Setting("servo.voltage_mode_control", lambda is_on, _: not is_on > 0, "0"),
+    Setting("servo.fixed_voltage_mode", lambda is_on, _: not is_on > 0, "0"),
+    Setting("servo.default_velocity_limit", _goes_at_once, "nan"),
+    Setting("servo.default_accel_limit", _goes_at_once, "nan"),
+    Setting("servo.max_current_A", _reaches, "current_limit_A or more"),
+    Setting(
+        "aux1.pins.0.mode", lambda mode, drive: drive.home is None or mode == _DIGITAL_INPUT,
+        f"{_DIGITAL_INPUT} (the home switch)",
+    ),
+)  # fmt: skip
+# Torque constant times Kv, N m/A and rpm/V between two phases: moteus' currents are amplitudes of a phase.
+KT_Kv: Final = 60.0 / (2.0 * math.pi) * math.sqrt(3.0) / 2.0
+ALIKE: Final = 1.1  # below the 1.155 by which the constant of other makers' currents is off
+
+
+def _require_settings(board: Moteus, drive: Drive) -> None:
+    """WrongIdentity where what is stored in the board contradicts arm.toml, or what is commanded here."""
+    found = [(setting, board.setting(setting.name)) for setting in SETTINGS]
+    wrong = [
+        f"expected {setting.name} {setting.expected}, it is {value:g}"
+        for setting, value in found
+        if not setting.is_right(value, drive)
+    ]
+    kv, turns = board.setting("motor.Kv"), board.setting("motor_position.rotor_to_output_ratio")
+    given_Nm_A, its_own_Nm_A = drive.torque_constant_Nm_A, KT_Kv / (kv * turns) if kv and turns else math.nan
+    if max(given_Nm_A / its_own_Nm_A, its_own_Nm_A / given_Nm_A) > ALIKE:
+        wrong.append(
+            f"its motor.Kv {kv:g} makes {its_own_Nm_A:.3g} N m/A, torque_constant_Nm_A is {given_Nm_A:g}"
+        )
+    if wrong:
+        raise WrongIdentity(
+            f"{board.where}: {'; '.join(wrong)}: correct it in tview (then `conf write`) or in arm.toml"
+        )
 
 
 class MoteusDrive(PositionLoopDrive):
@@ -130,6 +184,7 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
     def open_one(described: Board, joint: int, drive: Drive) -> None:
         board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
         said = board.identify(described.absolute)
+        _require_settings(board, drive)
         encoder = own_encoder(board, joint, drive, opened, described.absolute, is_asked=True)
         opened.drives.append(
             MoteusDrive(board, encoder, joint, drive, clock, period_s, arm.limits.watchdog_s)

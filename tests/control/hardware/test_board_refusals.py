@@ -9,6 +9,7 @@ from firmware_iface.canopen.drive import MAKERS
 from firmware_iface.errors import ConnectionFailed
 from firmware_iface.vesc import wire
 from hil_mocks.devices.cia402_drive import MAXON
+from hil_mocks.devices.moteus import MoteusSetup
 from hil_mocks.devices.vesc import VescMock, VescSetup
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, open_cell, scenario, with_drives
@@ -52,6 +53,44 @@ def test_a_drive_whose_rated_torque_and_current_contradict_the_arm_is_refused(
         open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("name", "stored", "said"),
+    [
+        (
+            "servo.timeout_mode",
+            "12",
+            r"expected servo.timeout_mode 10 \(holds without the host\) or 15 \(brakes\), it is 12",
+        ),
+        ("servo.default_accel_limit", "20.0", "expected servo.default_accel_limit nan, it is 20"),
+        ("servo.voltage_mode_control", "1", "expected servo.voltage_mode_control 0, it is 1"),
+        ("servo.max_current_A", "0.5", "expected servo.max_current_A current_limit_A or more, it is 0.5"),
+        ("aux1.pins.0.mode", "0", r"expected aux1.pins.0.mode 14 \(the home switch\), it is 0"),
+        ("motor.Kv", "200.0", r"its motor.Kv 200 makes 0.0413 N m/A, torque_constant_Nm_A is 0.0302"),
+    ],
+)
+def test_what_is_stored_in_a_moteus_is_compared_when_it_is_connected(
+    name: str, stored: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_set_up = MoteusSetup.stored
+    monkeypatch.setattr(MoteusSetup, "stored", lambda setup: {**as_set_up(setup), name: stored})
+    with (
+        pytest.raises(ConnectionFailed, match=said),
+        open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004),
+    ):
+        pass
+
+
+def test_a_moteus_of_older_firmware_which_says_no_kv_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    as_set_up = MoteusSetup.stored
+
+    def without_kv(setup: MoteusSetup) -> dict[str, str]:
+        return {name: value for name, value in as_set_up(setup).items() if name != "motor.Kv"}
+
+    monkeypatch.setattr(MoteusSetup, "stored", without_kv)
+    with open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004) as cell:
+        assert cell.mode is Mode.OFF
 
 
 def test_a_vesc_turns_to_an_angle_the_shorter_way() -> None:

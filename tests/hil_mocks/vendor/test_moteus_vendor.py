@@ -100,3 +100,20 @@ def test_the_client_reads_what_the_mock_answers_and_the_mock_obeys_it() -> None:
         assert (mock.mode, mock.output.kind) == (0, "open")
 
     asyncio.run(talk())
+
+
+def test_the_clients_stream_reads_a_setting_of_the_mock_and_its_frames_are_ours() -> None:
+    client = controller()
+    assert (
+        unpadded(wire.say(ID, b"conf get id.id\n")) == client.make_diagnostic_write(b"conf get id.id\n").data
+    )
+    assert unpadded(wire.ask_text(ID)) == client.make_diagnostic_read().data
+    mock = MoteusMock(MoteusSetup(ID, 0.05, 8.0), lambda: 0.0)
+    stream = moteus.Stream(controller(mock), use_flow_control=False)
+
+    async def talk() -> None:
+        kv = await stream.command(b"conf get motor.Kv", allow_any_response=True)
+        assert 8.27 / float(kv) == pytest.approx(0.05, rel=1e-3)
+        assert await stream.command(b"conf get no.such", allow_any_response=True) == b"ERR error reading"
+
+    asyncio.run(talk())
