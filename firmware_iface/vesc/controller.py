@@ -1,5 +1,6 @@
 """VESCs on a CAN bus, seen from the host. They send their status unasked; commands are not answered."""
 
+import binascii
 import math
 import struct
 from typing import Final, NamedTuple
@@ -13,11 +14,15 @@ from firmware_iface.vesc.wire import COUNTS_PER_TURN, Frame, Packet
 
 ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
+SETTINGS_WAIT_s = 0.1  # half a thousand bytes, six or seven in a frame
 STATUS_WAIT_s = 0.5  # a VESC that sends its status more slowly cannot be used
 SWITCH_V: Final = 1.65  # half of the 3.3 V to which the analog input is pulled
 UNSEEN_s: Final = 0.1  # longer, and an arm that sinks on shorted windings passes half a turn
 UNSEEN_turns: Final = 0.45  # between two angles; beyond half a turn the nearest one is another turn's
 SPEED_GAIN: Final = 0.3  # messages arrive a cycle earlier or later than they are sent
+LONGEST_ANSWER: Final = 512  # bytes; a VESC's buffer
+FILLS: Final = {Packet.FILL_RX_BUFFER: 1, Packet.FILL_RX_BUFFER_LONG: 2}  # bytes of the place
+TO_HOST: Final = (Packet.PONG, Packet.PROCESS_SHORT_BUFFER, Packet.PROCESS_RX_BUFFER)
 NEEDED: Final = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
 
 
@@ -35,11 +40,22 @@ class VescBus(NodeBus["Vesc"]):
     def __init__(self, link: FrameLink, clock: Clock) -> None:
         super().__init__(link, clock)
         self._turn = 0
+        self._filled = bytearray(LONGEST_ANSWER)
 
     def _take(self, can_id: int, payload: bytes, now_s: float) -> None:
         packet, number = can_id >> 8, can_id & 0xFF
-        if number == wire.HOST and packet in (Packet.PONG, Packet.PROCESS_SHORT_BUFFER) and payload:
+        if number == wire.HOST and packet in FILLS and payload:
+            place, data = int.from_bytes(payload[: FILLS[packet]], "big"), payload[FILLS[packet] :]
+            self._filled[place : place + len(data)] = data
+            del self._filled[LONGEST_ANSWER:]
+            return
+        if number == wire.HOST and packet in TO_HOST and payload:
             number = payload[0]
+            if packet == Packet.PROCESS_RX_BUFFER and len(payload) == 6:
+                length, crc = struct.unpack_from(">HH", payload, 2)
+                payload = bytes(self._filled[:length])
+                if binascii.crc_hqx(payload, 0) != crc:
+                    return
         if (controller := self.nodes.get(number)) is not None:
             controller.take(packet, payload, now_s)
 
@@ -72,6 +88,8 @@ class Vesc:
         self.counted_at_s = -math.inf
         self.fault: int | None = None
         self.fault_at_s = -math.inf
+        self.settings: wire.Settings | None = None
+        """What is stored in it; None: its firmware does not say it so."""
         self.resets = 0
         self._at_s = dict.fromkeys(NEEDED, -math.inf)
         self._last_raw: int | None = None
@@ -116,6 +134,11 @@ class Vesc:
                 f"{self.where}: no PONG, asked {ATTEMPTS} times: check its supply, id {self.number}, CAN mode VESC and bit rate"
             )
         self.await_status()
+        self.settings = None
+        for _ in range(ATTEMPTS):
+            self._bus.send(wire.ask_settings(self.number))
+            if self._bus.waits(lambda: self.settings is not None, SETTINGS_WAIT_s):
+                break
 
     def await_status(self) -> None:
         """Wait for values that are sent from now on, and the fault code. BoardSilent."""
@@ -183,6 +206,8 @@ class Vesc:
                 self._is_here = True
             case Packet.PROCESS_SHORT_BUFFER if (answer := wire.fault_in(payload)) is not None:
                 self.fault, self.fault_at_s = answer[1], now_s
+            case Packet.PROCESS_RX_BUFFER:
+                self.settings = wire.settings_in(payload, self.number) or self.settings
             case Packet.NOTIFY_BOOT:
                 self._restarted()
         if packet in self._at_s:

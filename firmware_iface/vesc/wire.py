@@ -1,4 +1,4 @@
-"""Frames of a VESC on CAN, without I/O. Source: VESC firmware 6, comm/comm_can.c and datatypes.h.
+"""Frames of a VESC on CAN, without I/O. Source: VESC firmware 6, comm/comm_can.c, datatypes.h and confgenerator.c.
 
     29-bit id: packet << 8 | controller id; numbers are big endian
 
@@ -12,6 +12,9 @@
 
     PROCESS_SHORT_BUFFER 8  u8 who asks, u8 0, a command of the serial protocol of at most 6 bytes; its answer, if as short,
     comes in the same packet to who asked, with u8 id, u8 1 before it. COMM_GET_VALUES_SELECTIVE 50: u32 mask, then the values.
+    A longer answer comes to who asked in FILL_RX_BUFFER 5, u8 place (LONG 6, u16 place), bytes; PROCESS_RX_BUFFER 7, u8 id, u8 1,
+    u16 length, u16 CRC of all ends it. COMM_GET_APPCONF 17: u32 signature, u8 id, u32 time-out 1e3/s, f32 its brake current A; 20
+    bytes, then u8 application
 
 The current of STATUS is positive while the motor drives and negative while it brakes; with the duty's sign it has a direction.
 """
@@ -23,7 +26,9 @@ from typing import Final, NamedTuple
 IDS: Final = range(254)  # 255 is all of them; 254 is the host's
 HOST: Final = 254
 COUNTS_PER_TURN: Final = 18_000  # the angle of STATUS_4
+GET_APPCONF: Final = 17
 GET_VALUES_SELECTIVE: Final = 50
+_APPCONF: Final = struct.Struct(">B4xBIf20xB")
 FAULT_MASK: Final = 1 << 15
 _ASK, _ANSWER = 0, 1
 _MOST_i32: Final = 2**31 - 1
@@ -35,6 +40,9 @@ class Packet(IntEnum):
     SET_DUTY = 0
     SET_CURRENT = 1
     SET_POS = 4
+    FILL_RX_BUFFER = 5
+    FILL_RX_BUFFER_LONG = 6
+    PROCESS_RX_BUFFER = 7
     PROCESS_SHORT_BUFFER = 8
     STATUS = 9
     STATUS_2 = 14
@@ -120,6 +128,28 @@ def fault_in(payload: bytes) -> tuple[int, int] | None:
     if (kind, command, mask) != (_ANSWER, GET_VALUES_SELECTIVE, FAULT_MASK):
         return None
     return controller, fault
+
+
+class Settings(NamedTuple):
+    """What is stored in a controller: its time-out, the brake current after it, and the application that may command it, too."""
+
+    timeout_s: float
+    brake_A: float
+    application: int
+
+
+def ask_settings(controller: int) -> Frame:
+    """Ask for the application's configuration; a long answer."""
+    return frame_id(Packet.PROCESS_SHORT_BUFFER, controller), bytes((HOST, _ASK, GET_APPCONF))
+
+
+def settings_in(answer: bytes, controller: int) -> Settings | None:
+    """What a long answer says of a controller; None if it is another answer, or of another layout."""
+    if len(answer) < _APPCONF.size:
+        return None
+    command, number, timeout_ms, brake_A, application = _APPCONF.unpack_from(answer)
+    is_it = (command, number) == (GET_APPCONF, controller)
+    return Settings(timeout_ms * 1e-3, brake_A, application) if is_it else None
 
 
 def status(payload: bytes) -> Status:

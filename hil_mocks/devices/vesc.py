@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Output
 
 SET_DUTY, SET_CURRENT, SET_BRAKE, SET_POS, SHORT_BUFFER, PING, LIMITS = 0, 1, 2, 4, 8, 17, 21
+FILL, FILL_LONG, PROCESS = 5, 6, 7
 STATUS, STATUS_2, STATUS_3, STATUS_4, PONG, STATUS_5, BOOT, STATUS_6 = 9, 14, 15, 16, 18, 27, 57, 58
 EVERYONE = 255
 OVER_CURRENT, OVER_HEATED, UNDER_VOLTAGE = 4, 5, 2
@@ -38,6 +39,7 @@ class VescSetup:
     rate_2_Hz: float = 5.0
     timeout_s: float = 0.1
     timeout_brake_A: float = 20.0
+    application: int = 0
 
 
 class VescMock:
@@ -89,9 +91,29 @@ class VescMock:
         self._command, self._heard_s = ("duty", 0.1 if is_on else 0.0), now_s
 
     def _answer(self, asker: int, command: bytes) -> None:
-        """COMM_GET_VALUES_SELECTIVE for the fault code; other commands are left out here."""
-        if command[0] == 50 and command[1:] == struct.pack(">I", 1 << 15):
+        """COMM_GET_VALUES_SELECTIVE for the fault code, and COMM_GET_APPCONF; other commands are left out here."""
+        if command[0] == 17:
+            self._send_buffer(asker, bytes((17,)) + self._appconf())
+        elif command[0] == 50 and command[1:] == struct.pack(">I", 1 << 15):
             self._send(SHORT_BUFFER, bytes((self.setup.number, 1)) + command + bytes((self.fault,)), asker)
+
+    def _appconf(self) -> bytes:
+        """Up to the application as firmware 6.0 packs it; what follows is left at 0."""
+        setup = self.setup
+        rates = struct.pack(">HHBBB", round(setup.rate_1_Hz), round(setup.rate_2_Hz), 0x3F, 0, 3)
+        head = struct.pack(
+            ">IBIf", 486554156, setup.number, round(1e3 * setup.timeout_s), setup.timeout_brake_A
+        )
+        return (head + rates + bytes(13) + bytes((setup.application,))).ljust(490, b"\0")
+
+    def _send_buffer(self, asker: int, data: bytes) -> None:
+        """More than fits a frame: pieces of 7 bytes up to place 255, then of 6, then length and CRC."""
+        at = 0
+        while at < len(data):
+            size, place = (7, struct.pack(">B", at)) if at < 256 else (6, struct.pack(">H", at))
+            self._send(FILL if at < 256 else FILL_LONG, place + data[at : at + size], asker)
+            at += size
+        self._send(PROCESS, struct.pack(">BBHH", self.setup.number, 1, len(data), _crc16(data)), asker)
 
     def _send(self, packet: int, payload: bytes, to: int | None = None) -> None:
         self.outgoing.append((packet << 8 | (self.setup.number if to is None else to), payload))
@@ -159,3 +181,13 @@ class VescMock:
         wanted = POSITION_RATE * error
         volts = self.setup.volts_per_turn_s * (wanted + SPEED_GAIN * (wanted - self._speed))
         return Output("voltage", min(max(volts, -supply_V), supply_V))
+
+
+def _crc16(data: bytes) -> int:
+    """CRC-16 with polynomial 0x1021 from 0, bit by bit."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1
+    return crc & 0xFFFF

@@ -25,7 +25,7 @@ from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_extended_can
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted, MisuseError
+from firmware_iface.errors import BoardFaulted, MisuseError, WrongIdentity
 from firmware_iface.vesc import wire
 from firmware_iface.vesc.controller import Vesc, VescBus
 
@@ -34,6 +34,7 @@ _FAULT_OF: Final = {
     1: SUPPLY_HIGH, 2: SUPPLY_LOW, 3: OVER_CURRENT, 4: OVER_CURRENT, 5: OVER_TEMPERATURE, 6: OVER_TEMPERATURE,
     7: SUPPLY_HIGH, 8: SUPPLY_LOW, 9: SUPPLY_LOW, 10: WATCHDOG,
 }  # fmt: skip
+SILENT_APPLICATIONS: Final = (0, 3)  # none, UART; the others turn an input into commands
 FAULT_STOP_S: Final = 0.6  # a VESC stops for 0.5 s after a fault (VESC Tool), then it is gone if its cause is
 
 
@@ -114,18 +115,53 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
     """Open the CAN bus for 29-bit ids, and identify every VESC."""
     bus = open_bus(arm, opened, "VESCs", open_extended_can, VescBus, clock)
     if bus is not None:
-        each(arm, boards, opened, lambda board, joint, drive: _open_vesc(bus, board, joint, drive, opened))
+        each(
+            arm,
+            boards,
+            opened,
+            lambda board, joint, drive: _open_vesc(bus, board, joint, drive, arm.limits.watchdog_s, opened),
+        )
 
 
-def _open_vesc(bus: VescBus, described: Board, joint: int, drive: Drive, opened: Opened) -> None:
+def _require_settings(board: Vesc, watchdog_s: float) -> str:
+    """What is stored in the board of its time-out, in words. WrongIdentity where the arm cannot rely on it."""
+    stored = board.settings
+    if stored is None:
+        return f"settings unread: its time-out must be {watchdog_s:g} s at most, with a brake current, and no application"
+    for is_right, expected, found in (
+        (
+            0.0 < stored.timeout_s <= watchdog_s,
+            f"a time-out up to {watchdog_s:g} s",
+            f"{stored.timeout_s:g} s",
+        ),
+        (stored.brake_A > 0.0, "a brake current after it", f"{stored.brake_A:g} A: the motor is free then"),
+        (
+            stored.application in SILENT_APPLICATIONS,
+            "no application, or UART",
+            f"number {stored.application}, which commands it, too",
+        ),
+    ):
+        if not is_right:
+            raise WrongIdentity(
+                f"{board.where}: expected {expected}, it is {found}: set it in VESC Tool (App Settings, General)"
+            )
+    return f"time-out {stored.timeout_s:g} s, then {stored.brake_A:g} A"
+
+
+def _open_vesc(
+    bus: VescBus, described: Board, joint: int, drive: Drive, watchdog_s: float, opened: Opened
+) -> None:
     board = Vesc(bus, described.address, described.name)
     if drive.pid.mode == "position":
         _require_one_turn(board, drive)
     board.identify()
+    told = _require_settings(board, watchdog_s)
     encoder = own_encoder(board, joint, drive, opened)
     board.is_counted = encoder is not None
     opened.drives.append(VescDrive(board, encoder, joint, drive, bus))
-    opened.identities.append((board.where, f"fault code {board.fault}, supply {board.supply_V:.1f} V"))
+    opened.identities.append(
+        (board.where, f"{told}, fault code {board.fault}, supply {board.supply_V:.1f} V")
+    )
 
 
 def _require_one_turn(board: Vesc, drive: Drive) -> None:

@@ -1,6 +1,7 @@
 """What boards themselves refuse before anything moves, and how a VESC turns to an angle."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -91,6 +92,23 @@ def test_a_moteus_of_older_firmware_which_says_no_kv_is_taken(monkeypatch: pytes
     monkeypatch.setattr(MoteusSetup, "stored", without_kv)
     with open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004) as cell:
         assert cell.mode is Mode.OFF
+
+
+@pytest.mark.parametrize(
+    ("stored", "said"),
+    [
+        ({"timeout_s": 1.0}, "expected a time-out up to 0.2 s, it is 1 s: set it in VESC Tool"),
+        ({"timeout_s": 0.0}, "expected a time-out up to 0.2 s, it is 0 s"),
+        ({"timeout_brake_A": 0.0}, "expected a brake current after it, it is 0 A: the motor is free then"),
+        ({"application": 2}, "expected no application, or UART, it is number 2, which commands it, too"),
+    ],
+)
+def test_a_vesc_whose_time_out_or_application_is_not_as_needed_is_refused(
+    stored: dict[str, float], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil_mocks.bought_can.VescSetup", partial(VescSetup, **stored))
+    with pytest.raises(ConnectionFailed, match=said), open_cell(scenario(), ON_VESCS, period_s=0.005):
+        pass
 
 
 def test_a_vesc_turns_to_an_angle_the_shorter_way() -> None:

@@ -1,5 +1,6 @@
 """VESC on CAN: golden frames of the firmware's own code, and a controller that is silent, incomplete, restarted or broken."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,7 @@ class Cell:
         ("CONF_CURRENT_LIMITS 8 A", wire.current_limits(5, 8.0)),
         ("PING", wire.ping(5)),
         ("ask fault", wire.ask_fault(5)),
+        ("ask settings", wire.ask_settings(5)),
     ],
 )
 def test_what_is_sent_is_what_the_firmware_reads(name: str, made: wire.Frame) -> None:
@@ -84,6 +86,34 @@ def test_what_the_firmware_sends_is_read() -> None:
     assert wire.adc_1_V(golden("STATUS_6 3.3 V")[1]) == 3.3
     assert wire.fault_in(golden("fault 2")[1]) == (5, 2)
     assert wire.fault_in(golden("PONG")[1]) is None
+
+
+def test_what_is_stored_comes_in_pieces_and_a_damaged_answer_is_asked_for_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cell = Cell(replace(SETUP, timeout_s=0.3, application=4))
+    cell.board.identify()
+    assert cell.board.settings == (0.3, 20.0, 4)
+    send, sent = cell.mock._send_buffer, []
+
+    def damaged_once(asker: int, data: bytes) -> None:
+        sent.append(data)
+        send(asker, data)
+        if len(sent) == 1:
+            at = next(i for i, (can_id, _) in enumerate(cell.mock.outgoing) if can_id >> 8 == 5)
+            can_id, piece = cell.mock.outgoing[at]
+            cell.mock.outgoing[at] = can_id, piece[:-1] + bytes((piece[-1] ^ 1,))
+
+    monkeypatch.setattr(cell.mock, "_send_buffer", damaged_once)
+    cell.board.identify()
+    assert (len(sent), cell.board.settings) == (2, (0.3, 20.0, 4))
+
+
+def test_firmware_that_does_not_say_what_is_stored_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = Cell()
+    cell.mock._send_buffer = lambda asker, data: None  # type: ignore[method-assign]
+    cell.board.identify()
+    assert cell.board.settings is None
 
 
 def test_the_mock_obeys_and_answers_the_golden_frames() -> None:
