@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from console.main import parser
+from control.model.board_kinds import KINDS
 from control.model.effects import EFFECTS, parameter_names
 from control.model.reference import reference_text, sections
 from control.recording.layout import END_FIELDS
@@ -126,6 +127,39 @@ def test_every_page_is_reached_from_the_readme_or_the_commands() -> None:
 def test_every_command_is_in_the_list_of_commands() -> None:
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     assert [name for name in subcommands() if not re.search(rf"`(armwright )?{name}\b", text)] == []
+
+
+POWER_ROWS = [
+    "power-up",
+    "ids",
+    "line",
+    "current",
+    "brown-out",
+    "its own error",
+    "emergency stop",
+    "the host is gone",
+]
+OUTCOMES = ("refused", "told", "unchecked", "set at", "at `enable`", "not relied on", "too slow: refused")
+
+
+def rows_of(page: Path, heading: str) -> list[list[str]]:
+    """The cells of the table under a heading, without its first two lines."""
+    _, _, below = page.read_text(encoding="utf-8").partition(f"## {heading}\n")
+    table = [line for line in below.partition("\n## ")[0].splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table[2:]]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_bought_board_has_the_same_two_tables(kind: str) -> None:
+    """What happens at power-up, faults and without a host; and for each assumption its source and what the connection does."""
+    page = ROOT / "docs" / f"{kind}.md"
+    assert [first for first, _ in rows_of(page, "Power and faults")] == POWER_ROWS
+    assumed = rows_of(page, f"Assumed of the {'drive' if kind == 'cia402' else 'board'}")
+    cited = {number for *_, source, _ in assumed for number in source.split(", ") if number}
+    sources = page.read_text(encoding="utf-8").partition("Sources: ")[2].partition("\n#")[0]
+    assert len(assumed) > 5
+    assert [row for row in assumed if not row[-1].startswith(OUTCOMES)] == []
+    assert sorted(cited) == [number for number in "123" if re.search(rf"\b{number} [a-zA-Z]", sources)]
 
 
 @functools.cache
