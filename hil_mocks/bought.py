@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
+from control.model.arm import Drive
 from control.model.description import Arm
 from hil_mocks.bought_can import KINDS, SWITCHED, CanBoards, Driven, Seen
 from hil_mocks.devices import dynamixel
@@ -28,22 +29,27 @@ class PacketLine(Protocol):
     def receive(self, received: bytes, now_s: float) -> None: ...
 
 
-def _dynamixel(
-    number: int, volts_per_rad_s: float, read_turns: Callable[[], float], grips: bool
-) -> DynamixelMock:
+def _dynamixel(number: int, drive: Drive, read_turns: Callable[[], float], grips: bool) -> DynamixelMock:
     mode = CURRENT_BASED if grips else POSITION
-    return DynamixelMock(ServoSetup(number, volts_per_rad_s, mode=mode), read_turns)
+    setup = ServoSetup(number, _volts_per_rad_s(drive), mode=mode, supply_V=drive.supply_V)
+    return DynamixelMock(setup, read_turns)
 
 
-def _sts(number: int, volts_per_rad_s: float, read_turns: Callable[[], float], grips: bool) -> FeetechMock:
-    return FeetechMock(StsSetup(number, volts_per_rad_s, turns_on=grips), read_turns)
+def _sts(number: int, drive: Drive, read_turns: Callable[[], float], grips: bool) -> FeetechMock:
+    setup = StsSetup(number, _volts_per_rad_s(drive), supply_V=drive.supply_V, turns_on=grips)
+    return FeetechMock(setup, read_turns)
+
+
+def _volts_per_rad_s(drive: Drive) -> float:
+    """At the output."""
+    return drive.gear_ratio * drive.torque_constant_Nm_A
 
 
 class ServoKind(NamedTuple):
     """How faults call a kind of smart servos, and its mocks. Both kinds have the same bits for heat and overload."""
 
     prefix: str
-    mock: Callable[[int, float, Callable[[], float], bool], Any]  # the last: whether it drives a gripper
+    mock: Callable[[int, Drive, Callable[[], float], bool], Any]  # the last: whether it drives a gripper
     line: Callable[[list[Any], int], PacketLine]
 
 
@@ -68,7 +74,7 @@ class Servos:
         self.mocks = [
             made.mock(
                 board.address,
-                arm.drives[j].gear_ratio * arm.drives[j].torque_constant_Nm_A,
+                arm.drives[j],
                 self._reader(wiring[j], j, encoder_rad),
                 j >= arm.joint_count,
             )

@@ -22,6 +22,7 @@ from hil_mocks.devices.dynamixel_table import (
     GOAL,
     GOAL_CURRENT,
     LENGTH_ERROR,
+    MAX_VOLTAGE,
     MIN_VOLTAGE,
     MODE,
     POSITION,
@@ -42,12 +43,12 @@ from hil_mocks.devices.servo_motor import ServoMotor
 COUNTS_PER_TURN = 4096
 BROADCAST = 0xFE
 RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR, ALERT = 0x01, 0x02, 0x03, 0x80
-OVER_HEATED, OVERLOAD, LOW_VOLTAGE = 0x04, 0x20, 0x01
+OVER_HEATED, OVERLOAD, INPUT_VOLTAGE = 0x04, 0x20, 0x01
 DELAY_STEP_S = 2e-6
 REBOOT_S = 0.2
 LATENCY_S = 0.0001
-# Other than an XM430 at delivery: answers at once, and the lowest voltage of an XL330, since arms of 5 V are played, too.
-STORED = {RETURN_DELAY: 0, MIN_VOLTAGE: 35}
+STORED = {RETURN_DELAY: 0}  # other than at delivery
+NOMINAL_V = 12.0  # of the voltage limits in the table
 
 
 class Instruction(IntEnum):
@@ -84,13 +85,14 @@ def crc16(data: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class ServoSetup:
-    """Identity and motor of a servo: `volts_per_rad_s` at the output; `current_unit_A` of the model."""
+    """Identity and motor of a servo: `volts_per_rad_s` at the output; `current_unit_A` of the model; its nominal supply."""
 
     number: int
     volts_per_rad_s: float
     model: int = 1020
     current_unit_A: float = 0.00269
     mode: int = POSITION  # CURRENT_BASED keeps the goal current
+    supply_V: float = NOMINAL_V
 
 
 class DynamixelMock:
@@ -103,6 +105,9 @@ class DynamixelMock:
         self.table = bytearray(control_table.initial(0))
         struct.pack_into("<H", self.table, 0, setup.model)
         self.table[6], self.table[7], self.table[MODE] = 46, setup.number, setup.mode
+        for address in (MIN_VOLTAGE, MAX_VOLTAGE):
+            limit = control_table.value(self.table, address) * setup.supply_V / NOMINAL_V
+            struct.pack_into("<H", self.table, address, round(limit))
         for address, value in STORED.items():
             self.table[address] = value
         self.power_up()
@@ -231,10 +236,10 @@ class DynamixelMock:
             "<hiiiiHB", self.table, VALUES, min(max(round(current_A / self.setup.current_unit_A), -32767), 32767),
             round(motor.speed_turns_s * 60.0 / 0.229), self.position, 0, 0, round(supply_V * 10), 35,
         )  # fmt: skip
-        # No overvoltage: the arms of the tests have 24 V. An error that shuts it down lasts, the others as long as their causes.
-        low = LOW_VOLTAGE if supply_V * 10 < control_table.value(self.table, MIN_VOLTAGE) else 0
-        self.table[ERROR_STATUS] &= self.table[SHUTDOWN]
-        self.table[ERROR_STATUS] |= self.forced_error | low
+        least, most = (control_table.value(self.table, address) for address in (MIN_VOLTAGE, MAX_VOLTAGE))
+        voltage = 0 if least <= supply_V * 10 <= most else INPUT_VOLTAGE
+        self.table[ERROR_STATUS] &= self.table[SHUTDOWN]  # the others last as long as their causes
+        self.table[ERROR_STATUS] |= self.forced_error | voltage
         if self._is_shut_down:
             self.table[TORQUE] = 0
         watchdog = self.table[WATCHDOG]

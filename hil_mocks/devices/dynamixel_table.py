@@ -6,15 +6,8 @@ from typing import NamedTuple
 
 RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 0x04, 0x05, 0x06, 0x07
 STORED_END, TABLE_BYTES = 64, 147  # what is below is kept without supply
-RETURN_DELAY, MODE, MIN_VOLTAGE, CURRENT_LIMIT, MAX_POSITION, MIN_POSITION, SHUTDOWN = (
-    9,
-    11,
-    34,
-    38,
-    48,
-    52,
-    63,
-)
+RETURN_DELAY, MODE, MAX_VOLTAGE, MIN_VOLTAGE, CURRENT_LIMIT = 9, 11, 32, 34, 38
+MAX_POSITION, MIN_POSITION, SHUTDOWN = 48, 52, 63
 TORQUE, RETURN_LEVEL, REGISTERED, ERROR_STATUS, WATCHDOG = 64, 68, 69, 70, 98
 GOALS, GOAL_CURRENT, GOAL, VALUES = (100, 102, 104, 116), 102, 116, 126
 POSITION, CURRENT_BASED = 3, 5  # operating modes
@@ -35,7 +28,7 @@ _GAIN = Item(2, 0, 16_383)
 ITEMS = {
     7: Item(1, 0, 252, 1), 8: Item(1, 0, 7, 1), RETURN_DELAY: Item(1, 0, 254, 250), 10: Item(1, 0, 13),
     MODE: Item(1, 0, 16, POSITION), 12: Item(1, 0, 255, 255), 13: Item(1, 1, 2, 2), 20: Item(4, -1_044_479, 1_044_479),
-    24: Item(4, 0, 1023, 10), 31: Item(1, 0, 100, 80), 32: Item(2, 95, 160, 160), MIN_VOLTAGE: Item(2, 95, 160, 95),
+    24: Item(4, 0, 1023, 10), 31: Item(1, 0, 100, 80), MAX_VOLTAGE: Item(2, 95, 160, 160), MIN_VOLTAGE: Item(2, 95, 160, 95),
     36: Item(2, 0, 885, 885), CURRENT_LIMIT: Item(2, 0, 1193, 1193), 44: Item(4, 0, 1023, 350),
     MAX_POSITION: Item(4, 0, 4095, 4095), MIN_POSITION: Item(4, 0, 4095), SHUTDOWN: Item(1, 0, 255, 52),
     TORQUE: Item(1, 0, 1), 65: Item(1, 0, 1), RETURN_LEVEL: Item(1, 0, 2, 2),

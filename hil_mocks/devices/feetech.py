@@ -25,16 +25,16 @@ from hil_mocks.devices.servo_motor import ServoMotor
 
 COUNTS_PER_TURN = 4096
 BROADCAST = 0xFE
-LOW_VOLTAGE, OVER_HEATED, OVERLOAD = 0x01, 0x04, 0x20
+VOLTAGE, OVER_HEATED, OVERLOAD = 0x01, 0x04, 0x20
 RETURN_DELAY, RETURN_LEVEL, MIN_POSITION, MAX_POSITION, HIGHEST_VOLTAGE, LOWEST_VOLTAGE = 7, 8, 9, 11, 14, 15
 PHASE, UNLOADING, RESOLUTION, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = 18, 19, 30, 34, 35, 36
 STORED_END = 40  # what is below is kept without supply
-# At delivery; the highest voltage as for the arms of the tests, which have 24 V.
 STORED = {
-    0: 3, 1: 10, RETURN_LEVEL: 1, HIGHEST_VOLTAGE: 254, LOWEST_VOLTAGE: 40, PHASE: 0x0C, UNLOADING: 44, RESOLUTION: 1,
-    PROTECTIVE_TORQUE: 20, PROTECTION_TIME: 200, OVERLOAD_TORQUE: 80,
+    0: 3, 1: 10, RETURN_LEVEL: 1, PHASE: 0x0C, UNLOADING: 44, RESOLUTION: 1, PROTECTIVE_TORQUE: 20, PROTECTION_TIME: 200,
+    OVERLOAD_TORQUE: 80,
 }  # fmt: skip
 FULL_ANGLE = 0x10  # bit of the phase: the position counts on beyond a turn
+LOWEST_OF_NOMINAL, HIGHEST_OF_NOMINAL = 8.0 / 12.0, 14.0 / 12.0  # as stored in servos of 12 V
 TORQUE, GOAL, TORQUE_LIMIT, LOCK, POSITION, REGISTERED, ERROR, CURRENT, TABLE_BYTES = (
     40,
     42,
@@ -72,6 +72,7 @@ class StsSetup:
     number: int
     volts_per_rad_s: float
     model: int = 777
+    supply_V: float = 12.0  # nominal
     turns_on: bool = False  # set up for several turns: no position limits, and a position that counts on
 
 
@@ -85,6 +86,8 @@ class FeetechMock:
         self.table = bytearray(TABLE_BYTES)
         struct.pack_into("<H", self.table, 3, setup.model)
         self.table[5] = setup.number
+        self.table[LOWEST_VOLTAGE] = round(10.0 * LOWEST_OF_NOMINAL * setup.supply_V)
+        self.table[HIGHEST_VOLTAGE] = min(round(10.0 * HIGHEST_OF_NOMINAL * setup.supply_V), 254)
         for address, value in STORED.items():
             self.table[address] = value
         struct.pack_into("<H", self.table, MAX_POSITION, 0 if setup.turns_on else COUNTS_PER_TURN - 1)
@@ -204,7 +207,7 @@ class FeetechMock:
     def _errors(self, now_s: float, supply_V: float) -> int:
         """The status byte."""
         lowest, highest = self.table[LOWEST_VOLTAGE], self.table[HIGHEST_VOLTAGE]
-        voltage = 0 if lowest <= supply_V * 10 <= highest else LOW_VOLTAGE
+        voltage = 0 if lowest <= supply_V * 10 <= highest else VOLTAGE
         is_loaded = self._load(supply_V) & 0x3FF > 10 * self.table[OVERLOAD_TORQUE]
         if not self.table[TORQUE]:
             self._is_overloaded = is_loaded = False
