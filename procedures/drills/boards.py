@@ -1,5 +1,6 @@
-"""Drills of arms whose boards hold them: torque that nobody asked for, that was found, and that somebody else switched off.
+"""Drills of arms on bought boards: torque that nobody asked for, that was found, and that somebody else switched off.
 
+A supply that sags, an error of one board, questions of another program, old firmware.
 And of an arm.toml that is not true of the arm: an angle a turn off, a floor above the tip.
 """
 
@@ -10,17 +11,42 @@ from math import dist
 from control.errors import ArmError
 from control.model.description import load_arm
 from control.safety.table import Mode
-from procedures.drills.drill import LOOKED
+from firmware_iface.canopen import wire as canopen
+from firmware_iface.canopen.drive import POSITION
+from firmware_iface.dynamixel import wire as dynamixel
+from firmware_iface.errors import ConnectionFailed
+from firmware_iface.feetech import wire as feetech
+from firmware_iface.link import CanFormat
+from firmware_iface.moteus import wire as moteus
+from firmware_iface.odrive import wire as odrive
+from firmware_iface.roboclaw import wire as roboclaw
+from firmware_iface.vesc import wire as vesc
+from hil_mocks.scenario import FaultTable
+from procedures.drills.drill import LOOKED, WATCHED_S
 from procedures.drills.promise import GOES_ON, Outcome, Promise, length_m, stood_s
 from procedures.drills.stage import REST, Stage, stage
 from procedures.on_boards import on_boards
 
 HOLDING = ("dynamixel", "feetech", "odrive", "cia402", "moteus")
+BRAKING = ("vesc", "roboclaw")
 NOTICING = HOLDING[:-1]  # the next command drives a moteus again, whatever somebody else has sent
-ABSOLUTE = ("dynamixel", "odrive")  # what is stored in a Feetech servo is compared when it is connected
 DURING_A_CYCLE_S = 0.004  # at its end, a goal may switch a Feetech servo on again before its state is read
 FALLS_mm = 900.0  # an arm without torque, or one of whose joints has none, falls as far as it can
 HELD_mm = 3.0
+SINKS_mm = 80.0  # on shorted windings, in two seconds
+SAGGED_V = 14.4  # of 24
+FIRMWARE, OLD_FIRMWARE = 6, 36  # register of a Dynamixel, and a version without a bus watchdog
+FULL_DUPLEX = "roboclaw"
+# What other programs ask the first board, and take no answer of: the position, or whether it is there.
+QUESTIONS: dict[str, bytes | tuple[int, bytes, CanFormat]] = {
+    "dynamixel": dynamixel.read(1, 132, 4),
+    "feetech": feetech.read(1, 56, 2),
+    "roboclaw": roboclaw.read_packet(0x80, roboclaw.Command.READ_ENCODERS),
+    "odrive": (odrive.frame_id(1, odrive.Command.CLEAR_ERRORS), b"\0", CanFormat.STANDARD),
+    "cia402": (canopen.SDO_REQUEST + 1, canopen.read_request(POSITION), CanFormat.STANDARD),
+    "moteus": (1 << 8 | moteus.ask(1)[0], moteus.ask(1)[1], CanFormat.FD),
+    "vesc": (vesc.frame_id(vesc.Packet.PING, 0), bytes((7,)), CanFormat.EXTENDED),
+}
 OBEYS_S = 0.3  # until a board that was told to go off is off
 LANDS_S = 20.0
 ASKED_AFTER_S = 0.004  # of `enable`: its drives are on their way
@@ -55,16 +81,27 @@ class BoardsDrill(Promise):
 
     @classmethod
     def all(cls) -> Iterator["BoardsDrill"]:
-        """The drills, each on every kind of boards that holds its joints."""
-        lost = frozenset({"drive_left", "link"})
+        """The drills, each on every kind of boards that it befalls."""
+        lost, own, sagged, silent = (
+            frozenset(codes.split())
+            for codes in ("drive_left link", "drive_fault", "drive_fault supply", "drive_silent")
+        )
         for name, says, codes, most_mm, act, kinds in (
             ("off-at-once", "off pressed 4 ms after enable", GOES_ON, FALLS_mm, off_at_once, HOLDING),
             ("restarted", "loop killed while it holds the arm, another started", GOES_ON, HELD_mm, restarted, HOLDING),
             ("torque-lost", "another program switches a drive off that holds", lost, FALLS_mm, torque_lost, NOTICING),
             ("torque-in-off", "another program switches a drive on while the arm is off", GOES_ON, FALLS_mm, torque_in_off,
              HOLDING),
-            ("turn-off", "encoder 1 reads a turn too much", GOES_ON, FALLS_mm, a_turn_off, ABSOLUTE),
-            ("below-floor", "moves of an arm that stands below the floor", GOES_ON, FALLS_mm, below_floor, ABSOLUTE[:1]),
+            ("turn-off", "encoder 1 reads a turn too much", GOES_ON, FALLS_mm, a_turn_off, ("odrive",)),
+            ("below-floor", "moves of an arm that stands below the floor", GOES_ON, FALLS_mm, below_floor, HOLDING[:1]),
+            ("brown-out", "the supply of one board sags to 60 %", sagged, HELD_mm, brown_out, NOTICING),
+            ("brown-out", "the supply of one board sags to 60 %", sagged, SINKS_mm, brown_out, (*HOLDING[-1:], *BRAKING)),
+            ("own-error", "one board is too hot", own, FALLS_mm, own_error, (*HOLDING, *BRAKING)),
+            ("overload", "a servo is overloaded, and keeps a share of its torque", own, HELD_mm, overloaded, ("feetech",)),
+            ("asked", "another program asks a board in each cycle", GOES_ON, HELD_mm, asked, (*HOLDING, *BRAKING[:1])),
+            ("asked", "another program asks a board in each cycle", silent, SINKS_mm, asked, BRAKING[1:]),
+            ("old-firmware", "a servo with old firmware is found when serve starts again", GOES_ON, HELD_mm, old_firmware,
+             HOLDING[:1]),
         ):  # fmt: skip
             for kind in kinds:
                 yield cls(f"{name}-{kind}", f"{says}, on {kind}", REST, codes, 0.1, most_mm, kind, act)
@@ -130,7 +167,7 @@ def torque_in_off(played: Stage) -> str:
 
 
 def a_turn_off(played: Stage) -> str:
-    """A joint that reads a turn too much is neither enabled nor homed."""
+    """A joint that reads a turn too much is neither enabled nor homed. A servo tells of its turn when it is connected."""
     first, *others = played.arm.drives
     turn = round(first.encoder_counts_per_rev * first.gear_ratio)
     played.arm = replace(played.arm, drives=(replace(first, zero_count=first.zero_count - turn), *others))
@@ -152,3 +189,85 @@ def below_floor(played: Stage) -> str:
         return "a move further down was accepted"
     played.client.move_joints(UP_rad)
     return "" if played.mode is Mode.HOLDING else f"the way up ended in {played.mode.name}"
+
+
+def brown_out(played: Stage) -> str:
+    """A board whose supply sags is noticed; what holds goes on holding, and the arm is held again when the supply is back."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    played.inject("supply", _second(played)[0], value=SAGGED_V)
+    played.run(WATCHED_S)
+    refusal = played.recover()
+    played.client.enable()
+    return refusal or ("" if played.mode is Mode.HOLDING else f"it was not held again: {played.mode.name}")
+
+
+def own_error(played: Stage) -> str:
+    """A board that an error has freed stays so when its cause ends, until a person acknowledges; the others hold meanwhile."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    name, joint = _second(played)
+    holding = [other for other, driven in enumerate(_torques(played)) if driven and other != joint]
+    played.inject("over_temperature", name)
+    played.run(0.5)
+    torques = _torques(played)
+    if played.arm.boards[0].kind in HOLDING and not all(torques[other] for other in holding):
+        return "another joint was let go"
+    played.mend()
+    for _ in range(50):
+        played.run(0.01)
+        if _torques(played)[joint]:
+            return "the torque came back by itself"
+    return ""
+
+
+def overloaded(played: Stage) -> str:
+    """What its settings leave of the torque is not switched off by us: the arm sinks by less than one that is let go."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    name, joint = _second(played)
+    played.inject("over_current", name)  # its overload
+    for _ in range(50):
+        played.run(0.01)
+        if not _torques(played)[joint]:
+            return "the torque was switched off"
+    return ""
+
+
+def asked(played: Stage) -> str:
+    """Questions of another program, and their answers on the line; those of a RoboClaw cannot be told from its own."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    robot, kind = played.rig.robot, played.arm.boards[0].kind
+    question = QUESTIONS[kind]
+
+    def ask() -> None:
+        if isinstance(question, bytes):
+            if kind != FULL_DUPLEX:
+                played.rig.wires.serial[0].write(question)  # all on the line hear it
+            robot.from_host_serial(0, question)
+        else:
+            robot.from_host_can(*question)
+
+    played.each_cycle.append(ask)
+    played.run(WATCHED_S)
+    return ""
+
+
+def old_firmware(played: Stage) -> str:
+    """A servo without a bus watchdog is refused before anything is commanded."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    played.rig.robot.bought.lines[0].servos[2].table[FIRMWARE] = OLD_FIRMWARE
+    try:
+        played.restart()
+    except ConnectionFailed as error:
+        return "" if "expected firmware 38" in str(error) else f"refused for another reason: {error}"
+    return "the servo was taken"
+
+
+def _second(played: Stage) -> tuple[str, int]:
+    """The board of joint 2, or the second one; and a joint that it drives."""
+    name = played.rig.robot.drive_names[1]
+    joint = played.rig.robot.bought.joint(FaultTable("supply", name))
+    return name, 1 if joint is None else joint

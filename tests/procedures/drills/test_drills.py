@@ -40,6 +40,10 @@ AT_EACH_CHANGE = (
     "torque-in-off-dynamixel",
     "turn-off-odrive",
     "below-floor-dynamixel",
+    "brown-out-feetech",
+    "own-error-odrive",
+    "asked-dynamixel",
+    "old-firmware-dynamixel",
 )
 AT_NIGHT = (
     "drift-20000-rest",
@@ -52,6 +56,8 @@ AT_NIGHT = (
     "power-session",
     "cut-recording",
     "over-temperature-pair",
+    "overload-feetech",
+    "asked-roboclaw",
 )
 
 
