@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import tempfile
 from collections.abc import Iterator
@@ -38,6 +39,12 @@ def pytest_configure(config: pytest.Config) -> None:
             "HYPOTHESIS_STORAGE_DIRECTORY": str(cache / "hypothesis"),
         }
     _settle_hypothesis(at_night=not config.option.markexpr)
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """What imports and collection have made stays: the collector need not look through it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def _settle_hypothesis(at_night: bool) -> None:

@@ -73,14 +73,23 @@ class Instruction(IntEnum):
 LEVELS: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
 
 
+def _crc_of(byte: int) -> int:
+    """What a byte adds to a CRC-16 with polynomial 0x8005, bit by bit."""
+    crc = byte << 8
+    for _ in range(8):
+        crc = (crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1
+    return crc & 0xFFFF
+
+
+_CRC_OF = tuple(map(_crc_of, range(256)))
+
+
 def crc16(data: bytes) -> int:
-    """CRC-16 with polynomial 0x8005 from 0, bit by bit."""
+    """CRC-16 with polynomial 0x8005 from 0."""
     crc = 0
     for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1
-    return crc & 0xFFFF
+        crc = (crc & 0xFF) << 8 ^ _CRC_OF[crc >> 8 ^ byte]
+    return crc
 
 
 @dataclass(frozen=True, slots=True)

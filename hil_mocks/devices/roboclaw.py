@@ -6,6 +6,7 @@ What the manual leaves open, and what is assumed here, is in docs/roboclaw.md.
 
 from __future__ import annotations
 
+import binascii
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -28,13 +29,8 @@ READS = {15, 16, 17, 21, 24, 25, 48, 49, 59, 75, 78, 82, 90, 91, 135, 136}
 
 
 def crc16(data: bytes) -> int:
-    """The manual's CRC: polynomial 0x1021 from 0, bit by bit."""
-    crc = 0
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1
-    return crc & 0xFFFF
+    """The manual's CRC: polynomial 0x1021 from 0."""
+    return binascii.crc_hqx(data, 0)
 
 
 @dataclass(slots=True)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -54,6 +55,7 @@ class Served:
     process: subprocess.Popen[str]
     client: ArmClient
     recording: Path
+    arm_file: Path
 
     def until(self, is_so: Callable[[], bool]) -> None:
         end_s = time.monotonic() + LIMIT_s
@@ -65,8 +67,9 @@ class Served:
         """Start a slow move that outlives its client, and wait until it moves."""
         enable(self.client)
         self.client.home()
-        self.client.ask("move_joints", q_rad=[1.0, 0.15, 0.75], speed=0.1, detached=True)
         begun = self.rig.joint_rad()[0]
+        to_rad = 1.0 if begun < 0.5 else 0.0
+        self.client.ask("move_joints", q_rad=[to_rad, 0.15, 0.75], speed=0.1, detached=True)
         self.until(lambda: abs(self.rig.joint_rad()[0] - begun) > 0.02)
 
     def is_still(self) -> bool:
@@ -95,6 +98,12 @@ def patient(arm: Arm) -> Arm:
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
+    with serving(tmp_path) as served:
+        yield served
+
+
+@contextmanager
+def serving(tmp_path: Path) -> Iterator[Served]:
     scenario = tmp_path / "scenario.toml"
     scenario.write_text(SCENARIO)
     with RealTimeRig("right", scenario) as rig:
@@ -107,7 +116,7 @@ def served(tmp_path: Path) -> Iterator[Served]:
         )  # fmt: skip
         try:
             client = ArmClient(SocketChannel(path, LIMIT_s))
-            yield Served(rig, process, client, Path(client.status()["recording"]))
+            yield Served(rig, process, client, Path(client.status()["recording"]), tmp_path / "arm.toml")
             client.close()
         finally:
             process.kill()
@@ -242,6 +251,13 @@ def test_a_second_serve_of_the_same_arm_is_refused_and_the_first_one_does_not_no
     assert served.client.status()["mode"] == "HOLDING"
 
 
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """One for all who must not disturb it."""
+    with serving(tmp_path_factory.mktemp("undisturbed")) as served:
+        yield served
+
+
 @pytest.mark.parametrize(
     "command",
     [
@@ -254,10 +270,13 @@ def test_a_second_serve_of_the_same_arm_is_refused_and_the_first_one_does_not_no
     ids=lambda command: str(command[0]),
 )
 def test_a_command_that_would_open_the_boards_of_a_moving_arm_names_who_has_them_and_the_arm_moves_on(
-    served: Served, tmp_path: Path, command: tuple[str, ...]
+    undisturbed: Served, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
+    served = undisturbed
+    served.client.stop()
+    served.until(lambda: served.client.status()["mode"] != "STOPPING")
     served.begin_to_move()
-    arguments = [sys.executable, "-m", "console.main", *command, "--arm", str(tmp_path / "arm.toml")]
+    arguments = [sys.executable, "-m", "console.main", *command, "--arm", str(served.arm_file)]
     path = os.pathsep.join(sys.path)
     other = subprocess.run(
         arguments, capture_output=True, text=True, check=False, timeout=LIMIT_s, cwd=tmp_path,
