@@ -108,7 +108,6 @@ class ServoDrive:
         self._fault_of = fault_of
         self._configured_resets = -1
         self._faults = 0
-        self._is_freed = False  # by an error of its own
         self._held: int | None = None
         self._wanted = Wanted.AS_FOUND
         self._torque = Torque.OFF
@@ -122,7 +121,6 @@ class ServoDrive:
             feedback.statusword[joint] = 0
             return
         self._faults |= sum(bit for mask, bit in self._fault_of if servo.hardware_error & mask)
-        self._is_freed |= bool(servo.hardware_error & servo.frees_at)
         self._faults |= WATCHDOG if servo.is_watchdog_expired else 0
         feedback.current_A[joint] = self._sign * servo.current_A
         feedback.supply_V[joint] = servo.supply_V
@@ -143,7 +141,7 @@ class ServoDrive:
             return
         # Only a servo that is set up is driven. One that an error of its own has freed must not take its joint again when that
         # ends; one that holds on in spite of its error is not let go by us.
-        is_able = self._configured_resets == servo.resets and not self._is_freed
+        is_able = self._configured_resets == servo.resets and not servo.hardware_error & servo.frees_at
         mode = modes[joint]
         if not (wanted.is_on and is_able):
             self._let_go(Torque.OFF)
@@ -213,7 +211,7 @@ class ServoDrive:
             )
         if self._faults & ~EMERGENCY_STOP:
             self._configured_resets = -1  # set up anew, which clears the bus watchdog
-        self._faults, self._held, self._is_freed = 0, None, False
+        self._faults, self._held = 0, None
 
     def follow_shift(self, joint: int, fresh_count: Callable[[int], int]) -> None:
         """The encoder's offset is used with every goal."""
