@@ -67,8 +67,13 @@ class Instruction(IntEnum):
     FAST_SYNC_READ = 0x8A
     BULK_READ = 0x92
     BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
 
 
+FAST: dict[int, int] = {
+    Instruction.FAST_SYNC_READ: Instruction.SYNC_READ,
+    Instruction.FAST_BULK_READ: Instruction.BULK_READ,
+}
 # From which status return level on an instruction is answered; others: 2.
 LEVELS: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
 
@@ -305,8 +310,8 @@ class DynamixelLineMock:
             for which, address, count in _read_at_once(instruction, parameters):
                 said = self._read(which, address, count, now_s)
                 yield (0.0, None) if said is None else (said[0].delay_s, said[0].status(*said[1:]))
-        elif instruction == Instruction.FAST_SYNC_READ:
-            yield LATENCY_S, self._chained(parameters, now_s)
+        elif instruction in FAST:
+            yield LATENCY_S, self._chained(FAST[instruction], parameters, now_s)
         elif instruction in (Instruction.SYNC_WRITE, Instruction.BULK_WRITE):
             for which, address, data in _written_at_once(instruction, parameters):
                 for servo in self._asked(which):
@@ -325,9 +330,9 @@ class DynamixelLineMock:
         said = servo.read(address, count, now_s) if servo else None
         return None if servo is None or said is None else (servo, *said)
 
-    def _chained(self, parameters: bytes, now_s: float) -> bytes | None:
+    def _chained(self, instruction: int, parameters: bytes, now_s: float) -> bytes | None:
         """One packet to which every servo adds error, id, bytes, and the CRC of all that is there so far."""
-        asked = list(_read_at_once(Instruction.SYNC_READ, parameters))
+        asked = list(_read_at_once(instruction, parameters))
         chain = _header(BROADCAST, 1 + sum(count + 4 for *_, count in asked)) + b"\x55"
         for which, address, count in asked:
             said = self._read(which, address, count, now_s)

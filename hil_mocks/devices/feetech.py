@@ -29,23 +29,14 @@ VOLTAGE, OVER_HEATED, OVERLOAD = 0x01, 0x04, 0x20
 RETURN_DELAY, RETURN_LEVEL, MIN_POSITION, MAX_POSITION, HIGHEST_VOLTAGE, LOWEST_VOLTAGE = 7, 8, 9, 11, 14, 15
 PHASE, UNLOADING, RESOLUTION, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = 18, 19, 30, 34, 35, 36
 STORED_END = 40  # what is below is kept without supply
-STORED = {
+STORED = {  # at delivery
     0: 3, 1: 10, RETURN_LEVEL: 1, PHASE: 0x0C, UNLOADING: 44, RESOLUTION: 1, PROTECTIVE_TORQUE: 20, PROTECTION_TIME: 200,
     OVERLOAD_TORQUE: 80,
 }  # fmt: skip
 FULL_ANGLE = 0x10  # bit of the phase: the position counts on beyond a turn
 LOWEST_OF_NOMINAL, HIGHEST_OF_NOMINAL = 8.0 / 12.0, 14.0 / 12.0  # as stored in servos of 12 V
-TORQUE, GOAL, TORQUE_LIMIT, LOCK, POSITION, REGISTERED, ERROR, CURRENT, TABLE_BYTES = (
-    40,
-    42,
-    48,
-    55,
-    56,
-    64,
-    65,
-    69,
-    71,
-)
+TORQUE, GOAL, TORQUE_LIMIT, LOCK = 40, 42, 48, 55
+POSITION, REGISTERED, ERROR, MOVING, CURRENT, TABLE_BYTES = 56, 64, 65, 66, 69, 71
 DELAY_STEP_S = 2e-6
 CURRENT_UNIT_A = 0.0065
 BOOT_S = 0.2
@@ -189,6 +180,7 @@ class FeetechMock:
             round(supply_V * 10),
             35,
         )
+        self.table[MOVING] = int(speed != 0)
         struct.pack_into("<H", self.table, CURRENT, _raw(round(current_A / CURRENT_UNIT_A)))
         protected = self.table[ERROR] & self.table[UNLOADING]
         is_driven = self.table[TORQUE] and not protected & ~OVERLOAD and now_s >= self._deaf_until_s

@@ -99,8 +99,9 @@ def test_the_sdk_reads_several_servos_at_once(line: DynamixelLineMock, handler: 
     bulk = sdk.GroupBulkRead(port, handler)
     bulk.addParam(1, 132, 4)
     bulk.addParam(2, 146, 1)
-    assert bulk.txRxPacket() == sdk.COMM_SUCCESS
-    assert (bulk.getData(1, 132, 4), bulk.getData(2, 146, 1)) == (1024, 35)
+    for way in ("txRxPacket", "fastBulkRead"):
+        assert getattr(bulk, way)() == sdk.COMM_SUCCESS
+        assert (bulk.getData(1, 132, 4), bulk.getData(2, 146, 1)) == (1024, 35)
     assert port.written.startswith(wire.sync_read((2, 1), 126, 21))
 
 
@@ -207,6 +208,13 @@ def test_our_packets_are_the_sdks_byte_for_byte(line: DynamixelLineMock, handler
         + wire.write(1, 116, struct.pack("<i", 123456))
         + wire.packet(1, wire.Instruction.REBOOT)
     )
+
+
+def test_what_the_mock_leaves_out_of_the_sdk_it_refuses(line: DynamixelLineMock, handler: Any) -> None:
+    """All other calls of protocol 2.0 are in this file, or are made of those that are."""
+    port = Port(line)
+    for left_out in (handler.clearMultiTurn, lambda port, number: handler.factoryReset(port, number, 0xFF)):
+        assert left_out(port, 1)[-1] == 1  # result fail
 
 
 def test_a_header_inside_of_parameters_is_stuffed_and_the_sdk_reads_it_back(

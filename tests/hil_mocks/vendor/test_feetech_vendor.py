@@ -65,6 +65,27 @@ def test_the_sdk_pings_reads_and_writes_the_mock(port: Port, handler: Any) -> No
     assert handler.ping(9)[1] == sdk.COMM_RX_TIMEOUT
 
 
+def test_every_other_call_of_the_sdk_is_answered(port: Port, handler: Any) -> None:
+    servo, done = port.line.servos[1], (sdk.COMM_SUCCESS, 0)
+    assert handler.WriteSpec(1, -500, 10) == done
+    assert (servo.table[41], servo.table[46:48]) == (10, wire.raw(-500))
+    assert handler.ReadPosSpeed(1) == (-1024, 0, *done)
+    assert (handler.ReadSpeed(1), handler.ReadMoving(1)) == ((0, *done), (0, *done))
+    assert handler.read4ByteTxRx(1, 9) == (0, *done)
+    assert handler.write2ByteTxRx(1, sdk.SMS_STS_GOAL_POSITION_L, 7) == done
+    assert handler.write4ByteTxRx(1, 46, 0x01F4_0000) == done
+    assert servo.table[42:50] == b"\x07\0\0\0\0\0\xf4\x01"
+    assert handler.writeTxOnly(1, 41, 1, [9]) == sdk.COMM_SUCCESS
+    assert handler.regWriteTxOnly(1, 41, 1, [8]) == sdk.COMM_SUCCESS
+    assert (servo.table[41], servo.table[64]) == (9, 1)
+    assert handler.action(1) == sdk.COMM_SUCCESS
+    assert servo.table[41] == 8
+    assert handler.SyncWritePosEx(1, 5, 6, 7)
+    assert handler.groupSyncWrite.txPacket() == sdk.COMM_SUCCESS
+    assert servo.table[41:44] == b"\x07" + wire.raw(5)
+    assert handler.LockEprom(1) == done
+
+
 def test_the_lock_keeps_what_is_stored(port: Port, handler: Any) -> None:
     handler.write1ByteTxRx(1, sdk.SMS_STS_MODE, 1)
     assert port.line.servos[1].table[33] == 0
