@@ -116,6 +116,14 @@ class RoboClaw:
                 " or analog); set it in the vendor's Motion Studio"
             )
 
+    def require_home_switch(self, channel: int) -> None:
+        """WrongIdentity unless S4, of channel 1, or S5, of channel 2, tells of a home switch."""
+        if self.identity is not None and (mode := self.identity.pin_modes[channel]) not in wire.HOME_PINS:
+            raise WrongIdentity(
+                f'{self.where}: expected S{3 + channel} as "Home (User)" ({wire.HOME_PINS[0]:#04x}) for the switch of channel'
+                f" {channel}, its mode is {mode:#04x}; set it in the vendor's Motion Studio"
+            )
+
     def set_up(self, timeout_s: float, current_limits_A: tuple[float, float]) -> None:
         """Set time-out, current limits and the fastest change of duty, none of which survives a restart of the board.
 

@@ -25,6 +25,10 @@ PIN_MODE_BYTES: Final = (
     3,
     5,
 )  # the manual's S3 to S5; and CTRL1, CTRL2: the vendor's client basicmicro 2.0.10, GETPINFUNCTIONS
+HOME_PINS: Final = (
+    0x62,
+    0x04,
+)  # modes of S4 and S5, as command 74 has them: "Home (User)"; in earlier manuals, "home"
 _CRC = struct.Struct(">H")
 
 

@@ -269,6 +269,8 @@ def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) ->
     counted = {joint: drive for joint, drive in driven.items() if drive.encoder_board < 0}
     for drive in counted.values():
         board.require_quadrature(drive.board_channel)
+        if drive.home is not None:
+            board.require_home_switch(drive.board_channel)
     if counted:
         line.keep_asking(board.counts_question)
     for joints in (range(arm.joint_count), range(arm.joint_count, len(arm.drives))):  # the gripper's apart

@@ -36,6 +36,18 @@ def test_a_vesc_at_its_joint_and_within_half_a_turn_takes_angles() -> None:
         assert cell.mode is Mode.OFF
 
 
+def test_a_roboclaw_whose_pins_tell_of_no_switch_is_refused_where_the_joint_has_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        "hil_mocks.devices.roboclaw.Settings.copy", lambda settings: replace(settings, pin_modes=(0,) * 5)
+    )
+    with pytest.raises(ConnectionFailed, match='expected S4 as "Home'), open_cell(
+        scenario(), on_boards(RIGHT, "roboclaw"), period_s=0.01
+    ):  # fmt: skip
+        pass
+
+
 def test_a_roboclaw_is_not_told_a_current_beyond_its_peak() -> None:
     arm = with_drives(on_boards(RIGHT, "roboclaw"), current_limit_A=40.0)
     with pytest.raises(ConnectionFailed, match=r"current_limit_A = 40 is above the 30 A .*2x15A"), open_cell(

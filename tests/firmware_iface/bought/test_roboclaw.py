@@ -172,6 +172,17 @@ def test_a_time_out_that_the_board_has_already_is_set_to_another(cable: Cable) -
     assert cable.mocks[0].settings.timeout == 1
 
 
+def test_a_pin_that_tells_of_no_home_switch_is_refused(cable: Cable) -> None:
+    board = board_on(cable)
+    cable.mocks[0].settings.pin_modes = (0, 0x04, 0x01, 0, 0)  # home of an earlier manual; emergency stop
+    board.identify()
+    board.require_home_switch(1)
+    with pytest.raises(
+        WrongIdentity, match=r'S5 as "Home \(User\)" \(0x62\) .* of channel 2, its mode is 0x01'
+    ):
+        board.require_home_switch(2)
+
+
 def test_what_is_not_a_roboclaw_or_counts_no_edges_is_refused(cable: Cable) -> None:
     board = board_on(cable)
     cable.mocks[0].settings.encoder_modes[1] = 1
