@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import re
 from typing import Literal
 
 import numpy as np
@@ -12,7 +14,9 @@ from calib.arm_import.serial import SerialArm
 from calib.arm_import.tree import Mass
 from calib.arrays import Array
 from control.model.arm import Convention, Effect, Link, Vector3
+from control.model.rules import NAME
 
+INVENTED = re.compile(r"(joint|link|base|tip)\d*")  # calib.export
 WORTH_SAYING = 1e-3  # products of inertia over the largest moment
 
 
@@ -21,14 +25,18 @@ def arm_links(serial: SerialArm, convention: Convention) -> tuple[tuple[Link, ..
     rows = dh_rows(serial.axes, serial.base_T_tip, convention)
     frames = frames_at_zero(rows, convention)
     is_known = any(mass is not None for mass in serial.masses)
-    links, notes = [], [] if is_known else ["the file has no masses: add them for everything with torques"]
+    links: list[Link] = []
+    notes = [] if is_known else ["the file has no masses: add them for everything with torques"]
     for row, frame in zip(rows, frames, strict=True):
         link = Link(_kind(row), _even(row.d_m), row.theta_rad, _even(row.L_m), row.alpha_rad)
         if row.joint is not None and is_known:
             mass = serial.masses[row.joint - 1]
             link = with_mass(link, mass, frame)
             notes += _lost(serial.joints[row.joint - 1].name, mass, frame)
-        links.append(link)
+        links.append(_named(link, row, serial))
+    for end, name in ((0, serial.base), (-1, serial.tip)):
+        if links[end].joint == "fixed" and name not in serial.links:
+            links[end] = dataclasses.replace(links[end], link_name=_own(name))
     between = sum(row.joint is None for row in rows[1:-1])
     if between:
         notes.append(f"{between} fixed rows stand between joints whose axes are almost parallel")
@@ -56,10 +64,19 @@ def with_mass(link: Link, mass: Mass | None, frame: Array) -> Link:
         own = mass.seen_from(_inverse(frame))
         com, kg = _vector(own.com_m), mass.mass_kg
         moments = _vector(np.maximum(np.diag(own.inertia_kg_m2), 0.0))
-    return Link(
-        link.joint, link.d_m, link.theta_rad, link.L_m, link.alpha_rad,
-        mass_kg=kg, com_m=com, inertia_kg_m2=moments,
-    )  # fmt: skip
+    return dataclasses.replace(link, mass_kg=kg, com_m=com, inertia_kg_m2=moments)
+
+
+def _named(link: Link, row: Row, serial: SerialArm) -> Link:
+    """With the names of its joint and body, unless they are those that an export invents."""
+    if row.joint is None:
+        return link
+    joint = serial.joints[row.joint - 1]
+    return dataclasses.replace(link, joint_name=_own(joint.name), link_name=_own(serial.links[row.joint - 1]))
+
+
+def _own(name: str) -> str:
+    return "" if INVENTED.fullmatch(name) or not NAME.holds(name) else name
 
 
 def _kind(row: Row) -> Literal["revolute", "fixed"]:

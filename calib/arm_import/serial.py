@@ -18,9 +18,11 @@ class SerialArm:
     """Joints from base to tip in the base link's frame at zero: axes, what they are, what each carries up to the next."""
 
     joints: tuple[TreeJoint, ...]
+    links: tuple[str, ...]  # which each joint moves
     axes: tuple[Axis, ...]
     masses: tuple[Mass | None, ...]
     base_T_tip: Array
+    base: str
     tip: str
     gravity_m_s2: tuple[float, float, float]
     notes: tuple[str, ...]
@@ -49,9 +51,11 @@ def serial_arm(tree: Tree, base: str | None = None, tip: str | None = None) -> S
     joints = tuple(link.joint for link in turning if link.joint is not None)
     return SerialArm(
         joints=joints,
+        links=tuple(link.name for link in turning),
         axes=tuple(_axis(seen[link.name], joint) for link, joint in zip(turning, joints, strict=True)),
         masses=masses,
         base_T_tip=seen[tip],
+        base=base,
         tip=tip,
         gravity_m_s2=(float(gravity[0]), float(gravity[1]), float(gravity[2])),
         notes=(*tree.notes, *notes),

@@ -82,7 +82,12 @@ class Body:
     @property
     def name(self) -> str:
         """Name in the exported file."""
-        return f"link{self.number}"
+        return (self.joint is not None and self.link.link_name) or f"link{self.number}"
+
+    @property
+    def joint_name(self) -> str:
+        """Name of its joint in the exported file; a fixed one's, if it does not turn."""
+        return self.link.joint_name or (f"fixed{self.number}" if self.joint is None else f"joint{self.joint}")
 
     @property
     def has_inertia(self) -> bool:
@@ -115,6 +120,12 @@ def bodies_of(arm: Arm) -> tuple[Body, ...]:
 def tip_in_last(arm: Arm, bodies: tuple[Body, ...]) -> Vector3:
     """The tip in the last body's frame; its axes are those of the last DH frame, `body_T_dh`."""
     return bodies[-1].body_T_dh.of(arm.tool.position_m)
+
+
+def end_names(arm: Arm) -> tuple[str, str]:
+    """Names of base and tip in the exported file."""
+    base, tip = (link.link_name if link.joint == "fixed" else "" for link in (arm.links[0], arm.links[-1]))
+    return base or "base", tip or "tip"
 
 
 def ends_m(arm: Arm, bodies: tuple[Body, ...]) -> tuple[Vector3, ...]:

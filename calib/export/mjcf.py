@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 
 from calib.export.drives import JointFigures, joint_figures
-from calib.export.frames import Body, bodies_of, ends_m, tip_in_last
-from calib.export.urdf import BASE, TIP, LEAST_LENGTH_m, mass_bounds, shape_radius_m
+from calib.export.frames import Body, bodies_of, end_names, ends_m, tip_in_last
+from calib.export.urdf import LEAST_LENGTH_m, mass_bounds, shape_radius_m
 from calib.export.xml_text import about, document, numbers, safe
 from control.model.arm import Arm, Vector3
 
@@ -21,13 +22,14 @@ def mjcf_text(arm: Arm) -> str:
         root, "compiler", {"angle": "radian", "autolimits": "true", "inertiafromgeom": "false"} | bounds
     )
     ET.SubElement(root, "option", gravity=numbers(arm.gravity_m_s2), integrator="implicitfast")
-    place = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=BASE)
+    base, tip = end_names(arm)
+    place = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=base)
     for body, end in zip(bodies, ends_m(arm, bodies), strict=True):
         place = _add_body(place, arm, body, end)
     at, turned = numbers(tip_in_last(arm, bodies)), numbers(bodies[-1].body_T_dh.quaternion)
-    tip = ET.SubElement(place, "body", name=TIP, pos=at, quat=turned)
-    ET.SubElement(tip, "site", name=TIP, size="0.005")
-    _add_motors(root, arm)
+    end_of_it = ET.SubElement(place, "body", name=tip, pos=at, quat=turned)
+    ET.SubElement(end_of_it, "site", name=tip, size="0.005")
+    _add_motors(root, arm, {body.joint: body.joint_name for body in bodies})
     return document(root, about(arm))
 
 
@@ -49,7 +51,7 @@ def _add_body(parent: ET.Element, arm: Arm, body: Body, end_m: Vector3) -> ET.El
         ET.SubElement(
             here,
             "joint",
-            {"name": f"joint{body.joint}", "axis": "0 0 1"} | _joint(joint_figures(arm, body.joint)),
+            {"name": body.joint_name, "axis": "0 0 1"} | _joint(joint_figures(arm, body.joint)),
         )
     length = math.hypot(*end_m)
     if length > LEAST_LENGTH_m:
@@ -71,7 +73,7 @@ def _joint(figures: JointFigures) -> dict[str, str]:
     return attributes
 
 
-def _add_motors(root: ET.Element, arm: Arm) -> None:
+def _add_motors(root: ET.Element, arm: Arm, joint_names: Mapping[int | None, str]) -> None:
     """Add a motor per drive; its control is the torque at the joint in N m."""
     if not arm.drives:
         return
@@ -82,6 +84,6 @@ def _add_motors(root: ET.Element, arm: Arm) -> None:
             actuators,
             "motor",
             name=f"motor{drive.joint}",
-            joint=f"joint{drive.joint}",
+            joint=joint_names[drive.joint],
             ctrlrange=numbers((-torque, torque)),
         )

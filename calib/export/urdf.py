@@ -6,11 +6,10 @@ import math
 import xml.etree.ElementTree as ET
 
 from calib.export.drives import JointFigures, joint_figures
-from calib.export.frames import Body, bodies_of, ends_m, massless_joints, tip_in_last
+from calib.export.frames import Body, bodies_of, end_names, ends_m, massless_joints, tip_in_last
 from calib.export.xml_text import about, document, numbers, safe
 from control.model.arm import Arm, Vector3
 
-BASE, TIP = "base", "tip"
 LEAST_LENGTH_m = 1e-3  # shorter links get no shape
 THICKNESS = 0.12  # a shape's radius over its length, within:
 THICKEST_m = 0.02
@@ -22,16 +21,17 @@ def urdf_text(arm: Arm) -> str:
     bodies = bodies_of(arm)
     root = ET.Element("robot", name=safe(arm.name))
     _for_mujoco(root, bodies)
-    ET.SubElement(root, "link", name=BASE)
+    base, tip = end_names(arm)
+    ET.SubElement(root, "link", name=base)
     for body, end in zip(bodies, ends_m(arm, bodies), strict=True):
         _add_link(root, body, end)
-    ET.SubElement(root, "link", name=TIP)
-    parent = BASE
+    ET.SubElement(root, "link", name=tip)
+    parent = base
     for body in bodies:
         _add_joint(root, arm, body, parent)
         parent = body.name
     turned = bodies[-1].body_T_dh.rpy_rad
-    _joint(root, f"{TIP}_fixed", "fixed", parent, TIP, tip_in_last(arm, bodies), turned)
+    _joint(root, f"{tip}_fixed", "fixed", parent, tip, tip_in_last(arm, bodies), turned)
     return document(root, about(arm))
 
 
@@ -84,11 +84,11 @@ def shape_radius_m(length_m: float) -> float:
 def _add_joint(root: ET.Element, arm: Arm, body: Body, parent: str) -> None:
     at = body.parent_T_body
     if body.joint is None:
-        _joint(root, f"fixed{body.number}", "fixed", parent, body.name, at.position_m, at.rpy_rad)
+        _joint(root, body.joint_name, "fixed", parent, body.name, at.position_m, at.rpy_rad)
         return
     figures = joint_figures(arm, body.joint)
     kind = "revolute" if figures.is_limited else "continuous"
-    joint = _joint(root, f"joint{body.joint}", kind, parent, body.name, at.position_m, at.rpy_rad)
+    joint = _joint(root, body.joint_name, kind, parent, body.name, at.position_m, at.rpy_rad)
     ET.SubElement(joint, "axis", xyz="0 0 1")
     _limit(joint, figures)
     if figures.viscous_Nm_s_rad or figures.coulomb_Nm:

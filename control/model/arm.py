@@ -69,6 +69,12 @@ class Link:
         NonNegative,
         "of its body, for floor, table and own base; 0: a line. The tip is a point",
     ] = 0.0
+    joint_name: Annotated[
+        str, NAME, "what its joint is called in messages and in models for other programs", '"joint N"'
+    ] = ""
+    link_name: Annotated[
+        str, NAME, "what its body is called in such models; of a fixed first or last row, base or tip"
+    ] = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +235,12 @@ class Arm:
     def joint_count(self) -> int:
         """The number of revolute joints, n."""
         return sum(self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """What the joints are called: as the file says, else `joint 1` and so on."""
+        turning = [link for link in self.links if link.joint == "revolute"]
+        return tuple(link.joint_name or f"joint {number}" for number, link in enumerate(turning, 1))
 
     @property
     def dh(self) -> NDArray[np.float64]:

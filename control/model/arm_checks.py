@@ -24,6 +24,7 @@ def check_arm(arm: Arm) -> None:
         raise Rejected(("link",), "at least one [[link]]", "none")
     if arm.joint_count == 0:
         raise Rejected(("link",), 'at least one link with joint = "revolute"', "only fixed ones")
+    _check_names(arm)
     _check_masses(arm)
     for index, drive in enumerate(arm.drives):
         _check_drive(arm, drive, index)
@@ -54,6 +55,19 @@ def _check_stream(stream: CameraStream) -> None:
         raise Rejected(
             (*path, "host"), f"the computer that {stream.system} streams from: name or address", "none"
         )
+
+
+def _check_names(arm: Arm) -> None:
+    """Other programs address joints and links by name."""
+    for key in ("joint_name", "link_name"):
+        seen: set[str] = set()
+        for index, link in enumerate(arm.links):
+            name = getattr(link, key)
+            if key == "joint_name" and name and link.joint == "fixed":
+                raise Rejected(("link", index, key), 'a name only where joint = "revolute"', f'"{name}"')
+            if name in seen:
+                raise Rejected(("link", index, key), "another name for every row", f'"{name}" again')
+            seen |= {name} - {""}
 
 
 def _check_masses(arm: Arm) -> None:

@@ -92,7 +92,7 @@ def assemble(
     prepare()
     limits, loads = JointLimits.of(arm), Loads(arm)
     tools = {tool.name: _tool_parts(arm.with_tool(tool.name), limits) for tool in arm.tools}
-    names = tuple(f"joint {drive.joint}" for drive in arm.drives)
+    names = tuple(arm.joint_names[drive.joint - 1] for drive in arm.drives)
     servo, measurement = _servo(arm, loads, period_s), _measurement(arm)
     parts = Parts(
         hardware=hardware,

@@ -25,13 +25,12 @@ SLOWER = 0.95  # of the model's speed; limits are rounded down to two digits
 
 @dataclass(frozen=True, slots=True)
 class NewArm:
-    """An arm, what each of its joints is called in the model it came from, and what there is to say about it.
+    """An arm, and what there is to say about it.
 
     places: in that model, of each joint and of the heaviest body that it carries, "" where there is none.
     """
 
     arm: Arm
-    joint_names: tuple[str, ...]
     notes: tuple[str, ...]
     places: tuple[tuple[str, str], ...] = ()
 
@@ -65,10 +64,8 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
         bare, drives=drives(serial.joints, needed, answers.parts, rest), rest=Rest(rest), limits=limits
     )
     arm = _wired(arm, answers.parts)
-    names = tuple(joint.name for joint in serial.joints)
     return NewArm(
         arm,
-        names,
         (
             *serial.notes,
             *notes,

@@ -33,7 +33,17 @@ def stretched_arm(shape: Shape) -> SerialArm:
         masses.append(_rod(place, length, tube_kg, shape.joint_kg if number < len(shape.axes) else 0.0))
     tip = np.eye(4)
     tip[2, 3] = heights[-1]
-    return SerialArm(tuple(joints), tuple(axes), tuple(masses), tip, "tip", (0.0, 0.0, -9.81), ())
+    return SerialArm(
+        tuple(joints),
+        ("",) * len(joints),
+        tuple(axes),
+        tuple(masses),
+        tip,
+        "base",
+        "tip",
+        (0.0, 0.0, -9.81),
+        (),
+    )
 
 
 def _rod(start_m: np.ndarray, length_m: float, tube_kg: float, end_kg: float) -> Mass:

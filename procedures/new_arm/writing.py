@@ -55,7 +55,7 @@ def commented_text(new: NewArm, origin: str) -> str:
     lines += _keys(
         arm, Arm, ("name", *(("as_given",) if arm.as_given else ()), "gravity_m_s2", "dh_convention")
     )
-    lines += _links(arm, new.joint_names)
+    lines += _links(arm)
     if arm.tool != Tool():
         lines += ["", "[tool]", *_keys(arm.tool, Tool, ("position_m",))]
     lines += _drives(arm)
@@ -80,17 +80,18 @@ def commented_text(new: NewArm, origin: str) -> str:
     return "\n".join([*lines, "", LATER])
 
 
-def _links(arm: Arm, names: Sequence[str]) -> list[str]:
+def _links(arm: Arm) -> list[str]:
     lines, joint = ["", f"# {SECTIONS['link']}"], 0
     for number, link in enumerate(arm.links):
         joint += link.joint == "revolute"
-        what = "# fixed"
-        if link.joint == "revolute":
-            called = names[joint - 1]
-            what = f"# joint {joint}" + (f": {_plain(called)}" if called != f"joint{joint}" else "")
+        what = f"# joint {joint}" if link.joint == "revolute" else "# fixed"
         lines += ["", f"{'[[link]]':<{VALUE_WIDTH}}  {what}"]
-        lines += _keys(link, Link, tuple(keys_of(Link)), with_comments=number == 0)
+        lines += _keys(link, Link, _keys_of_link(link), with_comments=number == 0)
     return lines
+
+
+def _keys_of_link(link: Link) -> tuple[str, ...]:
+    return tuple(key for key in keys_of(Link) if getattr(link, key) != "")
 
 
 def _drives(arm: Arm) -> list[str]:

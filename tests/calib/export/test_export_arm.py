@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pytransform3d.urdf import UrdfTransformManager
 
+from calib.arm_import import arm_links, read_arm
 from calib.errors import CalibrationError
 from calib.export import FORMS, export, export_text
 from console.main import main
@@ -331,3 +332,17 @@ def test_the_command_writes_the_file_and_says_what_it_lacks(
     assert path.read_text("utf-8") == export_text(load_arm("left"), form)
     assert main(["export-arm", "--arm", "left", "--export", form, "--out", str(path)]) == 2
     assert "is not overwritten" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("form", ["urdf", "mjcf"])
+def test_names_of_joints_and_links_go_through_an_export_and_an_import(form: str, tmp_path: Path) -> None:
+    rows = [
+        dataclasses.replace(link, joint_name=f"pan {number}", link_name=f"arm {number}")
+        for number, link in enumerate(RIGHT.links[:3])
+    ]
+    last = Link("fixed", 0.02, 0.3, 0.01, 0.4, link_name="gripper_frame")
+    export(dataclasses.replace(RIGHT, links=(*rows, last), table=None), form, tmp_path / "arm.xml")
+    back, _ = arm_links(read_arm(tmp_path / "arm.xml", form), "standard")
+    assert [link.joint_name for link in back if link.joint == "revolute"] == ["pan 0", "pan 1", "pan 2"]
+    names = [link.link_name for link in back if link.link_name]
+    assert names == ["arm 0", "arm 1", "arm 2", "gripper_frame"]
