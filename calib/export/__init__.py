@@ -17,7 +17,7 @@ from calib.export.urdf import urdf_text
 from control.files import write_whole
 from control.model.arm import Arm
 
-__all__ = ["FORMS", "export", "export_text"]
+__all__ = ["FORMS", "export", "export_text", "write_new"]
 
 FORMS: Final[Mapping[str, Callable[[Arm], str]]] = {
     "urdf": urdf_text,
@@ -33,7 +33,12 @@ def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
         CalibrationError: unknown format, or the file exists.
         NotWritten: the disk is full.
     """
-    text = export_text(arm, form)
+    write_new(path, export_text(arm, form))
+    return losses(arm, form)
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a new file and its folder. CalibrationError if it exists or cannot be written, NotWritten if the disk is full."""
     if path.exists():
         raise CalibrationError(f"{path}: already exists and is not overwritten; name another file")
     try:
@@ -41,7 +46,6 @@ def export(arm: Arm, form: str, path: Path) -> tuple[str, ...]:
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be written: {error.strerror or error}") from None
     write_whole(path, text)
-    return losses(arm, form)
 
 
 def export_text(arm: Arm, form: str) -> str:

@@ -5,15 +5,20 @@ import dataclasses
 import json
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+import msgspec
 
 from control.errors import ArmError
 from control.model.arm import Arm
-from control.model.description import load_arm
+from control.model.description import load_arm, save_arm
 from procedures.arm_sheet.figures import Sheet, sheet
 from procedures.arm_sheet.missing import Missing, missing
 from procedures.arm_sheet.text import sheet_lines, warnings
+
+LEROBOT: Final = "lerobot"
 
 
 def run(given: argparse.Namespace) -> int:
@@ -22,7 +27,10 @@ def run(given: argparse.Namespace) -> int:
         return _imported(given)
     arm = load_arm(given.arm)
     if given.command == "export-arm":
-        return _export(arm, given.export, Path(given.out))
+        is_lerobot = given.export == LEROBOT
+        return _given_back(arm, given) if is_lerobot else _export(arm, given.export, Path(given.out))
+    if given.lerobot:
+        return _taken_over(arm, given)
     found, absent = sheet(arm), missing(arm)
     if given.json:
         text = json.dumps({**summary(arm), **_figures(found, absent)}, indent=2)
@@ -58,15 +66,42 @@ def _imported(given: argparse.Namespace) -> int:
     return new.run(argparse.Namespace(**{**vars(given), "yes": True, "name": None}))
 
 
+def _taken_over(arm: Arm, given: argparse.Namespace) -> int:
+    """The arm with the zeros and ranges of LeRobot's calibration, as a new file."""
+    from calib.arm_import.lerobot import read_calibration, taken_over
+
+    if not given.out:
+        raise ArmError("--out: expected the arm.toml to write, got nothing")
+    changed, notes = taken_over(arm, read_calibration(Path(given.lerobot)))
+    save_arm(changed, Path(given.out))
+    return _told(f"{given.out}: arm {arm.name} with the zeros and ranges of {given.lerobot}", notes)
+
+
+def _given_back(arm: Arm, given: argparse.Namespace) -> int:
+    """LeRobot's calibration with the zeros that were identified."""
+    from calib.arm_import.lerobot import given_back, read_calibration
+    from calib.export import write_new
+
+    if not given.lerobot:
+        raise ArmError(
+            "--export lerobot: give the arm's present calibration with --lerobot: offsets and ids are kept"
+        )
+    generic = load_arm(given.generic) if given.generic else arm
+    motors, notes = given_back(arm, read_calibration(Path(given.lerobot)), generic)
+    write_new(Path(given.out), f"{json.dumps(msgspec.to_builtins(motors), indent=4)}\n")
+    return _told(f"{given.out}: arm {arm.name}, as LeRobot's calibration", notes)
+
+
+def _told(what: str, notes: Sequence[str]) -> int:
+    sys.stdout.write("\n  ".join((what, *notes)) + "\n")
+    return 0
+
+
 def _export(arm: Arm, form: str, path: Path) -> int:
     """URDF, MJCF or JSON; prints what the format cannot represent."""
     from calib.export import export
 
-    lost = export(arm, form, path)
-    sys.stdout.write(f"{path}: arm {arm.name}, {arm.joint_count} joints, as {form}\n")
-    for sentence in lost:
-        sys.stdout.write(f"  {sentence}\n")
-    return 0
+    return _told(f"{path}: arm {arm.name}, {arm.joint_count} joints, as {form}", export(arm, form, path))
 
 
 def summary(arm: Arm) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Final
 from calib.arm_import import SerialArm, read_arm
 from control.errors import ArmError, ArmFileError
 from control.files import NotWritten, write_whole
-from control.model.description import parse_arm
+from control.model.description import parse_arm, supplied_text
 from control.model.plausible import OVERRIDE
 from control.model.rules import LONGEST_NAME, is_file_name
 from procedures.new_arm.composing import NewArm, compose
@@ -18,6 +18,11 @@ from procedures.new_arm.questions import Asker, Given, answers_for, ask_shape
 from procedures.new_arm.stretched import stretched_arm
 from procedures.new_arm.writing import commented_text
 
+NAME: Final = re.compile(r'^name = ".*?"', re.MULTILINE)
+PORT: Final = re.compile(r'^port = "(.*?)"', re.MULTILINE)
+NOT_LIKE: Final = (
+    "joints", "axes", "lengths", "boards", "gears", "counts", "can", "home", "from_urdf", "from_mjcf", "base", "tip", "as_given",
+)  # fmt: skip
 ANSWERS: Final = ("joints", "axes", "lengths", "boards", "gears", "counts", "ports", "can", "home")
 
 
@@ -56,6 +61,8 @@ def run(given: argparse.Namespace) -> int:
     out = Path(given.out)
     if out.exists():
         raise ArmError(f"{out}: already exists and is not overwritten; name another file")
+    if given.like:
+        return _like(given, out)
     options = Given(**{key: getattr(given, key, None) for key in ANSWERS})
     asker: Asker = Defaults() if given.yes else Terminal()
     model = _model(given)
@@ -73,6 +80,29 @@ def run(given: argparse.Namespace) -> int:
     sys.stdout.write(f"\n{out}: arm {name}, {len(serial.joints)} joints, tip {serial.tip}\n")
     for note in new.notes:
         sys.stdout.write(f"  {note}\n")
+    sys.stdout.write(f"Next: armwright arm {out}; armwright mock --arm {out}\n")
+    return 0
+
+
+def _like(given: argparse.Namespace, out: Path) -> int:
+    """Copy a supplied arm, comments and all, under another name and to other ports."""
+    useless = [f"--{key.replace('_', '-')}" for key in NOT_LIKE if getattr(given, key, None)]
+    if useless:
+        raise ArmError(f"--like {given.like} copies a whole arm: leave {', '.join(useless)} out")
+    text, name = supplied_text(given.like), given.name or _name_of(out)
+    ports = list(dict.fromkeys(PORT.findall(text)))
+    if given.ports and len(given.ports) != len(ports):
+        raise ArmError(
+            f"--ports: expected {len(ports)}, as {given.like} has ({', '.join(ports)}), got {len(given.ports)}"
+        )
+    new_port = dict(zip(ports, given.ports or ports, strict=True))
+    text = PORT.sub(
+        lambda found: found[0].replace(found[1], new_port[found[1]]),
+        NAME.sub(f'name = "{name}"', text, count=1),
+    )
+    arm = parse_arm(text, out)
+    _write(out, text)
+    sys.stdout.write(f"{out}: arm {name}, {arm.joint_count} joints, like {given.like}\n")
     sys.stdout.write(f"Next: armwright arm {out}; armwright mock --arm {out}\n")
     return 0
 

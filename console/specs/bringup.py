@@ -14,9 +14,14 @@ JOINTS = option("--joint", type=int, metavar="J", action="append", help="only th
 BRINGUP = (
     CommandSpec(
         "new",
-        "write a commented arm.toml from a few answers, or from a URDF or MJCF; it runs on the mock at once",
+        "write a commented arm.toml from a few answers, a URDF or MJCF, or like a known arm; it runs on the mock at once",
         (
             NEW_ARM,
+            option(
+                "--like",
+                metavar="ARM",
+                help="copy a known arm (docs/arms.md), such as so101; with --name and --ports",
+            ),
             option("--name", metavar="NAME", help="the arm's name (default: that of the file)"),
             option("--joints", metavar="N", help="how many joints turn, 2 to 7"),
             option(

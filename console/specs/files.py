@@ -20,6 +20,8 @@ MODEL = (
     ),
 )
 
+LEROBOT = option("--lerobot", metavar="JSON", help="LeRobot's calibration of this arm (docs/so101.md)")
+
 FILES = (
     CommandSpec(
         "export",
@@ -51,14 +53,20 @@ FILES = (
     ),
     CommandSpec(
         "export-arm",
-        "export an arm as URDF, MJCF or JSON",
+        "export an arm as URDF, MJCF or JSON, or its zeros as LeRobot's calibration",
         (
             ARM,
             option(
                 "--export",
                 required=True,
-                choices=("urdf", "mjcf", "json"),
-                help="URDF, MuJoCo's MJCF, or plain DH with transforms",
+                choices=("urdf", "mjcf", "json", "lerobot"),
+                help="URDF, MuJoCo's MJCF, plain DH with transforms, or LeRobot's calibration",
+            ),
+            LEROBOT,
+            option(
+                "--generic",
+                metavar="A",
+                help="with lerobot: the arm whose zeros LeRobot is to have, such as so101",
             ),
             option("--out", metavar="FILE", required=True, help="the new file; never overwritten"),
         ),
@@ -78,10 +86,14 @@ FILES = (
             ),
             JSON,
             *MODEL,
+            LEROBOT,
             option(
-                "--out", metavar="NEW.toml", help="with a model: the arm.toml to write; never overwritten"
+                "--out",
+                metavar="NEW.toml",
+                help="with a model or --lerobot: the arm.toml to write; never overwritten",
             ),
         ),
-        "With --from-urdf or --from-mjcf, motors, gears, encoders and boards are placeholders; `armwright new` asks for them.",
+        "--lerobot takes zeros and ranges over. With --from-urdf or --from-mjcf, motors, gears, encoders and boards are"
+        " placeholders; `armwright new` asks for them.",
     ),
 )

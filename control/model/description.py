@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,7 @@ __all__ = [
     "load_arm",
     "parse_arm",
     "save_arm",
+    "supplied_text",
 ]
 
 _POSITION_IN_MESSAGE = re.compile(r" ?\(at (?:line (\d+), column \d+|end of document)\)$")
@@ -75,13 +77,21 @@ def load_arm(path_or_name: str | Path) -> Arm:
     path = Path(path_or_name)
     if path.suffix == ".toml" or path.exists():
         return parse_arm(_text_of(path), path)
-    shipped = resources.files("control.arms").joinpath(f"{path_or_name}.toml")
-    if str(path_or_name) not in arm_names():
+    text = supplied_text(str(path_or_name))
+    with resources.as_file(_shipped(str(path_or_name))) as file:
+        return parse_arm(text, file)
+
+
+def supplied_text(name: str) -> str:
+    """Return the file of a supplied arm; ArmFileError lists their names."""
+    if name not in arm_names():
         names = " or ".join(f'"{name}"' for name in arm_names())
-        expected = f"a path to an arm.toml, or {names}"
-        raise ArmFileError(str(path_or_name), None, "", expected, "an unknown name")
-    with resources.as_file(shipped) as file:
-        return parse_arm(shipped.read_text(encoding="utf-8"), file)
+        raise ArmFileError(name, None, "", f"a path to an arm.toml, or {names}", "an unknown name")
+    return _shipped(name).read_text(encoding="utf-8")
+
+
+def _shipped(name: str) -> Traversable:
+    return resources.files("control.arms").joinpath(f"{name}.toml")
 
 
 def arm_names() -> tuple[str, ...]:

@@ -1,0 +1,120 @@
+"""LeRobot's calibration of a servo arm, taken over and given back: zeros and ranges of its joints.
+
+LeRobot keeps a JSON file for each arm: by motor its id, the offset that is stored in the servo, and the least and the greatest
+position that the joint was moved to. An angle in degrees is (position - middle) 360 / 4095, with the middle of that range as zero
+(its MotorsBus, github.com/huggingface/lerobot at 7427f318). Here a turn has 4096 counts, so its angles are 0.024 % larger.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+
+from calib.errors import ImportedModelError
+from control.files import read_text
+from control.model.arm import Arm, Drive
+
+COUNTS: Final = 4096  # a turn of an STS, X and XL servo
+WORTH_SAYING_rad: Final = 0.02
+Position = Annotated[int, msgspec.Meta(ge=0, le=COUNTS - 1)]
+
+
+class Motor(msgspec.Struct):
+    """One motor of the file, with LeRobot's keys."""
+
+    id: int
+    drive_mode: int
+    homing_offset: int
+    range_min: Position
+    range_max: Position
+
+
+def read_calibration(path: Path) -> dict[str, Motor]:
+    """The motors by name. ImportedModelError if it is no such file."""
+    try:
+        motors = msgspec.json.decode(read_text(path), type=dict[str, Motor])
+    except msgspec.DecodeError as error:
+        raise ImportedModelError(
+            f"{path}: expected a calibration of LeRobot (JSON, a motor a key): {error}"
+        ) from None
+    for name, motor in motors.items():
+        if motor.range_max <= motor.range_min:
+            raise ImportedModelError(
+                f"{path}: {name}: expected range_max above {motor.range_min}, got {motor.range_max}"
+            )
+    return motors
+
+
+def taken_over(arm: Arm, motors: Mapping[str, Motor]) -> tuple[Arm, tuple[str, ...]]:
+    """The arm with LeRobot's zeros, its ranges within LeRobot's; and a sentence a joint. Motors are found by their ids."""
+    drives, notes = [], []
+    for drive, name in zip(arm.drives, arm.joint_names, strict=True):
+        motor = _motor_of(arm, drive, motors)
+        zero = round(0.5 * (motor.range_min + motor.range_max))
+        ends = sorted(
+            drive.encoder_direction * (end - zero) / _counts_per_rad()
+            for end in (motor.range_min, motor.range_max)
+        )
+        lower, upper = max(drive.joint_lower_rad, ends[0]), min(drive.joint_upper_rad, ends[1])
+        drives.append(
+            dataclasses.replace(drive, zero_count=zero, joint_lower_rad=lower, joint_upper_rad=upper)
+        )
+        notes.append(f"{name}: zero at count {zero}, {lower:.3f} to {upper:.3f} rad")
+    return dataclasses.replace(arm, drives=tuple(drives)), tuple(notes)
+
+
+def given_back(
+    arm: Arm, motors: Mapping[str, Motor], generic: Arm
+) -> tuple[dict[str, Motor], tuple[str, ...]]:
+    """The calibration with which LeRobot's angles are those of the `generic` arm, as far as zeros can do it; and what it costs.
+
+    A joint whose theta was identified stands elsewhere than the generic arm has it: its zero moves by that. LeRobot has its zero
+    in the middle of a range, so the range loses what lies further out on one side. Motors that are no joint stay.
+    """
+    given, notes = dict(motors), []
+    names = {motor.id: name for name, motor in motors.items()}
+    if arm.joints != generic.joints:
+        raise ImportedModelError(
+            f"arm {generic.name} is another arm than {arm.name}: their links do not turn in the same places"
+        )
+    both = zip(arm.links, generic.links, strict=True)
+    moved = [link.theta_rad - other.theta_rad for link, other in both if link.joint == "revolute"]
+    for drive, called, shift_rad in zip(arm.drives, arm.joint_names, moved, strict=True):
+        motor, counts = _motor_of(arm, drive, motors), _counts_per_rad()
+        zero = drive.zero_count - drive.encoder_direction * shift_rad * counts
+        ends_rad = (drive.joint_lower_rad + shift_rad, drive.joint_upper_rad + shift_rad)
+        reach = min(counts * -ends_rad[0], counts * ends_rad[1], zero, COUNTS - 1 - zero)
+        if reach < 1.0:
+            raise ImportedModelError(f"{called}: its range does not contain the zero that LeRobot would have")
+        low = math.ceil(zero - reach)
+        given[names[motor.id]] = msgspec.structs.replace(
+            motor, range_min=low, range_max=round(2.0 * zero) - low
+        )
+        lost_rad = max(-ends_rad[0], ends_rad[1]) - reach / counts
+        cost = f"; {lost_rad:.2f} rad of its travel are left out" if lost_rad > WORTH_SAYING_rad else ""
+        notes.append(f"{called}: zero moved by {shift_rad:+.4f} rad{cost}")
+    return given, tuple(notes)
+
+
+def _counts_per_rad() -> float:
+    return COUNTS / (2.0 * math.pi)
+
+
+def _motor_of(arm: Arm, drive: Drive, motors: Mapping[str, Motor]) -> Motor:
+    board = arm.board(drive)
+    if board is None or not arm.kind_of(drive).is_absolute:
+        raise ImportedModelError(
+            f"arm {arm.name}: joint {drive.joint} is on no smart servo, which LeRobot's calibration is about"
+        )
+    by_id = {motor.id: motor for motor in motors.values()}
+    if board.address not in by_id:
+        ids = ", ".join(map(str, sorted(by_id)))
+        raise ImportedModelError(
+            f"arm {arm.name}: joint {drive.joint} is servo {board.address}; the calibration has {ids}"
+        )
+    return by_id[board.address]
