@@ -5,26 +5,34 @@ between motor and joint are effects (`control.model.effects`).
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from control.dynamics.rigid_body import chain_of, inverse_dynamics
+from control.dynamics.rigid_body import Chain, chain_of, inverse_dynamics
 from control.errors import ArmError
 from control.kinematics.chain import checked_poses
 from control.kinematics.straight_line import compile_function
 from control.kinematics.tracing import Graph, Scalar, Symbol
-from control.model.arm import Arm
+from control.model.arm import Arm, Vector3
 
 Array = NDArray[np.float64]
 Floats = tuple[float, ...]
+Built = TypeVar("Built")
+KEPT = 64  # compiled functions of each sort
+
+
+def _shared(build: "Callable[[Dynamics], Built]") -> "cached_property[Built]":
+    """A property that is built once for all equal dynamics."""
+    return cached_property(lru_cache(maxsize=KEPT)(build))
 
 
 class Dynamics:
     """The equations of motion of one arm, with a point mass `payload_kg` at its tip.
 
+    Equal where the numbers are, and then they share what is traced and compiled: that takes longer than most of its uses.
     Raises MissingModel, which names the masses that the arm's file lacks.
     """
 
@@ -37,18 +45,28 @@ class Dynamics:
         self.payload_kg = payload_kg
         self.joint_count = arm.joint_count
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Dynamics) and self._numbers == other._numbers
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
+
+    @property
+    def _numbers(self) -> tuple[Chain, Vector3, float]:
+        return self._chain, self._gravity, self.payload_kg
+
     def with_payload(self, payload_kg: float) -> "Dynamics":
         """Return the same arm with another mass at its tip."""
         return Dynamics(self._arm, payload_kg)
 
-    @cached_property
+    @_shared
     def inverse(self) -> Callable[[Sequence[float], Sequence[float], Sequence[float]], Floats]:
         """`inverse(q, speed, acceleration) -> torques` [rad, rad/s, rad/s^2 -> N m at the joints]."""
         q, speed, acceleration = self._symbols()
         torques = self._torques(q, speed, acceleration, self._gravity, self.payload_kg)
         return compile_function("inverse_dynamics", [q, speed, acceleration], tuple(torques))
 
-    @cached_property
+    @_shared
     def gravity(self) -> Callable[[Sequence[float]], Floats]:
         """`gravity(q) -> torques` that hold the arm still [N m]."""
         q, *_ = self._symbols()
@@ -57,7 +75,7 @@ class Dynamics:
             "gravity", [q], tuple(self._torques(q, still, still, self._gravity, self.payload_kg))
         )
 
-    @cached_property
+    @_shared
     def mass_matrix(self) -> Callable[[Sequence[float]], tuple[Floats, ...]]:
         """`mass_matrix(q) -> n rows` [kg m^2], rotors included."""
         q, *_ = self._symbols()
@@ -87,7 +105,7 @@ class Dynamics:
                 result[:, i, j] = entry
         return result
 
-    @cached_property
+    @_shared
     def _batch(self) -> Callable[..., Any]:
         q, speed, acceleration = self._symbols()
         payload = q[0].graph.variable("payload")

@@ -23,6 +23,7 @@ and only 15 at joint 1 with the arm retracted. The loop scales the PID by `Inert
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,8 +114,7 @@ class InertiaScale:
         pids = [drive.pid for drive in arm.drives]
         self._is_derived = tuple(pid.mode == "current" and pid.kp is None for pid in pids)
         self._mass_matrix = Dynamics(arm).mass_matrix
-        diagonals = np.diagonal(Dynamics(arm).mass_matrices(_scatter(arm)), axis1=1, axis2=2)
-        self.unknown = self._shares(diagonals.min(axis=0).tolist())
+        self.unknown = self._shares(_inertias_kg_m2(Dynamics(arm), arm.limits_rad).min(axis=0).tolist())
 
     def __call__(self, q_rad: Sequence[float]) -> tuple[float, ...]:
         """Scales of all joints, above 0 and at most about 1."""
@@ -129,11 +129,11 @@ class InertiaScale:
 def _inertia_kg_m2(arm: Arm, joint: int) -> float:
     """The largest inertia of a joint over random poses within the joint ranges."""
     try:
-        matrices = Dynamics(arm).mass_matrices(_scatter(arm))
+        inertias = _inertias_kg_m2(Dynamics(arm), arm.limits_rad)
     except MissingModel as error:
         needs = f"gains of joint {joint}: [drive.pid] has no kp, ki, kd, and they cannot be derived"
         raise MissingModel(f"{needs}: {error}") from None
-    inertia = float(matrices[:, joint - 1, joint - 1].max())
+    inertia = float(inertias[:, joint - 1].max())
     if inertia <= 0.0:
         raise MissingModel(
             f"arm {arm.name}: gains of joint {joint} cannot be derived, its inertia is zero; "
@@ -142,7 +142,9 @@ def _inertia_kg_m2(arm: Arm, joint: int) -> float:
     return inertia
 
 
-def _scatter(arm: Arm) -> NDArray[np.float64]:
-    """Random poses within the joint ranges (one turn if unlimited), with a fixed seed."""
-    lower, upper = np.clip(np.array(arm.limits_rad), -np.pi, np.pi).T
-    return np.random.default_rng(0).uniform(lower, upper, (_POSES, arm.joint_count))
+@lru_cache(maxsize=8)
+def _inertias_kg_m2(dynamics: Dynamics, limits_rad: tuple[tuple[float, float], ...]) -> NDArray[np.float64]:
+    """Each joint's inertia in random poses within the joint ranges (one turn if unlimited), with a fixed seed."""
+    lower, upper = np.clip(np.array(limits_rad), -np.pi, np.pi).T
+    poses = np.random.default_rng(0).uniform(lower, upper, (_POSES, dynamics.joint_count))
+    return np.diagonal(dynamics.mass_matrices(poses), axis1=1, axis2=2)

@@ -160,3 +160,13 @@ def test_states_that_are_none_are_rejected() -> None:
         dynamics.torques(np.zeros((2, 3)), np.zeros((1, 3)), np.zeros((2, 3)))
     with pytest.raises(ArmError, match="payload_kg"):
         Dynamics(RIGHT, math.nan)
+
+
+def test_equal_arms_share_what_is_compiled_and_others_do_not() -> None:
+    arm, first = Dynamics(RIGHT), RIGHT.links[0]
+    heavier = dataclasses.replace(RIGHT, links=(dataclasses.replace(first, mass_kg=99.0), *RIGHT.links[1:]))
+    on_a_wall = dataclasses.replace(RIGHT, gravity_m_s2=(0.0, 9.81, 0.0))
+    assert Dynamics(dataclasses.replace(RIGHT)).gravity is arm.gravity
+    for other in (arm.with_payload(0.5), Dynamics(heavier), Dynamics(on_a_wall)):
+        assert other != arm
+        assert other.gravity is not arm.gravity
