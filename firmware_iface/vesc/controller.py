@@ -21,7 +21,7 @@ UNSEEN_s: Final = 0.1  # longer, and an arm that sinks on shorted windings passe
 UNSEEN_turns: Final = 0.45  # between two angles; beyond half a turn the nearest one is another turn's
 SPEED_GAIN: Final = 0.3  # messages arrive a cycle earlier or later than they are sent
 LONGEST_ANSWER: Final = 512  # bytes; a VESC's buffer
-FILLS: Final = {Packet.FILL_RX_BUFFER: 1, Packet.FILL_RX_BUFFER_LONG: 2}  # bytes of the place
+FILLS: Final[dict[int, int]] = {Packet.FILL_RX_BUFFER: 1, Packet.FILL_RX_BUFFER_LONG: 2}  # bytes of the place
 TO_HOST: Final = (Packet.PONG, Packet.PROCESS_SHORT_BUFFER, Packet.PROCESS_RX_BUFFER)
 NEEDED: Final = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
 

@@ -21,6 +21,7 @@ from firmware_iface.moteus import wire as moteus
 from firmware_iface.odrive import wire as odrive
 from firmware_iface.roboclaw import wire as roboclaw
 from firmware_iface.vesc import wire as vesc
+from hil_mocks.devices.dynamixel import DynamixelLineMock
 from hil_mocks.scenario import FaultTable
 from procedures.drills.drill import LOOKED, WATCHED_S
 from procedures.drills.promise import GOES_ON, Outcome, Promise, length_m, stood_s
@@ -258,7 +259,9 @@ def old_firmware(played: Stage) -> str:
     """A servo without a bus watchdog is refused before anything is commanded."""
     played.begin(REST)
     played.way = played.way[-1:]
-    played.rig.robot.bought.lines[0].servos[2].table[FIRMWARE] = OLD_FIRMWARE
+    for line in played.rig.robot.bought.lines:
+        if isinstance(line, DynamixelLineMock):
+            line.servos[2].table[FIRMWARE] = OLD_FIRMWARE
     try:
         played.restart()
     except ConnectionFailed as error:
