@@ -38,9 +38,11 @@ def read_places(file: Path) -> dict[str, Place]:
     return {name: _place(file, name, table) for name, table in _tables(file).items()}
 
 
-def find_place(file: Path, name: str) -> Place:
-    """One place. PlacesError lists the known places."""
-    places = read_places(file)
+def find_place(file: Path, name: str, rest_rad: Sequence[float] | None = None) -> Place:
+    """One place; `rest` is the arm's own, where the file has none. PlacesError lists the known places."""
+    if name == "rest" and rest_rad is not None and not file.exists():
+        return Place(name, tuple(rest_rad), None)
+    places = ({} if rest_rad is None else {"rest": Place("rest", tuple(rest_rad), None)}) | read_places(file)
     if name not in places:
         raise PlacesError(f"{file}: no place {name!r}; expected one of {', '.join(places) or 'none'}")
     return places[name]

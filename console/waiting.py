@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 
-from control.server.channel import Message
+from control.server.channel import Message, RuntimeGone
 from control.server.client import ArmClient
 
 QUIET_S = 1.0  # most commands are done by then
@@ -46,7 +46,7 @@ class Progress:
 
 @contextlib.contextmanager
 def shown(client: ArmClient, given: argparse.Namespace, title: str = "") -> Iterator[None]:
-    """Show progress while open; not in a script, whose lines report themselves."""
+    """Show progress while open, and how it ended; not in a script, whose lines report themselves."""
     if getattr(given, "connect", None) is not None:
         yield
         return
@@ -57,3 +57,7 @@ def shown(client: ArmClient, given: argparse.Namespace, title: str = "") -> Iter
     finally:
         client.on_wait = None
         progress.close()
+    mode = "the runtime has ended"
+    with contextlib.suppress(RuntimeGone):
+        mode = str(client.ask("mode")["mode"]).lower()
+    sys.stderr.write(f"{title or given.command}: {mode}\n")

@@ -49,8 +49,8 @@ def require_commas(path: Path, header: Sequence[str]) -> None:
     for mark, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "vertical bars")):
         if sum(cell.count(mark) for cell in header) > len(header):
             raise PointsFileError(
-                f"{path}, line 1: the columns are separated by {name}, expected commas (and decimal points in numbers): save"
-                " the file as comma-separated text"
+                f"{path}, line 1: the columns are separated by {name}, expected commas (and decimal points in numbers):"
+                " `armwright import-points` reads it and makes a points.csv"
             )
 
 

@@ -6,8 +6,9 @@ import csv
 import gzip
 import io
 import math
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -88,8 +89,8 @@ def write_points(path: Path, points: Points) -> None:
 class PointsWriter:
     """Appends records to a .csv; each is on the disk before `append` returns.
 
-    An existing file is continued. An incomplete last line, left by a killed process, is dropped;
-    see `warnings`. SessionError if the file is of another arm or was not written by a session.
+    An existing file is continued, and so are its times, where a runtime was started anew. An incomplete last line, left by a
+    killed process, is dropped; see `warnings`. SessionError if the file is of another arm or was not written by a session.
     """
 
     def __init__(
@@ -107,7 +108,12 @@ class PointsWriter:
         columns = [*_header(joint_count), *more]
         self._header, self._take = _line(columns), columns.index("take")
         path.parent.mkdir(parents=True, exist_ok=True)
+        self._last_s, self._ahead_s = (
+            -math.inf,
+            0.0,
+        )  # of the file's times: their end, and how far ahead of the arm's clock they go on
         self._file = self._opened()
+        self._paused_s = max(0.0, time.time() - path.stat().st_mtime)
         try:
             self.warnings: tuple[str, ...] = self._mend()
             self._lines: dict[Key, str] = self._read()
@@ -132,7 +138,10 @@ class PointsWriter:
         """Write one record and wait for the disk."""
         if record.key in self._lines:
             raise SessionError(f"{self._path}: {' '.join(map(str, record.key))} is recorded already")
-        line = _line(self._row(record))
+        if record.t_s + self._ahead_s < self._last_s:
+            self._ahead_s = self._last_s + self._paused_s - record.t_s
+        self._last_s = record.t_s + self._ahead_s
+        line = _line(self._row(replace(record, t_s=self._last_s)))
         append_whole(self._file.fileno(), self._path, line.encode())
         self._lines[record.key] = line.rstrip("\n")
 
@@ -189,6 +198,8 @@ class PointsWriter:
         if not lines:
             return {}
         points, _ = read_points(self._path, self._joint_count)  # which refuses what is not UTF-8
+        if np.isfinite(points.t_s).any():
+            self._last_s = float(np.nanmax(points.t_s))
         keys = list(zip(points.setup, points.point, points.repeat, strict=True))
         if len(keys) != len(lines) or len(set(keys)) < len(keys):
             raise SessionError(f"{self._path}: a point appears twice, or a line is empty: undo manual edits")

@@ -47,7 +47,8 @@ def _move(given: argparse.Namespace) -> int:
 
 
 def _go(given: argparse.Namespace) -> int:
-    place = find_place(Path(given.places), given.name)
+    rest = load_arm(given.arm).rest
+    place = find_place(Path(given.places), given.name, rest and rest.q_rad)
     return _joint_move(given, place.q_rad, place.tip_m)
 
 

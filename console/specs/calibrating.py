@@ -217,6 +217,29 @@ CALIBRATING = (
         module="calibration.calibrate_distances",
     ),
     CommandSpec(
+        "import-points",
+        "points.csv of a table that another program wrote: any separator, decimal mark, encoding, unit and column names",
+        (
+            option(
+                "file",
+                metavar="FILE",
+                help="text with a header line: a row for each pose, joint angles and measured tip",
+            ),
+            ARM,
+            option(
+                "--columns",
+                metavar="OURS=THEIRS",
+                nargs="+",
+                help='what the header does not tell: q1_rad="Axis A"',
+            ),
+            option("--angles", metavar="UNIT", help="rad or deg (default: as the header says)"),
+            option("--lengths", metavar="UNIT", help="m, cm, mm or in (default: as the header says)"),
+            OUT,
+        ),
+        "Nothing moves. Says what it understood, asks what the table does not tell, and never overwrites.",
+        module="calibration.import_points",
+    ),
+    CommandSpec(
         "import-capture",
         "points from a recording of a motion capture system (Vicon CSV, C3D), on the time of the encoders",
         (

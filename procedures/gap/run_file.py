@@ -82,10 +82,22 @@ def write_log(out: Path, arm: Arm, names: Sequence[str]) -> tuple[str, ...]:
     runs = [(name, RunFile.read(path, n)) for name, path in there if path.exists()]
     if not runs:
         return ()
-    clocks = clocks_of(arm, [raw for _, raw in runs])
-    text = log_text(n, [(name, aligned(arm, raw, clocks), raw.payload_kg) for name, raw in runs])
-    replace_file(out / "log.csv", text.encode())
+    rows = []
+    for session in _by_runtime(runs):
+        clocks = clocks_of(arm, [raw for _, raw in session])
+        rows += [(name, aligned(arm, raw, clocks), raw.payload_kg) for name, raw in session]
+    replace_file(out / "log.csv", log_text(n, rows).encode())
     return clocks.in_words()
+
+
+def _by_runtime(runs: Sequence[tuple[str, Raw]]) -> list[list[tuple[str, Raw]]]:
+    """The runs by the runtimes that recorded them: each has a clock of its own, and the boards may have gone on with theirs."""
+    apart: list[list[tuple[str, Raw]]] = [[]]
+    for name, raw in runs:
+        if apart[-1] and raw.t_s[0] < apart[-1][-1][1].t_s[0]:
+            apart.append([])
+        apart[-1].append((name, raw))
+    return apart
 
 
 def log_text(joint_count: int, runs: Sequence[tuple[str, Aligned | Run, float]]) -> str:

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import json
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
 
 REAL_SPEED = 0.5  # of a real arm's joint limits, between poses
 MOCK_PAYLOAD_kg = 0.5
+MOTION_SHARE = (
+    0.5  # of the mass that the motors hold; the rest of their torque is friction's and the motions'
+)
 CAMERA_LOOK_s = 0.5
 MINUTES_MOST = 600.0
 
@@ -99,7 +103,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
     from calib.gap.plan.plan import PlanRequest, recording_plan
 
     _require_recording_options(given)
-    payload_kg = given.payload if given.payload is not None else MOCK_PAYLOAD_kg * bool(given.mock)
+    payload_kg = _payload_kg(given, arm)
     request = PlanRequest(
         given.only != "motion", given.only != "static", payload_kg, bool(given.quick), given.minutes
     )
@@ -130,6 +134,21 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
         sys.stdout.write("".join(f"recorded  {name}\n" for name in (*points, *logs)))
         return 0
     return _look(given, arm, points, logs, without, out)
+
+
+def _payload_kg(given: argparse.Namespace, arm: Arm) -> float:
+    """The mass to record with. CalibrationError for one that the motors do not hold."""
+    from procedures.arm_sheet.figures import sheet
+
+    held = sheet(arm).payload if given.mock or given.payload else None
+    most_kg = math.inf if held is None else held.everywhere_kg
+    if given.payload is None:
+        return min(MOCK_PAYLOAD_kg, round(MOTION_SHARE * most_kg, 3)) if given.mock else 0.0
+    if given.payload > most_kg:
+        raise CalibrationError(
+            f"--payload: {given.payload:g} kg, and the motors hold {most_kg:.2f} kg in every pose (`armwright arm`): take less"
+        )
+    return float(given.payload)
 
 
 def _require_recording_options(given: argparse.Namespace) -> None:

@@ -1,5 +1,6 @@
 """points.csv: what is written comes back, and what is wrong is named with file, line and column."""
 
+import dataclasses
 import gzip
 import os
 import signal
@@ -161,6 +162,18 @@ def test_an_interrupted_session_goes_on_where_it_was(tmp_path: Path) -> None:
     assert points.point == ("1", "2", "3")
     assert np.isnan(points.tip_m).any(axis=1).tolist() == [False, True, False]
     assert points.direction[0].tolist() == [1.0, -1.0]
+
+
+def test_times_go_on_where_a_file_is_continued_by_a_runtime_whose_clock_began_anew(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    for times_s in ((100.0, 130.0), (5.0, 25.0), (90.0, 95.0)):
+        with PointsWriter(path, 2) as writer:
+            for t_s in times_s:
+                number = len(writer.recorded) + 1
+                writer.append(dataclasses.replace(record(number), t_s=t_s))
+    steps_s = np.diff(read_points(path, 2)[0].t_s)
+    np.testing.assert_allclose(steps_s[[0, 2, 4]], [30.0, 20.0, 5.0])
+    assert ((steps_s[[1, 3]] >= 0.0) & (steps_s[[1, 3]] < 60.0)).all(), "the pause between"
 
 
 def test_a_line_torn_at_any_byte_is_dropped_with_a_warning(tmp_path: Path) -> None:

@@ -370,6 +370,15 @@ def test_a_place_is_kept_beside_the_others(tmp_path: Path) -> None:
         find_place(file, "home")
 
 
+def test_rest_is_the_arms_own_pose_unless_the_file_has_another(tmp_path: Path) -> None:
+    own, file = (0.0, 0.15, 0.75), tmp_path / "places.toml"
+    assert find_place(file, "rest", own).q_rad == own
+    file.write_text("[corner]\ntip_m = [0.5, 0.1, 0.1]\n")
+    assert find_place(file, "rest", own).q_rad == own
+    save_place(file, "rest", (0.1, 0.15, 0.75))
+    assert find_place(file, "rest", own).q_rad == (0.1, 0.15, 0.75)
+
+
 @pytest.mark.parametrize(
     "text", ["[a]\n", "[a]\nx = 1\n", "[a]\nq_rad = 1\n", "[a]\nq_rad = []\n", "[a]\ntip_m = [1.0, 2.0]\n",
              '[a]\nq_rad = ["1"]\n', "[a]\nq_rad = [nan]\n", "a = 1\n", "[a", "[a]\nq_rad=[1.0]\ntip_m=[1.0,2.0,3.0]\n"],

@@ -109,20 +109,36 @@ def test_the_current_is_brought_to_the_moment_of_the_command(is_newest: bool) ->
 
 def test_a_log_has_the_voltages_of_all_joints_or_of_none(tmp_path: Path) -> None:
     """An empty voltage would say that the driver is off."""
+    for lost in (None, "u3_V"):
+        write_run(tmp_path, "1", RUNS[0], lost)
+        write_log(tmp_path, ARM, ["1"])
+        header = (tmp_path / "log.csv").read_text().partition("\n")[0]
+        assert ("u1_V" in header, "i1_A" in header) == (lost is None, True)
+
+
+def test_a_run_of_another_runtime_is_put_on_a_clock_of_its_own(tmp_path: Path) -> None:
+    """The runtime's clock began anew, the encoder board's went on."""
+    later = replace(RUNS[1], t_s=RUNS[1].t_s - 55.0)
+    logs = {}
+    for names in (("2",), ("1", "2")):
+        for name, raw in (("1", RUNS[0]), ("2", later)):
+            write_run(tmp_path, name, raw)
+        write_log(tmp_path, ARM, names)
+        lines = (tmp_path / "log.csv").read_text().splitlines()
+        logs[names] = [line for line in lines if line.startswith("2,")]
+    assert logs["2",] == logs["1", "2"] != []
+
+
+def write_run(folder: Path, name: str, one: Raw, lost: str | None = None) -> None:
     n = 3
-    one = RUNS[0]
     table = {f"{form}{j + 1}{unit}": values[:, j] for j in range(n) for form, unit, values in (
         ("q", "_rad", one.q_rad), ("q", "_set_rad", one.q_set_rad), ("i", "_A", one.current_A), ("u", "_V", one.voltage_V),
         ("counted", "_s", one.counted_s))}  # fmt: skip
     table |= {"t_s": one.t_s, **{name: one.tip_m[:, k] for k, name in enumerate(("x_m", "y_m", "z_m"))}}
-    for lost in (None, "u3_V"):
-        rows = np.zeros(400, dtype=[(name, np.float64) for name in table])
-        for name, values in table.items():
-            rows[name] = math.nan if name == lost else values[:400]
-        RunFile.write(RunFile.of(tmp_path, "1"), rows, ARM, 0.0)
-        write_log(tmp_path, ARM, ["1"])
-        header = (tmp_path / "log.csv").read_text().partition("\n")[0]
-        assert ("u1_V" in header, "i1_A" in header) == (lost is None, True)
+    rows = np.zeros(400, dtype=[(column, np.float64) for column in table])
+    for column, values in table.items():
+        rows[column] = math.nan if column == lost else values[:400]
+    RunFile.write(RunFile.of(folder, name), rows, ARM, 0.0)
 
 
 @pytest.mark.parametrize("kind", ["dynamixel", "mixed"])

@@ -1,0 +1,169 @@
+"""Points from a table that another program wrote, with its own separator, decimal mark, encoding, units and column names.
+
+What header and cells tell is taken and said; what they do not tell is `Unclear`, and nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.errors import PointsFileError
+from calib.points.points import TIP, Points, make_points
+from control.files import read_bytes
+from control.model.arm import Arm
+
+SEPARATORS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", ",": "commas"}
+ANGLES: Final = {"rad": 1.0, "deg": np.pi / 180.0}
+LENGTHS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+UNITS: Final = (  # as a header says them, the first that is found; German degrees (Grad) have a rad in them
+    ("deg", r"deg|grad\b|°"), ("rad", r"rad"), ("mm", r"mm\b"), ("cm", r"cm\b"), ("m", r"(?<![a-z])m\b"), ("in", r"\bin(ch)?\b"),
+)  # fmt: skip
+JOINT: Final = r"^\W*(?:q|j|a|joint|axis|achse|gelenk|axe|articulation|theta|winkel|angle)[\s_.-]*{}(?!\d)"
+COLUMNS: Final = {
+    **{name: rf"^(?:tip|tcp|pos(?:ition)?|mess(?:ung|punkt)?)?[\s_.-]*{name[0]}(?![a-z])" for name in TIP},
+    "setup": r"^(setup|aufbau|lage|tilt)\b", "point": r"^(point|punkt|pose|name|no|nr|id|place|stelle)\b",
+    "repeat": r"^(repeat|rep|wiederholung|visit|take)\b",
+}  # fmt: skip
+OPTIONAL: Final = ("setup", "point", "repeat")
+
+
+class Unclear(PointsFileError):
+    """The table does not tell this: the option that answers it, and what it may be."""
+
+    def __init__(self, what: str, option: str, key: str, choices: Sequence[str]) -> None:
+        super().__init__(
+            f"{what}: answer with {option} {key}{', one of ' + ', '.join(choices) if choices else ''}"
+        )
+        self.question, self.option, self.key, self.choices = what, option, key, choices
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """A table as text, and how it was read."""
+
+    path: Path
+    names: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    about: str
+    has_decimal_commas: bool
+
+    def numbers(self, name: str) -> list[float]:
+        """A column as numbers; PointsFileError names line and column."""
+        return [
+            self._number(row[self.names.index(name)], line, name) for line, row in enumerate(self.rows, 2)
+        ]
+
+    def _number(self, cell: str, line: int, name: str) -> float:
+        try:
+            return float(cell.replace(",", ".") if self.has_decimal_commas else cell)
+        except ValueError:
+            raise PointsFileError(
+                f'{self.path}, line {line}, column {name}: got "{cell}", expected a number'
+            ) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Understood:
+    """Points, and in words how each of their columns was read."""
+
+    points: Points
+    in_words: tuple[str, ...]
+
+
+def read_sheet(path: Path) -> Sheet:
+    """The header and the rows of a table. PointsFileError if it is none."""
+    content = read_bytes(path)
+    try:
+        text, encoding = content.decode("utf-8-sig"), "UTF-8"
+    except UnicodeDecodeError:
+        text, encoding = content.decode("cp1252", errors="replace"), "Latin-1 (Windows 1252)"
+    lines = text.splitlines()
+    separator = max(SEPARATORS, key=lambda mark: (lines[0].count(mark) if lines else 0, mark != ","))
+    rows = [tuple(cell.strip() for cell in row) for row in csv.reader(lines, delimiter=separator) if any(row)]
+    if len(rows) < 2 or len(rows[0]) < 2:
+        raise PointsFileError(f"{path}: expected a header line and rows of several columns")
+    for line, row in enumerate(rows, 1):
+        if len(row) != len(rows[0]):
+            raise PointsFileError(f"{path}, line {line}: {len(row)} values, line 1 names {len(rows[0])}")
+    commas = separator != "," and any(
+        re.fullmatch(r"[-+]?\d*,\d+(e[-+]?\d+)?", cell) for row in rows[1:] for cell in row
+    )
+    mark = "decimal commas" if commas else "decimal points"
+    about = f"{path}: {encoding}, separated by {SEPARATORS[separator]}, {mark}, {len(rows) - 1} rows"
+    return Sheet(path, rows[0], tuple(rows[1:]), about, commas)
+
+
+def understood(
+    sheet: Sheet, arm: Arm, columns: Mapping[str, str], angles: str | None, lengths: str | None
+) -> Understood:
+    """The points of a table. Unclear where it does not tell. `columns`: its names by ours; units None: as its header says."""
+    joints = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
+    wanted = {name: JOINT.format(j) for j, name in enumerate(joints, 1)} | COLUMNS
+    found = {ours: _column(sheet, ours, pattern, columns) for ours, pattern in wanted.items()}
+    of_angle, of_length = [found[name] or "" for name in joints], [found[name] or "" for name in TIP]
+    angle = _unit(sheet, of_angle, angles, "--angles", ANGLES)
+    length = _unit(sheet, of_length, lengths, "--lengths", LENGTHS)
+    q_rad = np.column_stack([sheet.numbers(name) for name in of_angle]) * ANGLES[angle]
+    tip_m = np.column_stack([sheet.numbers(name) for name in of_length]) * LENGTHS[length]
+    names = {ours: sheet.names.index(name) for ours in OPTIONAL if (name := found[ours])}
+    setup = [row[names["setup"]] for row in sheet.rows] if "setup" in names else ["free"] * len(sheet.rows)
+    point = (
+        [row[names["point"]] for row in sheet.rows]
+        if "point" in names
+        else [f"p{k}" for k in range(1, len(q_rad) + 1)]
+    )
+    words = [f'{ours} is "{name}"' for ours, name in found.items() if name]
+    return Understood(
+        make_points(setup, point, _repeats(sheet, names.get("repeat"), setup, point), q_rad, tip_m),
+        (sheet.about, f"{', '.join(words)}; angles in {angle}, lengths in {length}"),
+    )
+
+
+def _column(sheet: Sheet, ours: str, pattern: str, columns: Mapping[str, str]) -> str | None:
+    if (name := columns.get(ours)) is not None:
+        if name not in sheet.names:
+            raise PointsFileError(
+                f'{sheet.path}: no column "{name}" for {ours}; it has {", ".join(sheet.names)}'
+            )
+        return name
+    found = [
+        name for name in sheet.names if re.search(pattern, name.lower()) and name not in columns.values()
+    ]
+    if len(found) == 1:
+        return found[0]
+    if not found and ours in OPTIONAL:
+        return None
+    raise Unclear(f"{sheet.path}: which column is {ours}", "--columns", f"{ours}=", found or sheet.names)
+
+
+def _unit(
+    sheet: Sheet, names: Sequence[str], given: str | None, option: str, units: Mapping[str, float]
+) -> str:
+    """The unit of columns: as given, else what their header says."""
+    if given is not None:
+        return given
+    said = {next((unit for unit, form in UNITS if re.search(form, name.lower())), None) for name in names}
+    (unit,) = said if len(said) == 1 else (None,)
+    if unit not in units:
+        raise Unclear(f"{sheet.path}: the unit of {', '.join(names)}", option, "", tuple(units))
+    return unit
+
+
+def _repeats(sheet: Sheet, at: int | None, setup: Sequence[str], point: Sequence[str]) -> list[int]:
+    """As the table numbers them, else counted."""
+    if at is not None:
+        return [round(number) for number in sheet.numbers(sheet.names[at])]
+    seen: Counter[tuple[str, str]] = Counter()
+    counted = []
+    for key in zip(setup, point, strict=True):
+        seen[key] += 1
+        counted.append(seen[key])
+    return counted

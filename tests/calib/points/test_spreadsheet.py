@@ -1,0 +1,71 @@
+"""Tables of other programs: what header and cells tell is taken, what they do not tell is asked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.errors import PointsFileError
+from calib.points.points import Points
+from calib.points.spreadsheet import Unclear, read_sheet, understood
+from control.model.description import load_arm
+
+RIGHT = load_arm("right")
+GERMAN = "Stelle;Achse 1 [°];Achse 2 [°];Achse 3 [°];X [mm];Y [mm];Z [mm];Prüfer\n"
+
+
+def points_of(path: Path, text: str, encoding: str = "utf-8", **given: str) -> Points:
+    path.write_text(text, encoding=encoding)
+    columns = {name: theirs for name, theirs in given.items() if name not in ("angles", "lengths")}
+    return understood(read_sheet(path), RIGHT, columns, given.get("angles"), given.get("lengths")).points
+
+
+def test_semicolons_decimal_commas_latin_1_degrees_and_millimetres_are_read(tmp_path: Path) -> None:
+    text = GERMAN + "a;180,0;-90;0,5;1.5;250;-1e2;Böhm\na;0;0;0;0;0;0;\n"
+    points = points_of(tmp_path / "t.csv", text, "latin-1")
+    np.testing.assert_allclose(points.q_rad[0], np.radians([180.0, -90.0, 0.5]))
+    np.testing.assert_allclose(points.tip_m[0], [1.5e-3, 0.25, -0.1])
+    assert (points.point, points.repeat) == (("a", "a"), (1, 2))
+
+
+def test_commas_points_radians_and_names_with_units_are_read(tmp_path: Path) -> None:
+    points = points_of(
+        tmp_path / "t.csv", "q1_rad,q2_rad,q3_rad,tip x (m),tip y (m),tip z (m)\n1,2,3,0.1,0.2,0.3\n"
+    )
+    np.testing.assert_allclose(points.q_rad, [[1.0, 2.0, 3.0]])
+    np.testing.assert_allclose(points.tip_m, [[0.1, 0.2, 0.3]])
+
+
+@pytest.mark.parametrize(
+    ("header", "asks", "choices"),
+    [
+        ("q1;q2;q3;x [mm];y [mm];z [mm]", "the unit of q1, q2, q3: answer with --angles", ("rad", "deg")),
+        ("q1 deg;q2 deg;q3 deg;x;y;z", "the unit of x, y, z: answer with --lengths", ("m", "cm", "mm", "in")),
+        ("q1 deg;q2 rad;q3 deg;x mm;y mm;z mm", "the unit of q1 deg, q2 rad, q3 deg", ("rad", "deg")),
+        (
+            "a deg;q2 deg;q3 deg;x mm;y mm;z mm",
+            "which column is q1_rad: answer with --columns q1_rad=",
+            ("a deg",),
+        ),
+        ("q1 deg;q2 deg;q3 deg;x mm;y mm;z mm;x mm soll", "which column is x_m", ("x mm", "x mm soll")),
+    ],
+)
+def test_what_a_header_does_not_tell_is_asked_with_what_it_may_be(
+    header: str, asks: str, choices: tuple[str, ...], tmp_path: Path
+) -> None:
+    with pytest.raises(Unclear) as unclear:
+        points_of(tmp_path / "t.csv", header + "\n" + ";".join("1" * (header.count(";") + 1)) + "\n")
+    assert asks in str(unclear.value)
+    assert set(choices) <= set(unclear.value.choices)
+
+
+def test_answers_are_taken_and_wrong_ones_refused(tmp_path: Path) -> None:
+    text = "A\tq2\tq3\tx\ty\tz\n90\t0\t0\t1\t0\t0\n"
+    points = points_of(tmp_path / "t.csv", text, q1_rad="A", angles="deg", lengths="cm")
+    np.testing.assert_allclose((points.q_rad[0, 0], points.tip_m[0, 0]), (np.pi / 2, 0.01))
+    with pytest.raises(PointsFileError, match='no column "B" for q1_rad; it has A, q2'):
+        points_of(tmp_path / "t.csv", text, q1_rad="B")
+    with pytest.raises(PointsFileError, match='line 2, column q2: got "zero", expected a number'):
+        points_of(tmp_path / "t.csv", text.replace("\t0", "\tzero", 1), q1_rad="A", angles="deg", lengths="m")

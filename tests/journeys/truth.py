@@ -1,0 +1,62 @@
+"""How far the true tip is from where files put it, by the geometry that a scenario hides in the mock."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import numpy as np
+
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+from control.model.description import load_arm
+from hil_mocks.scenario import load_scenario
+
+KEYS = ["d", "theta", "L", "alpha"]
+
+
+def true_arm(built: Arm, scenario: str) -> Arm:
+    """The arm as the mock has it."""
+    dh = np.array(built.dh)
+    for name, deviation in load_scenario(scenario).drawn_deviations(len(dh)).items():
+        link, key = name.removeprefix("link").split("_")[:2]
+        dh[int(link) - 1, KEYS.index(key)] += deviation
+    return built.with_dh(dh)
+
+
+def main() -> int:
+    """Print the mean distances over the middle halves of the joints' ranges; status 1 where that of the file is not less."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("built", help="the file that the mock was built from")
+    parser.add_argument("file")
+    parser.add_argument("--scenario", default="demo")
+    parser.add_argument(
+        "--any-place", action="store_true", help="wherever the base stands: after the best rigid motion"
+    )
+    parser.add_argument("--times", type=float, default=1.0, help="how many times nearer the file must be")
+    given = parser.parse_args()
+    built = load_arm(given.built)
+    lower, upper = np.array(built.limits_rad).T
+    middle, half = (lower + upper) / 2.0, (upper - lower) / 2.0
+    q_rad = middle + 0.5 * half * np.random.default_rng(3).uniform(-1.0, 1.0, (300, built.joint_count))
+    true_m = Kinematics(true_arm(built, given.scenario)).tips(q_rad)
+    off_mm = [
+        1e3 * distance_m(Kinematics(arm).tips(q_rad), true_m, given.any_place)
+        for arm in (built, load_arm(given.file))
+    ]
+    print(f"{given.built}: {off_mm[0]:.3f} mm; {given.file}: {off_mm[1]:.3f} mm")
+    return int(off_mm[0] < given.times * off_mm[1])
+
+
+def distance_m(tips_m: np.ndarray, true_m: np.ndarray, any_place: bool) -> float:
+    """Mean distance, after the rotation and shift that bring the tips nearest (Kabsch) where the place does not count."""
+    if any_place:
+        centre_m, true_centre_m = tips_m.mean(axis=0), true_m.mean(axis=0)
+        left, _, right = np.linalg.svd((true_m - true_centre_m).T @ (tips_m - centre_m))
+        turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+        tips_m = (tips_m - centre_m) @ turn.T + true_centre_m
+    return float(np.linalg.norm(tips_m - true_m, axis=1).mean())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
