@@ -11,21 +11,17 @@ from hil_mocks.firmware.library import compiler
 from hil_mocks.scenario import Scenario
 from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS, OnBoards
+from tests.thirds import third_of
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """The reference boards keep every promise at each change, and of the others each kind a third, and each promise
-    is kept by a third of them. The rest is nightly.
-    """
+    """The reference boards keep every promise at each change, and of the others each kind a third."""
     if "on_boards" not in metafunc.fixturenames:
         return
     promises = [name for name in vars(metafunc.module) if name.startswith("test_")]
     place = promises.index(metafunc.function.__name__)
-    kinds = [
-        kind if number == 0 or (number + place) % 3 == 0 else pytest.param(kind, marks=pytest.mark.nightly)
-        for number, kind in enumerate(ON_BOARDS)
-    ]
-    metafunc.parametrize("on_boards", kinds, indirect=True)
+    always, *others = ON_BOARDS
+    metafunc.parametrize("on_boards", [always, *third_of(others, place)], indirect=True)
 
 
 @pytest.fixture

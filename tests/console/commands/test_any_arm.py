@@ -11,6 +11,7 @@ from console.lines.replay import Outcome, parse_lines, replay
 from console.specs.table import COMMANDS
 from control.model.description import save_arm
 from tests.cell import Cell, holding_cell, scenario
+from tests.thirds import third_of
 
 
 def played(cell: Cell, grammar: Grammar, *lines: str) -> list[Outcome]:
@@ -20,7 +21,7 @@ def played(cell: Cell, grammar: Grammar, *lines: str) -> list[Outcome]:
     return outcomes
 
 
-@pytest.mark.parametrize("name", list(ARMS))
+@pytest.mark.parametrize("name", third_of(ARMS))
 def test_teach_go_run_and_tip_jogs_work_with_any_number_of_joints(name: str, tmp_path: Path) -> None:
     arm, file = ARMS[name], tmp_path / "arm.toml"
     assert arm.rest is not None

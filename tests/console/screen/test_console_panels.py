@@ -23,6 +23,7 @@ from console.screen.events import events_between
 from console.screen.texts import headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 from tests.cell import RIGHT
+from tests.thirds import third_of
 
 SIZES = [(80, 24), (120, 40), (200, 50), (80, 50), (120, 24)]
 
@@ -188,7 +189,7 @@ async def _laid_out(arm: Arm, size: tuple[int, int], status: Mapping[str, Any]) 
 
 
 @pytest.mark.parametrize("joint_count", [3, 7])
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", third_of(SIZES))
 def test_nothing_is_clipped_at_any_size(size: tuple[int, int], joint_count: int) -> None:
     warning = ["joint 1 is 0.240 rad from the end of its range"]
     status = status_of(joint_count, warnings=warning)

@@ -15,6 +15,7 @@ from hil_mocks.scenario import GripperTable
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, Cell, holding_cell, scenario
 from tests.control.loop.test_gripper import GRIPPER, END_m
+from tests.thirds import third_of
 
 ON_CLAW = replace(GRIPPER, motor_node=-1, board="roboclaw2", board_channel=2, motor_direction=-1)
 ON_VESC = replace(GRIPPER, motor_node=-1, board="hand", encoder_counts_per_rev=18_000)
@@ -58,7 +59,7 @@ def state(cell: Cell) -> str:
     return str(cell.client.status()["gripper"]["state"])
 
 
-@pytest.mark.parametrize("kind", list(ARMS))
+@pytest.mark.parametrize("kind", third_of(ARMS))
 def test_it_goes_where_it_is_told_and_holds_with_the_force(kind: str) -> None:
     with holding(ARMS[kind]) as cell:
         before_m = cell.rig.gripper()[0]

@@ -22,6 +22,7 @@ from hil_mocks.scenario import load_scenario
 from procedures.new_arm.answers import usual_ports
 from procedures.new_arm.motors import SERVOS
 from tests.cell import open_cell
+from tests.thirds import third_of
 
 RIGHT = load_arm("right")
 SEEN_rad = 0.005
@@ -275,7 +276,7 @@ def chain(ranges: list[tuple[float, float] | None], effort: float, kg: float) ->
     return "".join([*parts, "</robot>"])
 
 
-@pytest.mark.parametrize("kind", ["reference", *KINDS])
+@pytest.mark.parametrize("kind", third_of(["reference", *KINDS]))
 def test_whatever_ranges_a_model_has_what_new_writes_is_read(kind: str, tmp_path: Path) -> None:
     """Ranges from a few milliradians to many turns, on either side of zero; loads from a toy's to an industrial arm's."""
     random = np.random.default_rng(2)

@@ -7,6 +7,7 @@ from benchmarks.gap.static.cases import ARM, DESIGNS, Design, FRICTION_Nm, Hidde
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
 from control.dynamics.dynamics import Dynamics
+from tests.thirds import third_of
 
 HIDDEN = [
     Hidden("backlash", 3, 0.004),
@@ -30,7 +31,7 @@ def name_of(one: Hidden) -> EffectName:
     return EffectName(one.effect, one.joint)
 
 
-@pytest.mark.parametrize("hidden", HIDDEN, ids=lambda one: f"{one.effect}{one.joint or ''}")
+@pytest.mark.parametrize("hidden", third_of(HIDDEN, 1), ids=lambda one: f"{one.effect}{one.joint or ''}")
 def test_a_hidden_effect_is_found_and_its_gap_closes(hidden) -> None:
     found = find(ARM, case(11, (hidden,)))
     assert names(found) == [name_of(hidden)]
@@ -50,7 +51,7 @@ def test_with_nothing_hidden_nothing_is_named(seed) -> None:
 
 
 @pytest.mark.parametrize(
-    "hidden", [HIDDEN[0], HIDDEN[2], HIDDEN[4]], ids=lambda one: f"{one.effect}{one.joint or ''}"
+    "hidden", third_of([HIDDEN[0], HIDDEN[2], HIDDEN[4]]), ids=lambda one: f"{one.effect}{one.joint or ''}"
 )
 def test_an_effect_that_is_not_in_the_list_is_unknown_and_no_neighbour_is_named(hidden) -> None:
     found = find(ARM, case(11, (hidden,)), without=(hidden.effect,))
@@ -59,19 +60,22 @@ def test_an_effect_that_is_not_in_the_list_is_unknown_and_no_neighbour_is_named(
 
 
 @pytest.mark.parametrize(
-    ("hidden", "says"),
-    [
-        (Hidden("slip", 3, 0.006, 0.5), "joint 3"),
-        (Hidden("camera skew", None, 0.006), "skewed"),
-        (Hidden("registration", None, 0.002, 1.0), "setup roll"),
-    ],
-    ids=lambda value: value.effect if isinstance(value, Hidden) else "",
+    "said",
+    third_of(
+        [
+            (Hidden("slip", 3, 0.006, 0.5), "joint 3"),
+            (Hidden("camera skew", None, 0.006), "skewed"),
+            (Hidden("registration", None, 0.002, 1.0), "setup roll"),
+        ]
+    ),
+    ids=["slip", "camera skew", "registration"],
 )
-def test_what_no_law_describes_is_unknown_and_where_it_is_is_said(hidden, says) -> None:
+def test_what_no_law_describes_is_unknown_and_where_it_is_is_said(said) -> None:
+    hidden, where = said
     found = find(ARM, case(13, (hidden,)))
     assert names(found) == []
     assert found.finding.unknown is not None
-    assert says in found.finding.unknown.where
+    assert where in found.finding.unknown.where
 
 
 def test_a_forearm_that_bends_is_never_called_a_soft_wrist() -> None:
@@ -100,15 +104,18 @@ def test_another_arm_with_nothing_hidden_is_named_nothing(rig) -> None:
 
 @pytest.mark.parametrize(
     "pair",
-    [
-        (Hidden("backlash", 1, 0.005), Hidden("joint_compliance", 2, 700.0)),
-        (Hidden("link_flexure", 2, 100.0), Hidden("payload", None, 0.13)),  # which also bends the link
-        (
-            Hidden("belt_coupling", None, 0.012),
-            Hidden("thermal_drift", 1, 0.005, 1200.0),
-            Hidden("backlash", 2, 0.006),
-        ),
-    ],
+    third_of(
+        [
+            (Hidden("backlash", 1, 0.005), Hidden("joint_compliance", 2, 700.0)),
+            (Hidden("link_flexure", 2, 100.0), Hidden("payload", None, 0.13)),  # which also bends the link
+            (
+                Hidden("belt_coupling", None, 0.012),
+                Hidden("thermal_drift", 1, 0.005, 1200.0),
+                Hidden("backlash", 2, 0.006),
+            ),
+        ],
+        2,
+    ),
     ids=["backlash1+compliance2", "flexure2+payload", "coupling+drift1+backlash2"],
 )
 def test_two_or_three_effects_at_once_are_both_found(pair) -> None:

@@ -15,6 +15,7 @@ from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.words import in_words
 from control.model.arm import Effect
+from tests.thirds import third_of
 
 
 def names(found: StaticGap) -> set[EffectName]:
@@ -62,11 +63,13 @@ def test_an_effect_that_the_file_has_right_is_not_missing() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        Effect("encoder_scale", 2, {"scale": 0.004}),
-        Effect("joint_compliance", 2, {"stiffness_Nm_rad": 600.0}),
-        Effect("link_flexure", 2, {"EI_Nm2": 400.0}),
-    ],
+    third_of(
+        [
+            Effect("encoder_scale", 2, {"scale": 0.004}),
+            Effect("joint_compliance", 2, {"stiffness_Nm_rad": 600.0}),
+            Effect("link_flexure", 2, {"EI_Nm2": 400.0}),
+        ]
+    ),
     ids=lambda one: one.effect,
 )
 def test_an_effect_that_the_file_has_and_the_arm_has_not_is_a_total_of_none(wrong: Effect) -> None:
