@@ -27,7 +27,7 @@ from firmware_iface.roboclaw import wire as claw_wire
 from firmware_iface.roboclaw.board import RoboClaw
 from firmware_iface.roboclaw.line import PacketLine
 from firmware_iface.vesc import wire as vesc_wire
-from firmware_iface.vesc.controller import Vesc, VescBus
+from firmware_iface.vesc.controller import FILLS, TO_HOST, Vesc, VescBus
 from firmware_iface.vesc.wire import Packet
 
 STEP_s = 0.02  # of time at each wait: a conversation ends after some dozen
@@ -113,7 +113,9 @@ def moteus(content: bytes) -> None:
     line, clock = FrameLine(frames(content, MOTEUS_IDS, 64)), Time()
     bus = MoteusBus(line, clock)
     board = Moteus(bus, NODE, "x", 4096)
-    _converse((lambda: board.identify(must_be_referenced=True), board.reset_fault))
+    _converse((
+        lambda: board.identify(must_be_referenced=True), lambda: board.setting("motor.Kv"), board.reset_fault,
+    ))  # fmt: skip
     _drain(line, bus.update, board)
 
 
@@ -136,8 +138,7 @@ def odrive(content: bytes) -> None:
 
 
 VESC_IDS = (
-    *(packet << 8 | NODE for packet in Packet), Packet.PONG << 8 | vesc_wire.HOST,
-    Packet.PROCESS_SHORT_BUFFER << 8 | vesc_wire.HOST, 0x1F01,
+    *(packet << 8 | NODE for packet in Packet), *(packet << 8 | vesc_wire.HOST for packet in (*TO_HOST, *FILLS)), 0x1F01,
 )  # fmt: skip
 
 
@@ -269,8 +270,8 @@ def roboclaw(content: bytes) -> None:
         clock.wait_until_s(0.0)
 
     _converse((
-        board.identify, lambda: board.require_quadrature(1), lambda: board.set_up(0.2, (8.0, 8.0)), board.read_counts,
-        board.read_status, lambda: board.set_count(1, -1),
+        board.identify, lambda: board.require_quadrature(1), lambda: board.require_home_switch(1),
+        lambda: board.set_up(0.2, (8.0, 8.0)), board.read_counts, board.read_status, lambda: board.set_count(1, -1),
     ))  # fmt: skip
     _ask_all(wire, cycle)
     assert all(abs(count) <= 1 << 31 for count in board.counts)

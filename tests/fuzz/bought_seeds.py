@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import struct
+from binascii import crc_hqx
 
 from firmware_iface.canopen import wire as canopen_wire
 from firmware_iface.odrive.wire import Command
 from firmware_iface.vesc import wire as vesc_wire
 from firmware_iface.vesc.wire import Packet
-from tests.fuzz.bought import CANOPEN_IDS, MOTEUS_IDS, NODE, ODRIVE_IDS, VESC_IDS, Frame, packed
+from tests.fuzz.bought import AT_ONCE, CANOPEN_IDS, MOTEUS_IDS, NODE, ODRIVE_IDS, VESC_IDS, Frame, packed
 
 MOTEUS_VALUES = (
     b"\x21\x00\x0a\x2c\x04\x01" + struct.pack("<4f", 1.5, -0.25, 0.1, 0.6)
@@ -41,9 +42,20 @@ def _vesc() -> list[Frame]:
         (Packet.PONG, host, "01 00"), (Packet.PROCESS_SHORT_BUFFER, host, "01 01 32 00 00 80 00 02"),
         (Packet.STATUS, NODE, "ff ff f4 48 00 0c ff 06"), (Packet.STATUS_2, NODE, "00 00 27 10 00 00 13 88"),
         (Packet.STATUS_4, NODE, "01 5e 01 2c 00 06 46 4f"), (Packet.STATUS_5, NODE, "ff ff ff f9 00 f1 00 00"),
-        (Packet.STATUS_6, NODE, "0c e4 00 00 00 00 00 00"), (Packet.NOTIFY_BOOT, NODE, "00 00"),
+        (Packet.STATUS_6, NODE, "0c e4 00 00 00 00 00 00"), (Packet.PROCESS_SHORT_BUFFER, host, "01 01 32 00 00 80 00 00"),
     ]  # fmt: skip
-    return [(packet << 8 | number, bytes.fromhex(text)) for packet, number, text in said]
+    stored = struct.pack(">B4xBIf20xB", vesc_wire.GET_APPCONF, NODE, 100, 20.0, 0)
+    ended = struct.pack(">BBHH", NODE, 1, len(stored), crc_hqx(stored, 0))
+    return [
+        *((packet << 8 | number, bytes.fromhex(text)) for packet, number, text in said),
+        *(
+            (Packet.FILL_RX_BUFFER << 8 | host, bytes((at,)) + stored[at : at + 7])
+            for at in range(0, len(stored), 7)
+        ),
+        (Packet.FILL_RX_BUFFER_LONG << 8 | host, bytes.fromhex("01 00 00 00")),
+        (Packet.PROCESS_RX_BUFFER << 8 | host, ended),
+        (Packet.NOTIFY_BOOT << 8 | NODE, bytes(2)),
+    ]
 
 
 def _canopen() -> list[Frame]:
@@ -62,10 +74,21 @@ def _canopen() -> list[Frame]:
 
 def bought_seeds() -> dict[str, list[bytes]]:
     """A conversation with each kind."""
-    moteus_said = [MOTEUS_IDENTITY, MOTEUS_VALUES, MOTEUS_VALUES.ljust(64, b"\x50")]
+    texts = [b"\x41\x01\x00", b"\x41\x01\x05165.4", b"\x41\x01\x02\r\n"]
+    texts = [text for text in texts for _ in range(AT_ONCE)]
+    moteus_said = [
+        MOTEUS_IDENTITY,
+        *[MOTEUS_VALUES] * (2 * AT_ONCE - 1),
+        *texts,
+        MOTEUS_VALUES.ljust(64, b"\x50"),
+    ]
     frames = [(NODE << 8, said) for said in moteus_said]
-    dynamixel = [b"\0\x06\x04", b"\0\x03", *[b"\0"] * 4, b"\0" + bytes(35), b"\0" + bytes(21)]
-    feetech = [b"\0\x09\x03", b"\0\0", *[b"\0"] * 3, b"\0" + SERVO_STATE, b"\0"]
+    dynamixel_stored = struct.pack("<BH4xB2xBBB8xi24xii7xB4xB", 0, 1020, 46, 0, 0, 3, 0, 4095, 0, 52, 2)
+    feetech_stored = struct.pack(
+        "<BBBxH2xBBHH5xBB10xBHBBBB", 0, 3, 10, 777, 0, 1, 0, 4095, 12, 44, 1, 0, 0, 20, 200, 80
+    )
+    dynamixel = [dynamixel_stored, *[b"\0"] * 3, b"\0" + bytes(35), b"\0" + bytes(21)]
+    feetech = [feetech_stored, *[b"\0"] * 2, b"\0" + SERVO_STATE, b"\0"]
     claw = [b"USB Roboclaw 2x30a v4.2\n\0", bytes(3), bytes(2), b"\x02"]
     acknowledged, counts = b"\x01\x01\xff" * 5, answers(bytes(8), bytes(4))
     return {
