@@ -25,7 +25,7 @@ from hil_mocks.devices.dynamixel import DynamixelLineMock
 from hil_mocks.scenario import FaultTable
 from procedures.drills.drill import LOOKED, WATCHED_S
 from procedures.drills.promise import GOES_ON, Outcome, Promise, length_m, stood_s
-from procedures.drills.stage import REST, Stage, stage
+from procedures.drills.stage import REST, UNDER_WAY_S, Stage, TO_rad, stage
 from procedures.on_boards import on_boards
 
 HOLDING = ("dynamixel", "feetech", "odrive", "cia402", "moteus")
@@ -35,6 +35,8 @@ DURING_A_CYCLE_S = 0.004  # at its end, a goal may switch a Feetech servo on aga
 FALLS_mm = 900.0  # an arm without torque, or one of whose joints has none, falls as far as it can
 HELD_mm = 3.0
 SINKS_mm = 80.0  # on shorted windings, in two seconds
+STOPS_mm = 100.0  # along its path
+JOGGED_rad_s, JOGGED_S = 0.1, 0.2
 SAGGED_V = 14.4  # of 24
 FIRMWARE, OLD_FIRMWARE = 6, 36  # register of a Dynamixel, and a version without a bus watchdog
 FULL_DUPLEX = "roboclaw"
@@ -101,6 +103,8 @@ class BoardsDrill(Promise):
             ("overload", "a servo is overloaded, and keeps a share of its torque", own, HELD_mm, overloaded, ("feetech",)),
             ("asked", "another program asks a board in each cycle", GOES_ON, HELD_mm, asked, (*HOLDING, *BRAKING[:1])),
             ("asked", "another program asks a board in each cycle", silent, SINKS_mm, asked, BRAKING[1:]),
+            ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", GOES_ON, STOPS_mm, host_gone, HOLDING),
+            ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", GOES_ON, SINKS_mm, host_gone, BRAKING),
             ("old-firmware", "a servo with old firmware is found when serve starts again", GOES_ON, HELD_mm, old_firmware,
              HOLDING[:1]),
         ):  # fmt: skip
@@ -253,6 +257,22 @@ def asked(played: Stage) -> str:
     played.each_cycle.append(ask)
     played.run(WATCHED_S)
     return ""
+
+
+def host_gone(played: Stage) -> str:
+    """Without the host a board stops its joint by its own time-out, or goes on to its last goal; those that hold then hold."""
+    played.begin(REST)
+    if played.assembly.runtime.monitor.is_homed:
+        played.client.move_joints(TO_rad, waits=False)
+        played.run(UNDER_WAY_S)
+    else:
+        played.client.ask("jog", joint=1, by_rad=1.0, speed_rad_s=JOGGED_rad_s)
+        played.run(JOGGED_S)
+    played.way = played.way[-1:]
+    played.away(WATCHED_S)
+    if played.arm.boards[0].kind not in HOLDING or all(_torques(played)):
+        return ""
+    return "a joint was let go"
 
 
 def old_firmware(played: Stage) -> str:

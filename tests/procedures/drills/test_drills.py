@@ -58,6 +58,8 @@ AT_NIGHT = (
     "over-temperature-pair",
     "overload-feetech",
     "asked-roboclaw",
+    "host-gone-dynamixel",
+    "host-gone-vesc",
 )
 
 
