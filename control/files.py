@@ -120,8 +120,7 @@ def make_whole(path: Path, write: Callable[[Path], T], is_new: bool = False) -> 
 
 
 def make_whole_folder(path: Path, write: Callable[[Path], object]) -> None:
-    """As `make_whole`, for a new folder, and those above it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """As `make_whole`, for a new folder."""
     with _in_place_of(path) as apart:
         apart.mkdir()
         write(apart)
@@ -143,6 +142,7 @@ def _in_place_of(path: Path, is_new: bool = False) -> Iterator[Path]:
     """
     with contextlib.ExitStack() as closing:
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             here = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
             closing.callback(os.close, here)
             _clear_away(here)

@@ -167,7 +167,6 @@ class GapFinding:
 
 def write_gap_json(path: Path, found: GapFinding) -> None:
     """Write gap.json; an unknown number is null."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json.dumps(gap_content(found), indent=2, allow_nan=False) + "\n")
 
 

@@ -266,5 +266,4 @@ def _line(values: Sequence[str]) -> str:
 
 def replace_file(path: Path, content: bytes) -> None:
     """Replace a file atomically: a reader sees the old one or the new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, gzip.compress(content, mtime=0) if path.name.endswith(".gz") else content)

@@ -18,7 +18,6 @@ from control.files import write_whole
 
 def write_report(path: Path, report: ReportData) -> None:
     """Write report.html, creating its folder if necessary."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, report_html(report))
 
 

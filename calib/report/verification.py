@@ -132,7 +132,6 @@ def write_verification_json(path: Path, verification: Verification) -> None:
             "after": list(verification.calibrated.tool.position_m),
         },
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 

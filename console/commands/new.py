@@ -139,7 +139,6 @@ def _name_of(out: Path) -> str:
 
 def _write(out: Path, text: str) -> None:
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, text, is_new=True)
     except NotWritten:
         raise

@@ -46,7 +46,6 @@ class RunFile:
         )
         text = [",".join([*names, "payload_kg"])]
         text += [",".join([*(_cell(x, 12) for x in row), f"{payload_kg:g}"]) for row in table.tolist()]
-        path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, ("\n".join(text) + "\n").encode())
 
     @staticmethod

@@ -48,6 +48,11 @@ def test_a_file_for_which_there_is_no_room_stays_as_it_was_and_nothing_is_left_b
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
+def test_the_folder_of_a_file_is_made_with_it(tmp_path: Path) -> None:
+    write_whole(tmp_path / "not" / "there" / "a", "1")
+    assert (tmp_path / "not" / "there" / "a").read_text() == "1"
+
+
 def test_text_is_utf_8_whatever_the_locale_says(tmp_path: Path) -> None:
     write_whole(tmp_path / "Prüfung.txt", "3 °C ± 1 µm")
     assert (tmp_path / "Prüfung.txt").read_bytes() == "3 °C ± 1 µm".encode()
