@@ -63,7 +63,7 @@ def _imported(given: argparse.Namespace) -> int:
 
     if not given.out:
         raise ArmError("--out: expected the arm.toml to write, got nothing")
-    return new.run(argparse.Namespace(**{**vars(given), "yes": True, "name": None}))
+    return new.run(argparse.Namespace(**{**vars(given), "yes": True, "name": None, "like": None}))
 
 
 def _taken_over(arm: Arm, given: argparse.Namespace) -> int:
