@@ -58,10 +58,14 @@ class JointFigures:
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """Masses at the tip, in kg, that all motors hold: in every pose above the floor, and in half of them."""
+    """Masses at the tip, in kg, that all motors hold: in every pose above the floor, and in half of them; and move.
+
+    moving_kg: in every pose, whichever way all joints accelerate at their limits. Friction is left out.
+    """
 
     everywhere_kg: float
     in_half_kg: float
+    moving_kg: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +96,7 @@ def sheet(arm: Arm, rate_Hz: float = RATE_Hz) -> Sheet:
     gravity = _torques(arm, kept, 0.0)
     payload = None
     if gravity is not None and len(arm.drives) == arm.joint_count:
-        payload = _payload(arm, gravity, _torques(arm, kept, 1.0))
+        payload = _payload(arm, kept, gravity, _torques(arm, kept, 1.0))
     return Sheet(
         reach=_reach(arm, kept, float(above.mean())),
         joints=tuple(_joint(arm, joint, kept, gravity) for joint in range(1, arm.joint_count + 1)),
@@ -167,8 +171,11 @@ def _moving_Nm(arm: Arm, drive: Drive, q: Array, gravity: Array | None) -> float
     return float((np.abs(gravity[:, j]) + inertia * drive.joint_acceleration_limit_rad_s2).max())
 
 
-def _payload(arm: Arm, empty: Array, laden: Array | None) -> Payload | None:
-    """Torques are linear in the mass: limit >= |empty + m (laden - empty)| for each joint and pose."""
+def _payload(arm: Arm, q: Array, empty: Array, laden: Array | None) -> Payload | None:
+    """Torques are linear in the mass: limit >= |empty + m (laden - empty)| for each joint and pose.
+
+    Moving, the inertia takes sum_j |M_ij| a_j of joint i's torque.
+    """
     if laden is None:
         return None
     limits = np.array([torque_limit_Nm(arm.drive(j)) for j in range(1, arm.joint_count + 1)])
@@ -176,7 +183,11 @@ def _payload(arm: Arm, empty: Array, laden: Array | None) -> Payload | None:
     with np.errstate(divide="ignore"):
         most = (limits - np.sign(per_kg) * empty) / np.abs(per_kg)
     held = np.maximum(most.min(axis=1), 0.0)
-    return Payload(float(held.min()), float(np.median(held)))
+    accelerations = np.nan_to_num([drive.joint_acceleration_limit_rad_s2 for drive in arm.drives], posinf=0.0)
+    light, heavy = (np.abs(Dynamics(arm, kg).mass_matrices(q)) @ accelerations for kg in (0.0, 1.0))
+    with np.errstate(divide="ignore"):
+        moved = (limits - np.abs(empty) - light) / (np.abs(per_kg) + heavy - light)
+    return Payload(float(held.min()), float(np.median(held)), max(0.0, float(moved.min())))
 
 
 def _buses(arm: Arm, rate_Hz: float) -> Buses | None:

@@ -28,7 +28,8 @@ def sheet_lines(arm: Arm, found: Sheet, absent: tuple[Missing, ...]) -> Iterator
     yield "free: without load; gravity, moving (at the acceleration limit): worst pose above the floor; step: of the encoder"
     if found.payload is not None:
         payload = found.payload
-        yield f"payload: {payload.everywhere_kg:.2f} kg held in every pose, {payload.in_half_kg:.2f} kg in half of them"
+        yield f"payload: {payload.everywhere_kg:.2f} kg held in every pose, {payload.in_half_kg:.2f} kg in half of them;"
+        yield f"  {payload.moving_kg:.2f} kg moved in every pose, with all joints at their acceleration limits"
     if found.buses is not None:
         yield _buses(arm, found.buses)
     yield from (f"warning: {text}" for text in warnings(found))

@@ -47,6 +47,24 @@ def test_the_payload_is_what_the_weakest_joint_holds_in_the_worst_pose() -> None
     assert worst[0, 1] > limits[1]
 
 
+def test_the_payload_that_is_moved_is_what_the_weakest_joint_accelerates_whichever_way_the_others_go() -> (
+    None
+):
+    payload = sheet(RIGHT).payload
+    assert payload is not None
+    random = np.random.default_rng(5)
+    q = random.uniform(*np.array(RIGHT.limits_rad).T, (2000, 3))
+    fastest = [drive.joint_acceleration_limit_rad_s2 for drive in RIGHT.drives]
+    accelerations = random.choice([-1.0, 1.0], (2000, 3)) * fastest
+    limits = np.array([torque_limit_Nm(drive) for drive in RIGHT.drives])
+    loads = [
+        np.abs(Dynamics(RIGHT, kg).torques(q, 0 * q, accelerations)) / limits
+        for kg in (payload.moving_kg, 4.0)
+    ]
+    assert 0.8 < loads[0].max() <= 1.02
+    assert loads[1].max() > 1.3
+
+
 def test_the_buses_are_as_loaded_as_doctor_computes() -> None:
     buses = sheet(RIGHT, rate_Hz=500.0).buses
     assert buses is not None

@@ -194,7 +194,7 @@ def test_the_plan_alone_is_said_and_nothing_is_made(
         (["--record", "--mock", "--minutes", "-1"], "--minutes: expected a number above 0"),
         (["--record", "--mock", "--minutes", "0.1"], "the shortest useful recording takes"),
         (["--record", "--mock", "--payload", "-0.5"], "--payload: expected a mass"),
-        (["--record", "--mock", "--payload", "4"], "4 kg, and the motors hold 3.21 kg in every pose"),
+        (["--record", "--mock", "--payload", "4"], "4 kg, and the motors move 1.18 kg"),
         (["--record", "--scenario", "demo"], "need --mock"),
         (
             ["--record", "--socket", "/nowhere/at.all", "--only", "motion"],
