@@ -29,31 +29,33 @@ def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
         for key, numbers in evidence.of_key.items()
         if isinstance(key, EffectName)
     }
-    laws = {key: evidence.places[k][: evidence.terms[k].laws] for key, k in names.items()}
+    columns = [evidence.places[k][: evidence.terms[k].laws] for k in names.values()]
+    every, ends = np.concatenate([*columns, []]).astype(int), np.cumsum([len(own) for own in columns])
+    places = {key: slice(end - len(own), end) for key, own, end in zip(names, columns, ends, strict=True)}
+    alone = np.diagonal(gram)[every]
+    beside = {rival: alone - _taken(evidence, gram, every, k) for rival, k in names.items()}
     found = []
-    for key, own in laws.items():
-        alone = _detectability(gram[np.ix_(own, own)])
+    for key, at in places.items():
+        seen_sd = _detectability(alone[at])
         rivals = [
             other
-            for other, k in names.items()
-            if other != key
-            and alone >= TOLD_APART_sd
-            and _detectability(_beside(evidence, gram, own, k)) < TOLD_APART_sd
+            for other, left in beside.items()
+            if other != key and seen_sd >= TOLD_APART_sd and _detectability(left[at]) < TOLD_APART_sd
         ]
-        found.append(Nameable(key, round(alone, 2), tuple(rivals), needed_sd=NAMEABLE_sd))
+        found.append(Nameable(key, round(seen_sd, 2), tuple(rivals), needed_sd=NAMEABLE_sd))
     return tuple(found)
 
 
-def _beside(evidence: Evidence, gram: Array, own: Array, rival: int) -> Array:
-    """What is left of G of columns `own` when a rival takes what it can."""
+def _taken(evidence: Evidence, gram: Array, columns: Array, rival: int) -> Array:
+    """What a rival takes at most of G's diagonal at `columns`: all that the root mean square of what is left needs."""
     at, one = evidence.places[rival], evidence.terms[rival]
     sd = np.full(len(at), RIVAL_LEVEL)
     sd[one.laws : one.laws + one.departures] *= RIVAL_DEPARTURE
-    across = sd[:, None] * gram[np.ix_(at, own)]
+    across = sd[:, None] * gram[np.ix_(at, columns)]
     inner = np.eye(len(at)) + sd[:, None] * gram[np.ix_(at, at)] * sd
-    return np.asarray(gram[np.ix_(own, own)] - across.T @ np.linalg.solve(inner, across))
+    return np.asarray(np.einsum("ij,ij->j", across, np.linalg.solve(inner, across)))
 
 
 def _detectability(seen: Array) -> float:
     """Root mean square over the coefficients' directions, each of usual size, in standard deviations."""
-    return float(np.sqrt(max(0.0, np.trace(seen) / len(seen))))
+    return math.sqrt(max(0.0, float(np.mean(seen))))

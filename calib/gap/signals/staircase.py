@@ -22,6 +22,7 @@ from scipy.linalg import expm
 from calib.arrays import Array
 
 Spectrum = npt.NDArray[np.complex128]
+Kind = tuple[int, int]  # of a run: which windings, and how many frequencies
 SHORTEST_LAG_s = 1e-6
 
 
@@ -81,6 +82,8 @@ class Staircase:
         self._lengths = [len(run) for run in voltages]
         self._spectra: list[Spectrum] = [_spectrum(run) for run in voltages]
         self._kept: dict[tuple[str, float], list[Array]] = {}
+        # of one delay: its differences are asked for one after another
+        self._latest: tuple[float, dict[Kind, Response]] = np.nan, {}
 
     def of_sampled_current(self, delay_s: float) -> list[Array]:
         """Sampled current less (settled voltage - K (speed - L/R acceleration)) / R, [A] (m, n) of each run."""
@@ -99,21 +102,25 @@ class Staircase:
         if key not in self._kept:
             while len(self._kept) > 8:
                 self._kept.pop(next(iter(self._kept)))
-            gains: dict[tuple[int, int], Spectrum] = {}
+            if self._latest[0] != delay_s:
+                self._latest = delay_s, {}
+            responses = self._latest[1]
+            gains: dict[Kind, Spectrum] = {}
             self._kept[key] = []
             for own, spectrum, length in zip(self._windings, self._spectra, self._lengths, strict=True):
                 kind = id(own), len(spectrum)
-                if kind not in gains:
+                if kind not in responses:
                     frequencies: Array = np.arange(kind[1]) / (2 * (kind[1] - 1) * self._period)
-                    gains[kind] = _gain(what, own, self._period, delay_s, frequencies)
+                    responses[kind] = response(own, self._period, delay_s, frequencies)
+                if kind not in gains:
+                    gains[kind] = _gain(what, own, self._period, delay_s, responses[kind])
                 answer = np.einsum("fij,fj->fi", gains[kind], spectrum)
                 self._kept[key].append(np.asarray(np.fft.irfft(answer, axis=0)[:length]))
         return self._kept[key]
 
 
-def _gain(what: str, windings: Windings, period_s: float, delay_s: float, frequencies_Hz: Array) -> Spectrum:
+def _gain(what: str, windings: Windings, period_s: float, delay_s: float, found: Response) -> Spectrum:
     """(f, n, n): of each joint to a volt on each."""
-    found = response(windings, period_s, delay_s, frequencies_Hz)
     K, R, lag = windings.torque_per_A, windings.resistance_ohm, windings.lag_s
     turned = 1j * found.omega[:, None]
     by_speed = (K / R * (1.0 - turned * lag))[:, :, None] * found.speed
