@@ -89,7 +89,7 @@ def weights(
         if link.mass_kg and link.com_m is not None:
             mass = np.full(len(payload), link.mass_kg + masses.get(k, 0.0))
             yield k, mass, (frames[k] @ np.array([*link.com_m, 1.0]))[:, :3]
-    tip = (frames[-1] @ np.array([*rig.arm.tool.position_m, 1.0]))[:, :3]
+    tip = (frames[-1] @ np.array([*rig.chain.tool_m, 1.0]))[:, :3]
     yield len(rig.arm.links) + 1, payload, tip
 
 

@@ -31,7 +31,7 @@ def orientations(
 def _turned_rad(one: Hidden, at: Poses, rig: Rig, frames: list[np.ndarray]) -> np.ndarray:
     """Turns of the last link, (m, 3), besides joint angles; a loose tool slides and does not turn."""
     if one.effect == "link_flexure":
-        tip = (frames[-1] @ np.array([*rig.arm.tool.position_m, 1.0]))[:, :3]
+        tip = (frames[-1] @ np.array([*rig.chain.tool_m, 1.0]))[:, :3]
         return bent(one, at, rig, frames, tip, np.asarray(rig.arm.gravity_m_s2))[1]
     if one.effect == "wobble":
         k = one.joint or 1

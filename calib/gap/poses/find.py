@@ -89,7 +89,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     loaded = replace(bare_arm, effects=(*bare_arm.effects, *loads))
     parts = split(points)
     fit = Fit.to(problem_of(bare_arm, points, Choice().for_points(bare_arm, points)), parts.known)
-    fitted = bare_arm.with_dh(fit.problem.solution(fit.x).dh)
+    fitted = fit.shaped(bare_arm)
     scene = Scene.of(fitted, replace(fitted, effects=loaded.effects), points)
     variants = _laws(scene, without)
     laws = [middle(same) for same in variants]
@@ -108,7 +108,8 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
         floor = replace(richest, turn_rad=floor.turn_rad)
     torques = [one.slope_Nm for one in laws if one.slope_Nm is not None]
     columns = np.concatenate(torques) if torques else np.zeros((0, *points.q_rad.shape))
-    currents = holding_currents(bare_arm, points, columns)
+    # nominal lengths are right to LEVER_m; those of a geometry alone have taken up what effects do
+    currents = holding_currents(replace(bare_arm, tool=fitted.tool), points, columns)
     return Looked(arm, bare_arm, loaded, points, parts, fit, floor, currents, out)
 
 

@@ -19,6 +19,7 @@ from calib.arrays import Array, Mask
 from calib.gap.posterior.term import Term
 from calib.identify.objective import LeastSquares
 from calib.identify.solver import minimise
+from control.model.arm import Arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,14 @@ class Fit:
         """As the file has it, the target where the arm's orientations want it on average."""
         target = PosedProblem(problem).start if len(problem.observed.turned_rows) else None
         return cls(problem, np.zeros(len(problem.parameters)) if x is None else x, target)
+
+    def shaped(self, arm: Arm) -> Arm:
+        """An arm with this geometry and tool, on which the laws of effects act."""
+        found = self.problem.solution(self.x)
+        x, y, z = found.tool_m.tolist()
+        return dataclasses.replace(
+            arm.with_dh(found.dh), tool=dataclasses.replace(arm.tool, position_m=(x, y, z))
+        )
 
     def at(self, x: Array) -> Fit:
         """At unknowns (K,): those of this geometry, then a turn of the target from where it is."""

@@ -47,7 +47,7 @@ class State:
         """The geometry alone; `arm` carries the loads that its file states."""
         m, n = fit.problem.observed.q_rad.shape
         still = np.zeros((m, 6))
-        return cls(fit, np.zeros((m, n)), still, still, None, arm.with_dh(fit.problem.solution(fit.x).dh))
+        return cls(fit, np.zeros((m, n)), still, still, None, fit.shaped(arm))
 
     def posed(self) -> Fit:
         """The fit of the problem with what the effects move."""
@@ -101,7 +101,7 @@ class Around:
 
         `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used.
         """
-        scene = Scene.of(arm.with_dh(state.loaded.dh), state.loaded, points)
+        scene = Scene.of(state.fit.shaped(arm), state.loaded, points)
         names = [_unlisted(one, without) for one in pose_terms(scene)]
         terms = [*names, *(blocks or blocks_of(scene, names))]
         linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight)
@@ -177,7 +177,7 @@ class Around:
             if isinstance(one.key, EffectName) and is_load(one.key.effect) and one.parameters is not None:
                 loads.append(effect_of(one.key, one.parameters(own[:1] * one.size, np.zeros((1, 1)))))
         weight = np.linalg.inv(np.linalg.cholesky(np.eye(3) + extra))
-        loaded = with_totals(state.loaded.with_dh(fit.problem.solution(fit.x).dh), loads)
+        loaded = with_totals(fit.shaped(state.loaded), loads)
         new = State(fit, turn, moved + beyond, moved, weight, loaded)
         by_joint = np.concatenate(by_joints(new.posed()), axis=1)
         return dataclasses.replace(new, linear=np.einsum("mn,min->mi", turn, by_joint) + moved)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.gap.static.cases import Design, Hidden, designed
+from benchmarks.gap.static.cases import RIGS, Design, Hidden, designed
 from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.calibration.calibrate import CalibrationPlan, identified
@@ -22,7 +22,7 @@ from calib.gap.series.split import split
 from calib.gap.workflow import Recordings, _updated, find_gap_in, write_gap
 from calib.points.points import joined
 from calib.validation.verify_recorded import errors_of, predicted_tips
-from control.model.arm import Arm, Effect
+from control.model.arm import Arm, Effect, Tool
 from control.model.description import load_arm
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
@@ -113,6 +113,21 @@ def test_what_poses_name_is_in_every_prediction_of_the_file_and_calibrate_identi
     (written,) = calibrated_arm(dataclasses.replace(arm, effects=(off,)), made, bent).effects
     assert written.parameters[first] == pytest.approx(parameters[first], rel=0.05)
     assert written.parameters.keys() == parameters.keys()
+
+
+def test_effects_of_loads_are_named_although_nobody_knows_where_the_tool_is(monkeypatch) -> None:
+    six, tool_m = RIGS["six"], (0.03, -0.02, 0.06)
+    arm = dataclasses.replace(six.arm, tool=Tool((0.0, 0.0, 0.0), known=False))
+    rig = dataclasses.replace(six, arm=arm, chain=dataclasses.replace(six.chain, tool_m=tool_m))
+    monkeypatch.setitem(RIGS, "other tool", rig)
+    hidden = (Hidden("link_flexure", 2, 140.0), Hidden("encoder_scale", 1, 0.008))
+    found = find(*designed(48, hidden, Design(rig="other tool", free=40, visits=4)))
+    assert {one.name for one in found.finding.effects if one.name.effect != "link_geometry"} == {
+        EffectName(one.effect, one.joint) for one in hidden
+    }
+    assert found.finding.unknown is None
+    assert found.finding.gap_after < 1.2
+    np.testing.assert_allclose(found.file.tool.position_m[:2], tool_m[:2], atol=5e-4)
 
 
 def test_a_part_of_a_recording_is_as_warm_as_it_was_in_the_whole() -> None:
