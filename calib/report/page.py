@@ -20,7 +20,7 @@ section { background: #fff; border: 1px solid var(--line); border-radius: 10px; 
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: 14px; }
 th, td { padding: 4px 10px; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
-th { color: var(--soft); font-weight: 600; border-bottom: 2px solid var(--line); }
+th { color: var(--soft); font-weight: 600; border-bottom: 2px solid var(--line); vertical-align: bottom; white-space: normal; }
 th:first-child, td:first-child, .text, .inputs th { text-align: left; }
 td.text { white-space: normal; }
 .verdict { border-left: 5px solid var(--blue); } .verdict p { margin: 4px 0; font-size: 16px; }
