@@ -9,10 +9,10 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from armwright.kinematics import Kinematics
 from armwright.motion import Trajectory
 from control.errors import ArmError, BadTarget
 from control.hardware.averaging import Average
-from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.channel import SocketChannel
@@ -28,8 +28,8 @@ class Status:
     """State of the arm at the loop's time `t_s`.
 
     `mode` is one of docs/state_machine.md. joint_rad, encoder_rad (they differ if the arm's file has backlash, compliance
-    or encoder errors), speed_rad_s, current_A: (n,). tip_m (3,) in the base frame by the model, None before homing; camera_m
-    (3,) by the camera, None without a fresh frame. `faults` and `warnings` are sentences.
+    or encoder errors), speed_rad_s, current_A: (n,). tip_m (3,) and tip_pose (7,), as of `Kinematics.pose`, in the base frame by
+    the model, None before homing; camera_m (3,) by the camera, None without a fresh frame. `faults` and `warnings` are sentences.
     """
 
     mode: str
@@ -40,6 +40,7 @@ class Status:
     speed_rad_s: Array
     current_A: Array
     tip_m: Array | None
+    tip_pose: Array | None
     camera_m: Array | None
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -99,6 +100,7 @@ class RunningArm:
             _array(now["speed_rad_s"]),
             _array(now["current_A"]),
             None if now["tip_m"] is None else _array(now["tip_m"]),
+            None if now["tip_m"] is None else _array([*now["tip_m"], *now["tip_orientation"]]),
             None if now["camera_m"] is None else _array(now["camera_m"]),
             tuple(f"{fault['where']}: {fault['message']}; {fault['remedy']}" for fault in now["faults"]),
             tuple(now["warnings"]),
@@ -132,7 +134,7 @@ class RunningArm:
         self._client.home(timeout_s)
 
     def move_joints(
-        self, joint_rad: Sequence[float] | Array, speed: float = 1.0, *, wait: bool = True
+        self, joint_rad: Sequence[float] | Array, speed: float = 0.5, *, wait: bool = True
     ) -> None:
         """Move to joint angles (n,) [rad], all joints arriving together; `speed` is a fraction of the joints' limits.
 
@@ -140,14 +142,13 @@ class RunningArm:
         """
         self._client.move_joints(_numbers(joint_rad, self._arm.joint_count, "joint_rad"), speed, wait)
 
-    def move_tip(self, tip_m: Sequence[float] | Array, speed: float = 1.0, *, wait: bool = True) -> None:
-        """Move the joints so that the tip ends at `tip_m` (3,) [m] in the base frame; the tip's path is not straight.
+    def move_tip(self, tip_m: Sequence[float] | Array, speed: float = 0.5, *, wait: bool = True) -> None:
+        """Move the joints so that the tip ends at a position (3,) or pose (7,), as of `Kinematics`; its path is not straight.
 
         OutOfReach, JointLimitViolated or NearSingular if there is no such pose; nothing has moved then.
         """
-        point = _numbers(tip_m, 3, "tip_m")
-        target = InverseKinematics(self.arm).nearest(point, self._client.status()["joint_rad"])
-        self._client.move_joints(target, speed, wait)
+        target = Kinematics(self.arm).inverse(tip_m, self._client.status()["joint_rad"])
+        self._client.move_joints(_numbers(target, self._arm.joint_count, "tip_m"), speed, wait)
 
     def run(self, trajectory: Trajectory, *, wait: bool = True) -> None:
         """Move to the start of a planned path at half speed, then run the path; ArmError if it is another arm's or tool's.

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import armwright
@@ -115,6 +116,20 @@ def test_a_path_with_orientations_is_planned_and_sampled_for_six_joints() -> Non
     samples = trajectory.sample([0.0, 0.5 * trajectory.duration_s, trajectory.duration_s])
     assert samples.joint_rad.shape == (3, 6)
     assert samples.tip_m[-1] == pytest.approx(waypoints.points[-1], abs=1e-6)
+
+
+def test_tip_poses_of_six_joints_go_there_and_back() -> None:
+    kinematics = armwright.Kinematics(SIX)
+    near = np.array([[0.2, -0.5, 0.6, 0.3, 0.4, -0.2], [0.1, -0.4, 0.5, 0.2, 0.5, 0.1]])
+    poses = kinematics.pose(near)
+    assert poses[:, :3] == pytest.approx(kinematics.forward(near))
+    found = kinematics.inverse(poses, near + 0.05)
+    assert found.shape == (2, 6)
+    assert kinematics.pose(found) == pytest.approx(poses, abs=1e-6)
+    with pytest.raises(armwright.BadTarget, match="a unit quaternion"):
+        kinematics.inverse([*poses[0, :3], 2.0, 0.0, 0.0, 0.0])
+    with pytest.raises(armwright.MissingModel, match="`inverse` with different near_rad"):
+        kinematics.solutions(poses[0, :3])
 
 
 def test_wrong_input_is_one_error_of_the_family_that_says_the_shape() -> None:
