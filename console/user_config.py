@@ -1,14 +1,16 @@
-"""The default arm of a command line: $ARMWRIGHT_ARM, else `arm` in the user's config.toml, else "right"."""
+"""What a user has chosen: the default arm ($ARMWRIGHT_ARM, else `arm` in config.toml, else "right"), and the unit of angles."""
 
+import contextlib
 import os
 from pathlib import Path
 from typing import Any
 
 from control.errors import ArmError
-from control.files import parsed_toml, read_text
+from control.files import parsed_toml, read_text, write_whole
 
 VARIABLE = "ARMWRIGHT_ARM"
 BUILT_IN = "right"
+DEGREES = "deg"
 
 
 class ConfigError(ArmError):
@@ -36,6 +38,23 @@ def default_arm() -> str:
             f"{file}: arm: expected the path of an arm.toml or the name of an arm, got {table['arm']!r}"
         )
     return _existing(table["arm"], file.parent, f"{file}: arm")
+
+
+def shows_degrees() -> bool:
+    """Whether the console showed joint angles in degrees when it was told last."""
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        return _unit_file().read_text(encoding="utf-8").strip() == DEGREES
+    return False
+
+
+def remember_degrees(are_shown: bool) -> None:
+    """Keep it for the next console, where there is a place for it."""
+    with contextlib.suppress(OSError):
+        write_whole(_unit_file(), DEGREES if are_shown else "rad")
+
+
+def _unit_file() -> Path:
+    return config_file().with_name("console_angles")
 
 
 def _existing(text: str, folder: Path, where: str) -> str:

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 
@@ -70,6 +71,7 @@ def _joint_rows(status: Message) -> list[str]:
     return [
         _row("joint", [f"{joint + 1}" for joint in range(len(status["q_rad"]))]),
         _row("angle [rad]", _marked(_numbers(status["q_rad"], 4), encoder)),
+        _row("angle [deg]", _marked(_numbers([math.degrees(q) for q in status["q_rad"]], 2), encoder)),
         _row("set-point [rad]", _numbers(status["q_set_rad"], 4)),
         _row(
             "following error [mrad]",

@@ -14,6 +14,7 @@ from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink
 from console.screen.operator import Operator
 from console.screen.texts import end_rows, headline, joint_rows, status_rows, tip_row
+from console.user_config import shows_degrees
 from control.model.arm import Arm
 
 TEXT_S, VIEW_S, PLOT_S = 0.3, 0.3, 0.9  # multiples, so that updates coincide and are drawn in one pass
@@ -27,6 +28,7 @@ class Dashboard:
 
     def __init__(self, arm: Arm, operator: Operator, jogger: Jogger) -> None:
         self.override = 1.0
+        self.in_degrees = shows_degrees()
         self._arm, self._operator, self._jogger = arm, operator, jogger
         self._link: RuntimeLink = operator.link
         self._skeleton = Skeleton(arm)
@@ -85,7 +87,7 @@ class Dashboard:
         yield "status", status_rows(status, why_lost, room("status")[0])
         if status is not None:
             width = room("joints")[0]
-            joints = joint_rows(status, arm, selected, width)
+            joints = joint_rows(status, arm, selected, width, self.in_degrees)
             yield "joints", [*joints, tip_row(status, selected), *end_rows(status, width)]
         yield "jog", [self._jog_row()]
 

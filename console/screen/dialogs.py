@@ -24,8 +24,8 @@ HELP = """\
 [b]u[/]         guide by hand            [b]r[/]       record a way-point
 [b]k[/]         save this place by name  [b]a[/]       acknowledge faults
 [b]c[/]         calibration session      [b]:[/]       command box
-[b]v[/]         plots or the arm         [b]pgup[/] [b]pgdn[/]   scroll the events
-[b]tab[/]       the next arm of a cell
+[b]v[/]         plots or the arm         [b]d[/]       degrees or radians
+[b]tab[/]       the next arm of a cell   [b]pgup[/] [b]pgdn[/]   scroll the events
 [b]ctrl+q[/], [b]ctrl+c[/]   leave: the motion is stopped, the arm is held
 
 Escape closes this."""

@@ -24,6 +24,7 @@ from console.screen.jogging import RENEW_S, Jogger, neighbour
 from console.screen.link import Message, RuntimeLink
 from console.screen.operator import Operator
 from console.screen.widgets import CommandBox, HeldButton, JogPad
+from console.user_config import remember_degrees
 
 OVERRIDES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 GUIDING = {
@@ -66,6 +67,7 @@ class OperatingScreen(Screen[None]):
         Binding("a", "line('acknowledge')", show=False),
         Binding("c", "calibrate", show=False),
         Binding("v", "toggle_plots", show=False),
+        Binding("d", "toggle_degrees", show=False),
         Binding("pageup", "scroll_events(-1)", show=False),
         Binding("pagedown", "scroll_events(1)", show=False),
         Binding("tab", "next_arm", show=False),
@@ -197,6 +199,11 @@ class OperatingScreen(Screen[None]):
     def action_toggle_plots(self) -> None:
         """Show plots instead of the arm, if the terminal has room for only one."""
         self.toggle_class("-plots")
+
+    def action_toggle_degrees(self) -> None:
+        """Show joint angles in degrees or radians, now and from now on."""
+        self._dashboard.in_degrees = not self._dashboard.in_degrees
+        remember_degrees(self._dashboard.in_degrees)
 
     def action_scroll_events(self, pages: int) -> None:
         """Scroll the log by a page."""

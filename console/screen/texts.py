@@ -82,11 +82,12 @@ def bus_load(arm: Arm, period_s: float) -> float:
     return (2 * arm.joint_count / period_s + end_frames_Hz(arm)) * FRAME_bits / bitrate
 
 
-def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row]:
+def joint_rows(status: Message, arm: Arm, selected: str, width: int, in_degrees: bool = False) -> list[Row]:
     """A heading and a row per joint; if there is room, with a gauge of the angle in its range."""
-    is_wide = width >= NAME + sum(column.wide for column in COLUMNS) + DRIVE
-    widths = [column.wide if is_wide else column.narrow for column in COLUMNS]
-    titles = [column.heading if is_wide else column.short for column in COLUMNS]
+    columns = (DEGREES, *COLUMNS[1:]) if in_degrees else COLUMNS
+    is_wide = width >= NAME + sum(column.wide for column in columns) + DRIVE
+    widths = [column.wide if is_wide else column.narrow for column in columns]
+    titles = [column.heading if is_wide else column.short for column in columns]
     gauge = min(width - NAME - sum(widths) - DRIVE - 1, GAUGE_most)
     heading = " " * NAME + "".join(title.rjust(w) for title, w in zip(titles, widths, strict=True))
     in_range = f"{'range':^{gauge}}" if gauge >= GAUGE_least else ""
@@ -94,7 +95,7 @@ def joint_rows(status: Message, arm: Arm, selected: str, width: int) -> list[Row
     ages = stale_s(status)
     for j, drive in enumerate(arm.drives):
         spans = _joint_name(j, selected, ages[j])
-        for column, cells in zip(COLUMNS, widths, strict=True):
+        for column, cells in zip(columns, widths, strict=True):
             text, look = column.cell(status, drive, arm, j)
             spans += ((text.rjust(cells), "muted" if ages[j] is not None else look),)
         spans += (_drive_state(str(status["drive_state"][j]), ages[j]),)
@@ -192,6 +193,11 @@ def _angle(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
     return _near(f"{q:+z.4f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad))
 
 
+def _degrees(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
+    q = status["q_rad"][j]
+    return _near(f"{math.degrees(q):+z.2f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad))
+
+
 def _error(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
     error = status["following_error_rad"][j]
     return _near(f"{1e3 * error:+z.1f}", abs(error) / arm.limits.following_error_rad)
@@ -213,6 +219,7 @@ def _temperature(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
     return (f"{temperature:.0f}" if is_known else "-"), "plain"
 
 
+DEGREES = Column("angle deg", "angle deg", 10, 9, _degrees)
 NAME, DRIVE = 4, 21  # columns of a joint's name and of its drive's state
 COLUMNS = (
     Column("angle rad", "angle rad", 10, 9, _angle),

@@ -233,7 +233,12 @@ def test_the_table_of_joints_fits_80_columns_with_the_longest_values() -> None:
         3, q_rad=[-12.3456] * 3, following_error_rad=[-0.1234] * 3, count=[-2147483648] * 3,
         current_A=[-12.34] * 3, speed_rad_s=[-12.34] * 3, drive_state=["FAULT REACTION ACTIVE"] * 3,
     )  # fmt: skip
-    rows = [*joint_rows(status, RIGHT, "J1", 78), tip_row(status, "X"), *status_rows(status, "", 78)]
-    assert max(width_of(spans) for spans in rows) <= 78
-    joints = text_of(rows[1:4]).splitlines()
-    assert all(len(line.split()) >= 8 for line in joints)  # no two values touch
+    for in_degrees in (False, True):
+        rows = [
+            *joint_rows(status, RIGHT, "J1", 78, in_degrees),
+            tip_row(status, "X"),
+            *status_rows(status, "", 78),
+        ]
+        assert max(width_of(spans) for spans in rows) <= 78
+        joints = text_of(rows[1:4]).splitlines()
+        assert all(len(line.split()) >= 8 for line in joints)  # no two values touch

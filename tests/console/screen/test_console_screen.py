@@ -15,6 +15,7 @@ from textual.pilot import Pilot
 from console.screen.app import ConsoleApp
 from console.screen.dialogs import Choose
 from console.screen.widgets import CommandBox
+from console.user_config import shows_degrees
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell
@@ -340,6 +341,12 @@ def test_keys_and_the_command_box_do_what_lines_do(tmp_path: Path) -> None:
         await until(pilot, lambda: app.focused is None)
         await press(pilot, ">", ">")
         await until(pilot, lambda: served.cell.runtime.override == 1.0)
+        await press(pilot, "d")
+        await until(pilot, lambda: "angle deg" in shown(app, "joints") and "+5.73" in shown(app, "joints"))
+        assert shows_degrees()  # the next console, too
+        await press(pilot, "d")
+        await until(pilot, lambda: "+0.1000" in shown(app, "joints"))
+        assert not shows_degrees()
         start_move(served)
         await moved(pilot, served, 1)
         await until(pilot, lambda: app.link.status is not None and app.link.status["mode"] == "MOVING")
