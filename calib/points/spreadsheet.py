@@ -152,7 +152,7 @@ def _unit(
         return given
     said = {next((unit for unit, form in UNITS if re.search(form, name.lower())), None) for name in names}
     (unit,) = said if len(said) == 1 else (None,)
-    if unit not in units:
+    if unit is None or unit not in units:
         raise Unclear(f"{sheet.path}: the unit of {', '.join(names)}", option, "", tuple(units))
     return unit
 

@@ -48,7 +48,7 @@ def _move(given: argparse.Namespace) -> int:
 
 def _go(given: argparse.Namespace) -> int:
     rest = load_arm(given.arm).rest
-    place = find_place(Path(given.places), given.name, rest and rest.q_rad)
+    place = find_place(Path(given.places), given.name, rest.q_rad if rest else None)
     return _joint_move(given, place.q_rad, place.tip_m)
 
 
