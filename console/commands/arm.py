@@ -12,8 +12,9 @@ from typing import Any, Final
 import msgspec
 
 from control.errors import ArmError
-from control.model.arm import Arm
+from control.model.arm import Arm, Effect
 from control.model.description import load_arm, save_arm
+from control.model.effects import place_of
 from procedures.arm_sheet.figures import Sheet, sheet
 from procedures.arm_sheet.missing import Missing, missing
 from procedures.arm_sheet.text import sheet_lines, warnings
@@ -55,6 +56,14 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _effect(one: Effect) -> str:
+    """An effect as a line: where it is, and its parameters."""
+    where = "" if one.joint is None else f" of {place_of(one.effect)} {one.joint}"
+    return (
+        f"{one.effect}{where}: {', '.join(f'{name} {value:.4g}' for name, value in one.parameters.items())}"
+    )
 
 
 def _imported(given: argparse.Namespace) -> int:
@@ -130,7 +139,7 @@ def described(arm: Arm) -> str:
         lines.append(
             f"{number:<6}{link.joint:<10}{1e3 * link.d_m:>12.3f}{theta_deg:>14.4f}{1e3 * link.L_m:>12.3f}{alpha_deg:>14.4f}"
         )
-    lines += [f"effect {e.effect}, joint {e.joint}: {dict(e.parameters)}" for e in arm.effects]
+    lines += [f"effect {_effect(one)}" for one in arm.effects]
     if arm.calibration:
         lines.append(
             f"calibrated from {arm.calibration.source} on {arm.calibration.date} ({arm.calibration.objective})"

@@ -17,7 +17,10 @@ Rotation = tuple[Vector3, Vector3, Vector3]
 def table_of(arm: Arm) -> Table:
     """The arm's table; MissingModel where its file has none."""
     if arm.table is None:
-        raise MissingModel(f"arm {arm.name}: this needs a calibration table; add a [table] section")
+        raise MissingModel(
+            f"arm {arm.name}: this needs a calibration table: add [table]. Without one a camera measures free poses: `armwright"
+            " session --camera --free 24`, and others for `armwright verify --points`"
+        )
     return arm.table
 
 

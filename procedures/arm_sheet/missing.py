@@ -52,7 +52,10 @@ def _found(arm: Arm) -> Iterator[Missing]:
         )
     yield from _electrical(arm)
     if arm.table is None:
-        yield Missing("[table]", "session, calibrate without measured tips, demo")
+        yield Missing(
+            "[table]",
+            "session without --camera --free, calibrate without measured tips, verify without --points, demo",
+        )
     if arm.camera is None:
         yield Missing("[camera]", "the noise of verify, iso9283 and gap (else it is estimated or assumed)")
     if arm.rest is None:
