@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -31,6 +32,7 @@ class Operator:
         """`may_auto`: a mock hand seats the tip, so questions may be answered automatically."""
         self._folder, self._words, self._lines, self._say = folder, words, lines, say
         self._may_auto = may_auto
+        self._times_s: list[float] = []  # of the records
         self._auto: int | None = 0  # questions still to be answered automatically, None: all
 
     def run(self, talk: Talk) -> None:
@@ -106,6 +108,14 @@ class Operator:
         where = f"[{done + 1}/{len(state.targets)}] {target.name}"
         return f"{where}: {self._words.question(ask, target)}"
 
+    def _time_left(self, now_s: float) -> str:
+        """How long the rest takes at the pace so far; nothing before the third record."""
+        self._times_s.append(now_s)
+        left, paces = len(self._folder.state.left()), len(self._times_s) - 1
+        if paces < 2 or not left:
+            return ""
+        return f"; about {math.ceil((now_s - self._times_s[0]) / paces * left / 60.0)} min left"
+
     def _recorded(self, recorded: Recorded) -> str:
         """The record, the model error, and its agreement with earlier records."""
         record, verdict = recorded.record, recorded.verdict
@@ -114,6 +124,7 @@ class Operator:
             text += f"; model error {1e3 * float(np.linalg.norm(verdict.error_m)):.2f} mm"
         if np.isfinite(verdict.off_sd):
             text += f", {1e3 * verdict.off_m:.2f} mm from the prediction of the earlier points"
+        text += self._time_left(record.t_s)
         if verdict.is_suspect:
             text = (
                 f"! {text}: {verdict.off_sd:.0f} standard deviations. Check {self._words.check(record)}. `redo` measures again,"
