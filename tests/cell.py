@@ -16,6 +16,7 @@ from control.hardware.connect import Connection, connect
 from control.loop.runtime import Runtime
 from control.model.arm import Arm, CanBus
 from control.model.description import load_arm
+from control.model.end_effector import Gripper
 from control.recording.record import RowSink
 from control.safety.table import Mode
 from control.server.assemble import Assembly, assemble
@@ -27,6 +28,10 @@ from hil_mocks.scenario import EffectTable, FaultTable, Scenario, Start, load_sc
 
 PERIOD_S = 0.002
 RIGHT = load_arm("right")
+GRIPPER = Gripper(
+    motor_node=4, travel_m=0.08, travel_per_turn_m=0.004, torque_constant_Nm_A=0.02, resistance_ohm=2.0, supply_V=24.0,
+    current_limit_A=2.0, speed_limit_m_s=0.16, encoder_counts_per_rev=2048, rotor_inertia_kg_m2=4e-7,
+)  # fmt: skip
 STRETCHED = (0.1, -0.6, 0.2)  # gravity pulls joint 2 with 6 Nm here
 FRICTION = tuple(
     EffectTable("coulomb_friction", joint, {"torque_Nm": torque})

@@ -8,14 +8,12 @@ import pytest
 
 import armwright
 from control.model.arm import Tool
-from control.model.end_effector import Digital, Gripper
+from control.model.end_effector import Digital
+from tests.cell import GRIPPER
 
 pytestmark = pytest.mark.usefixtures("nobody_below")
 
-GRIPPER = Gripper(
-    motor_node=4, travel_m=0.04, travel_per_turn_m=0.004, torque_constant_Nm_A=0.02, resistance_ohm=2.0, supply_V=24.0,
-    current_limit_A=2.0, speed_limit_m_s=0.16, encoder_counts_per_rev=2048, rotor_inertia_kg_m2=4e-7,
-)  # fmt: skip
+SHORT = replace(GRIPPER, travel_m=0.04)
 RIGHT = armwright.load_arm("right")
 
 
@@ -24,7 +22,7 @@ def test_an_arm_grips_sets_an_output_and_changes_its_tool() -> None:
         RIGHT,
         tool=Tool(name="bare"),
         spare_tools=(Tool((0.0, 0.0, 0.1), name="cup"),),
-        gripper=GRIPPER,
+        gripper=SHORT,
         digital=(Digital("valve", 1, 0, "output"), Digital("part", 2, 1, "input")),
     )
     with armwright.mock_arm(arm) as running:

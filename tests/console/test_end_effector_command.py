@@ -11,18 +11,15 @@ from console.main import main
 from console.screen.drawing.rows import Row
 from console.screen.texts import bus_load, end_rows
 from control.model.arm import Tool
-from control.model.end_effector import Digital, Gripper
-from tests.cell import RIGHT, Cell, holding_cell, scenario
+from control.model.end_effector import Digital
+from tests.cell import GRIPPER, RIGHT, Cell, holding_cell, scenario
 
-GRIPPER = Gripper(
-    motor_node=4, travel_m=0.04, travel_per_turn_m=0.004, torque_constant_Nm_A=0.02, resistance_ohm=2.0, supply_V=24.0,
-    current_limit_A=2.0, speed_limit_m_s=0.16, encoder_counts_per_rev=2048, rotor_inertia_kg_m2=4e-7,
-)  # fmt: skip
+SHORT = replace(GRIPPER, travel_m=0.04)
 ARM = replace(
     RIGHT,
     tool=Tool(name="pen"),
     spare_tools=(Tool((0.0, 0.0, 0.1), name="cup"),),
-    gripper=GRIPPER,
+    gripper=SHORT,
     digital=(Digital("valve", 1, 0, "output"), Digital("part", 2, 1, "input")),
 )
 Call = Callable[[str], tuple[int, str, str]]

@@ -14,12 +14,8 @@ from control.model.end_effector import Gripper
 from control.recording.layout import about_columns, layout_of
 from control.safety.table import Mode
 from hil_mocks.scenario import GripperTable
-from tests.cell import RIGHT, Cell, handled, holding_cell, open_cell, restarted, scenario
+from tests.cell import GRIPPER, RIGHT, Cell, handled, holding_cell, open_cell, restarted, scenario
 
-GRIPPER = Gripper(
-    motor_node=4, travel_m=0.08, travel_per_turn_m=0.004, torque_constant_Nm_A=0.02, resistance_ohm=2.0, supply_V=24.0,
-    current_limit_A=2.0, speed_limit_m_s=0.16, encoder_counts_per_rev=2048, rotor_inertia_kg_m2=4e-7,
-)  # fmt: skip
 END_m = 0.3e-3  # how far the whole force presses into an end
 
 

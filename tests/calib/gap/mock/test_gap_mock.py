@@ -98,6 +98,7 @@ def test_friction_under_load_in_runs_of_the_mock_arm_is_named_with_its_fraction(
     assert found.gap_after < 1.3 < found.gap_before
 
 
+@pytest.mark.nightly  # of prescribed motions, and of the command, the same is asked at each change
 def test_friction_under_load_that_is_taken_off_the_list_is_unknown(known: Arm, log: Log) -> None:
     found = find_in_motion(known, log, candidates=[name for name in EFFECTS if name != "load_friction"])
     assert names(found) == []

@@ -60,6 +60,7 @@ def test_a_servo_without_current_sensor_is_not_said_to_have_one(servo: DynamicOu
     assert any("no run repeats another" in text for text in servo.warnings)
 
 
+@pytest.mark.nightly  # the arms of all other logs know their friction, and none is named on them
 def test_friction_that_the_file_has_already_is_not_named_again(servo: DynamicOutcome, servo_log: Log) -> None:
     arm = load_arm(REAL / "bam_xl330" / "arm.toml")
     found = next(e for e in servo.finding.effects if e.name == COULOMB)

@@ -28,6 +28,7 @@ from calib.points.points import Points
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Effect
 from tests.calib.gap.series.prescribed import Hidden, arm_with_friction, log_of
+from tests.thirds import third_of
 
 pytestmark = pytest.mark.usefixtures("without_motion")
 
@@ -106,7 +107,7 @@ def test_load_friction_is_named_with_its_joint_and_fraction() -> None:
     assert found.gap_after < 1.3 < found.gap_before
 
 
-@pytest.mark.parametrize("order", [1, 7])
+@pytest.mark.parametrize("order", third_of([7, 1]))
 def test_cogging_is_named_with_order_amplitude_and_phase(order: int) -> None:
     found = hiding(on_joint(1, lambda j, q, speed, link: 0.4 * np.sin(order * 100.0 * q + 0.8)))
     assert names(found) == [EffectName("cogging", 1)]
