@@ -5,8 +5,7 @@ between motor and joint are effects (`control.model.effects`).
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,25 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from control.dynamics.rigid_body import Chain, chain_of, inverse_dynamics
 from control.errors import ArmError
 from control.kinematics.chain import checked_poses
-from control.kinematics.straight_line import compile_function
+from control.kinematics.straight_line import compile_function, shared
 from control.kinematics.tracing import Graph, Scalar, Symbol
 from control.model.arm import Arm, Vector3
 
 Array = NDArray[np.float64]
 Floats = tuple[float, ...]
-Built = TypeVar("Built")
-KEPT = 64  # compiled functions of each sort
-
-
-def _shared(build: "Callable[[Dynamics], Built]") -> "cached_property[Built]":
-    """A property that is built once for all equal dynamics."""
-    return cached_property(lru_cache(maxsize=KEPT)(build))
 
 
 class Dynamics:
     """The equations of motion of one arm, with a point mass `payload_kg` at its tip.
 
-    Equal where the numbers are, and then they share what is traced and compiled: that takes longer than most of its uses.
+    Equal where the numbers are.
     Raises MissingModel, which names the masses that the arm's file lacks.
     """
 
@@ -59,14 +51,14 @@ class Dynamics:
         """Return the same arm with another mass at its tip."""
         return Dynamics(self._arm, payload_kg)
 
-    @_shared
+    @shared
     def inverse(self) -> Callable[[Sequence[float], Sequence[float], Sequence[float]], Floats]:
         """`inverse(q, speed, acceleration) -> torques` [rad, rad/s, rad/s^2 -> N m at the joints]."""
         q, speed, acceleration = self._symbols()
         torques = self._torques(q, speed, acceleration, self._gravity, self.payload_kg)
         return compile_function("inverse_dynamics", [q, speed, acceleration], tuple(torques))
 
-    @_shared
+    @shared
     def gravity(self) -> Callable[[Sequence[float]], Floats]:
         """`gravity(q) -> torques` that hold the arm still [N m]."""
         q, *_ = self._symbols()
@@ -75,7 +67,7 @@ class Dynamics:
             "gravity", [q], tuple(self._torques(q, still, still, self._gravity, self.payload_kg))
         )
 
-    @_shared
+    @shared
     def mass_matrix(self) -> Callable[[Sequence[float]], tuple[Floats, ...]]:
         """`mass_matrix(q) -> n rows` [kg m^2], rotors included."""
         q, *_ = self._symbols()
@@ -105,7 +97,7 @@ class Dynamics:
                 result[:, i, j] = entry
         return result
 
-    @_shared
+    @shared
     def _batch(self) -> Callable[..., Any]:
         q, speed, acceleration = self._symbols()
         payload = q[0].graph.variable("payload")

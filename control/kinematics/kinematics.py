@@ -5,7 +5,6 @@ for this arm's numbers (see `control.kinematics.tracing`); their derivatives are
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from control.errors import ArmError
 from control.kinematics import chain
 from control.kinematics.chain_jacobian import tips_and_dh_jacobian
-from control.kinematics.straight_line import compile_function, derivative
+from control.kinematics.straight_line import compile_function, derivative, shared
 from control.kinematics.tracing import Graph, Symbol
 from control.model.arm import Arm, Convention, Vector3
 
@@ -23,7 +22,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 class Kinematics:
-    """Forward kinematics of an arm's tip. Lengths in m, angles in rad, everything in the base frame.
+    """Forward kinematics of an arm's tip. Lengths in m, angles in rad, everything in the base frame. Equal where the numbers are.
 
     Args:
         arm_or_dh: an Arm, or a DH table (links, 4) with columns d, theta, L, alpha.
@@ -51,6 +50,16 @@ class Kinematics:
         self._check()
         self.joint_count = sum(self.joints)
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Kinematics) and self._numbers == other._numbers
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
+
+    @property
+    def _numbers(self) -> tuple[object, ...]:
+        return self.dh.tobytes(), self.convention, self.joints, self.tool_m
+
     def _check(self) -> None:
         if self.dh.ndim != 2 or self.dh.shape != (len(self.joints), 4) or not np.isfinite(self.dh).all():
             expected = f"expected a finite DH table ({len(self.joints)}, 4)"
@@ -62,20 +71,20 @@ class Kinematics:
         """Return the tip as expressions of the symbols q."""
         return chain.tip(chain.steps(self.dh.tolist(), self.joints, self.convention), q, self.tool_m)
 
-    @cached_property
+    @shared
     def tip(self) -> Callable[..., Vector3]:
         """`tip(q1, ..., qn) -> (x, y, z)`."""
         q = self._symbols(Graph(), "q")
         return compile_function("tip", q, self.traced_tip(q))
 
-    @cached_property
+    @shared
     def tip_jacobian(self) -> Callable[..., tuple[Vector3, Rows]]:
         """`tip_jacobian(q1, ..., qn) -> ((x, y, z), three rows of n)`, rows in m/rad."""
         q = self._symbols(Graph(), "q")
         tip = self.traced_tip(q)
         return compile_function("tip_jacobian", q, (tip, _transposed([derivative(tip, s) for s in q])))
 
-    @cached_property
+    @shared
     def tip_bias(self) -> Callable[[Sequence[float], Sequence[float]], Vector3]:
         """`tip_bias(q, qd) -> Jdot qd`, the tip's acceleration [m/s^2] at constant joint speeds."""
         graph = Graph()
@@ -83,14 +92,14 @@ class Kinematics:
         velocity = _rate(self.traced_tip(q), q, speeds)
         return compile_function("tip_bias", [q, speeds], tuple(_rate(velocity, q, speeds)))
 
-    @cached_property
+    @shared
     def _batch_jacobian(self) -> Callable[..., Any]:
         q = self._symbols(Graph(), "q")
         tip = self.traced_tip(q)
         columns = [derivative(tip, s) for s in q]
         return compile_function("jacobians", q, tuple(map(tuple, columns)), np)
 
-    @cached_property
+    @shared
     def _batch_tip(self) -> Callable[..., Any]:
         q = self._symbols(Graph(), "q")
         return compile_function("tips", q, self.traced_tip(q), np)

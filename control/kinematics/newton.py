@@ -1,10 +1,11 @@
 """Newton's method for the tip position of a three-joint arm, one compiled straight-line step at a time."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 from control.kinematics.kinematics import Kinematics
-from control.kinematics.straight_line import compile_function, derivative
+from control.kinematics.straight_line import KEPT, compile_function, derivative
 from control.kinematics.tracing import Graph
 
 ACCURACY_M = 1e-9
@@ -40,6 +41,7 @@ class Newton:
         return dx * dx + dy * dy + dz * dz < ACCURACY_M * ACCURACY_M
 
 
+@lru_cache(maxsize=KEPT)
 def _compiled_step(kinematics: Kinematics) -> Callable[..., tuple[float, float, float, float]]:
     """Return `step(q1, q2, q3, x, y, z) -> (q1, q2, q3, squared error before the step)`."""
     graph = Graph()

@@ -5,7 +5,6 @@ axes (Siciliano et al., Robotics: Modelling, Planning and Control, 3.1). Both DH
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from control.kinematics import chain
 from control.kinematics.kinematics import Kinematics
-from control.kinematics.straight_line import compile_function, derivative
+from control.kinematics.straight_line import compile_function, derivative, shared
 from control.kinematics.tracing import Graph, Scalar
 from control.model.arm import Vector3
 
@@ -37,7 +36,13 @@ class PoseKinematics:
         self.kinematics = kinematics
         self.joint_count = kinematics.joint_count
 
-    @cached_property
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PoseKinematics) and self.kinematics == other.kinematics
+
+    def __hash__(self) -> int:
+        return hash(self.kinematics)
+
+    @shared
     def at(self) -> Callable[..., tuple[Vector3, Rows, Rows]]:
         """`at(q1, ..., qn) -> (position, rotation's rows, Jacobian's six rows)`, in plain floats."""
         q, position, rotation, jacobian = self._traced()
@@ -57,7 +62,7 @@ class PoseKinematics:
                     rows[i, j] = value
         return Poses(found.position_m.T, found.rotation.transpose(2, 0, 1), found.jacobian.transpose(2, 0, 1))
 
-    @cached_property
+    @shared
     def _batch(self) -> Callable[..., Any]:
         q, position, rotation, jacobian = self._traced()
         return compile_function("tip_poses", q, (position, rotation, jacobian), np)

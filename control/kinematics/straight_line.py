@@ -2,9 +2,19 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar
 
 from control.kinematics.tracing import FUNCTIONS, Scalar, Symbol, cos, sin
+
+Owner = TypeVar("Owner")
+Built = TypeVar("Built")
+KEPT = 64  # compiled functions of each sort
+
+
+def shared(build: Callable[[Owner], Built]) -> "cached_property[Built]":
+    """A property that is built once for all equal owners: to trace and compile takes longer than most uses."""
+    return cached_property(lru_cache(maxsize=KEPT)(build))
 
 
 def derivative(outputs: Sequence[Scalar], variable: Symbol) -> list[Scalar]:

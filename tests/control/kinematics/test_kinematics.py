@@ -184,3 +184,17 @@ def test_a_dh_table_that_is_none_is_rejected() -> None:
         Kinematics([[0.0, math.nan, 0.0, 0.0]])
     with pytest.raises(ArmError, match='"standard" or "modified"'):
         Kinematics(np.zeros((1, 4)), "hayati")  # type: ignore[arg-type]
+
+
+def test_equal_arms_share_what_is_compiled_and_others_do_not() -> None:
+    dh = load_arm("right").dh
+    first = Kinematics(dh, tool_m=(0.1, 0.0, 0.0))
+    assert Kinematics(dh.copy(), tool_m=(0.1, 0.0, 0.0)).tip is first.tip
+    longer = dh + np.eye(*dh.shape)
+    others = (
+        Kinematics(dh),
+        Kinematics(longer, tool_m=first.tool_m),
+        Kinematics(dh, "modified", tool_m=first.tool_m),
+        Kinematics(dh, joints=(*first.joints[:-1], not first.joints[-1]), tool_m=first.tool_m),
+    )
+    assert all(other != first and other.tip is not first.tip for other in others)
