@@ -9,14 +9,19 @@ import ctypes
 import gc
 import math
 import os
+import re
 import resource
+from collections.abc import Iterator
 from pathlib import Path
 
 from control.loop.cell import Looped
 
 FIFO_PRIORITY = 80  # above what a desktop gives anything else, below the kernel's own threads (99)
-MCL_CURRENT, MCL_FUTURE = 1, 2
+MCL_FUTURE = 2
+MAPS = Path("/proc/self/maps")
 M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4  # of mallopt
+ALGEBRA = re.compile(r"/lib[^/]*(openblas|gfortran|quadmath)[^/]*$")
+LARGE_bytes = 16 << 20  # a buffer of linear algebra has 32 MB; Python's own blocks have 1 MB
 LATENCY_FILE = Path("/dev/cpu_dma_latency")
 COLLECT_EVERY_S = 1.0
 MOST_YOUNG = 5_000  # objects: to look at as many takes a third of a cycle at 500 Hz
@@ -76,15 +81,38 @@ def isolated_cpus(file: Path) -> set[int]:
 
 
 def _lock_memory() -> bool:
-    """Lock what there is, and what comes if that is unlimited; freed memory is kept, so that no page is faulted in again."""
+    """Lock what there is, and what comes if that is unlimited; freed memory is kept, so that no page is faulted in again.
+
+    What no cycle touches stays out of memory: numpy's linear algebra, and its buffers as large as that.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "mallopt"):
         libc.mallopt(M_TRIM_THRESHOLD, -1)
         libc.mallopt(M_MMAP_MAX, 0)
     # With a small limit every later allocation would fail.
     is_unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
-    flags = MCL_CURRENT | MCL_FUTURE if is_unlimited else MCL_CURRENT
-    return bool(libc.mlockall(flags) == 0)
+    if is_unlimited and libc.mlockall(MCL_FUTURE) != 0:
+        return False
+    needed = [
+        (start, end - start)
+        for start, end, name in mapped(MAPS.read_text())
+        if not _is_algebra(end - start, name)
+    ]
+    return all(libc.mlock(ctypes.c_void_p(at), ctypes.c_size_t(size)) == 0 for at, size in needed)
+
+
+def _is_algebra(size: int, name: str) -> bool:
+    return ALGEBRA.search(name) is not None or (not name and size >= LARGE_bytes)
+
+
+def mapped(maps: str) -> Iterator[tuple[int, int, str]]:
+    """Start, end and file of what is mapped and may be read, from the text of /proc/PID/maps; the kernel's own left out."""
+    for line in maps.splitlines():
+        span, rights, *others = line.split(maxsplit=5)
+        name = others[3] if len(others) > 3 else ""
+        if rights[0] == "r" and not name.startswith("[v"):
+            start, end = span.split("-")
+            yield int(start, 16), int(end, 16), name
 
 
 def _go_to(cpus: set[int]) -> None:

@@ -15,7 +15,15 @@ import pytest
 from control.loop.drives import Bound
 from control.loop.punctuality import Punctuality
 from control.server.process import run
-from control.server.scheduling import COLLECT_EVERY_S, MOST_YOUNG, Collector, isolated_cpus, strain
+from control.server.scheduling import (
+    ALGEBRA,
+    COLLECT_EVERY_S,
+    MOST_YOUNG,
+    Collector,
+    isolated_cpus,
+    mapped,
+    strain,
+)
 from control.server.server import Server
 from tests.cell import open_cell
 
@@ -129,3 +137,17 @@ def test_a_signal_that_comes_while_a_request_is_served_ends_the_runtime_after_it
             for number, handler in before.items():
                 signal.signal(number, handler)
         assert (cell.runtime.bound, serving.polls) == (Bound.QUIT, 6)
+
+
+def test_what_is_mapped_is_read_as_the_kernel_lists_it() -> None:
+    text = (
+        "7f9db2200000-7f9db4200000 rw-p 00000000 00:00 0 \n"
+        "7f9db5000000-7f9db5001000 ---p 00000000 00:00 0 \n"
+        "7f9db6000000-7f9db6002000 r-xp 00001000 fe:00 1234    /a folder/libscipy_openblas64_-32a4.so\n"
+        "7ffc1000-7ffc2000 r--p 00000000 00:00 0              [vvar]\n"
+    )
+    found = list(mapped(text))
+    assert [(end - start, name) for start, end, name in found] == [
+        (32 << 20, ""), (0x2000, "/a folder/libscipy_openblas64_-32a4.so")
+    ]  # fmt: skip
+    assert [bool(ALGEBRA.search(name)) for _, _, name in found] == [False, True]
