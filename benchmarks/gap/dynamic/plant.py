@@ -190,8 +190,12 @@ class Simulation:
         self._p = p
         self._has_spring, self._has_play = p["k"] > 0, p["w"] > 0
         self._is_apart = self._has_spring | self._has_play
+        self._some_are_apart = bool(np.any(self._is_apart))
         self._used = {name for name, values in p.items() if np.any(values != 0.0)}
         self._h = 1.0 / PHYSICS_Hz
+        self._K, self._R = p["K"] * (1 + p["scale"]), p["R"] * (1 + p["res"])
+        self._settles = np.exp(-self._h * self._R / (p["L"] * (1 + p["ind"])))
+        self._stiff = np.where(p["soft"] > 0, p["soft"], BRISTLE_Nm_rad)
         self._delay = np.round(plant.delay_s * PHYSICS_Hz).astype(int)
         self._late = int(self._delay.max()) + 1
 
@@ -229,11 +233,11 @@ class Simulation:
         still = np.zeros_like(q)
         held = self._body.at(q, still)[1]
         motor = q.copy()
-        if np.any(self._is_apart):
+        if self._some_are_apart:
             yields = np.where(self._has_spring, held / np.where(self._has_spring, p["k"], 1.0), 0.0)
             rests = np.where(self._has_play, np.sign(held) * p["w"] / 2 + held / FLANK_Nm_rad, 0.0)
             q = q - yields - rests
-        current = held / (p["K"] * (1 + p["scale"]))
+        current = held / self._K
         return _State(q, still.copy(), motor, still.copy(), current, still.copy(), held.copy(), still.copy())
 
     def _commanded(self, s: int, state: _State, before: Array, integral: Array) -> tuple[Array, Array]:
@@ -273,13 +277,13 @@ class Simulation:
         h, p = self._h, self._p
         torque = self._motor_torque(state, applied) - self._opposing(state, share)
         load = torque
-        if np.any(self._is_apart):
+        if self._some_are_apart:
             state.transmitted = np.where(self._is_apart, self._gear(state), state.transmitted)
             load = np.where(self._is_apart, state.transmitted, torque)
         acceleration = np.einsum("ijb,jb->ib", inverted, load - bias)
         state.qd = state.qd + h * acceleration
         state.q = state.q + h * state.qd
-        if not np.any(self._is_apart):
+        if not self._some_are_apart:
             state.acceleration, state.motor, state.motor_speed = acceleration, state.q, state.qd
             state.transmitted = torque - p["J"] * acceleration
             return
@@ -291,19 +295,16 @@ class Simulation:
 
     def _motor_torque(self, state: _State, applied: Array) -> Array:
         """Winding and magnets; the current settles exactly within a step."""
-        p, h = self._p, self._h
+        p, h, K = self._p, self._h, self._K
         supply = self._plant.supply_V
         drawn = np.sum(applied / supply * state.current, axis=0)
         volt = applied * (1.0 - self._plant.sag_ohm * drawn / supply)
         if "dead" in self._used:
             volt = volt - p["dead"] * np.tanh(state.current / 0.05)
-        K = p["K"] * (1 + p["scale"])
         if "ripple" in self._used:
             K = K * (1 + p["ripple"] * np.sin(p["ripple_n"] * p["ratio"] * state.motor))
-        R = p["R"] * (1 + p["res"])
-        target = (volt - K * (state.motor_speed + h * state.acceleration)) / R
-        L = p["L"] * (1 + p["ind"])
-        state.current = target + (state.current - target) * np.exp(-h * R / L)
+        target = (volt - K * (state.motor_speed + h * state.acceleration)) / self._R
+        state.current = target + (state.current - target) * self._settles
         if "droop" in self._used:
             K = K * (1 - p["droop"] * np.abs(state.current))
         return K * state.current
@@ -327,8 +328,7 @@ class Simulation:
         if "warm" in used:
             level = level + p["warm"] * share
         level = np.maximum(level, SMALLEST_FRICTION_Nm)
-        stiff = np.where(p["soft"] > 0, p["soft"], BRISTLE_Nm_rad)
-        old = state.bristle
+        old, stiff = state.bristle, self._stiff
         state.bristle = (old + h * speed) / (1 + h * stiff * np.abs(speed) / level)
         damping = BRISTLE_DAMPING_Nm_s_rad * np.exp(-((speed / BRISTLE_SPEED_rad_s) ** 2))
         total = stiff * state.bristle + damping * (state.bristle - old) / h + p["V"] * speed
