@@ -16,7 +16,7 @@ from typing import Annotated, Final
 import msgspec
 
 from calib.errors import ImportedModelError
-from control.files import read_text
+from control.files import read_bytes
 from control.model.arm import Arm, Drive
 
 COUNTS: Final = 4096  # a turn of an STS, X and XL servo
@@ -37,12 +37,17 @@ class Motor(msgspec.Struct):
 def read_calibration(path: Path) -> dict[str, Motor]:
     """The motors by name. ImportedModelError if it is no such file."""
     try:
-        motors = msgspec.json.decode(read_text(path), type=dict[str, Motor])
-    except msgspec.DecodeError as error:
+        motors = msgspec.json.decode(read_bytes(path), type=dict[str, Motor])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ImportedModelError(
             f"{path}: expected a calibration of LeRobot (JSON, a motor a key): {error}"
         ) from None
+    named: dict[int, str] = {}
     for name, motor in motors.items():
+        if (other := named.setdefault(motor.id, name)) != name:
+            raise ImportedModelError(
+                f"{path}: {name}: expected an id of its own, got {motor.id}, which {other} has"
+            )
         if motor.range_max <= motor.range_min:
             raise ImportedModelError(
                 f"{path}: {name}: expected range_max above {motor.range_min}, got {motor.range_max}"

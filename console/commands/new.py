@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
+import tomli_w
+
 from calib.arm_import import SerialArm, read_arm
 from control.errors import ArmError, ArmFileError
 from control.files import NotWritten, write_whole
@@ -97,14 +99,18 @@ def _like(given: argparse.Namespace, out: Path) -> int:
         )
     new_port = dict(zip(ports, given.ports or ports, strict=True))
     text = PORT.sub(
-        lambda found: found[0].replace(found[1], new_port[found[1]]),
-        NAME.sub(f'name = "{name}"', text, count=1),
+        lambda found: _line("port", new_port[found[1]]),
+        NAME.sub(lambda _: _line("name", name), text, count=1),
     )
     arm = parse_arm(text, out)
     _write(out, text)
     sys.stdout.write(f"{out}: arm {name}, {arm.joint_count} joints, like {given.like}\n")
     sys.stdout.write(f"Next: armwright arm {out}; armwright mock --arm {out}\n")
     return 0
+
+
+def _line(key: str, value: str) -> str:
+    return tomli_w.dumps({key: value}).rstrip()
 
 
 def _model(given: argparse.Namespace) -> SerialArm | None:

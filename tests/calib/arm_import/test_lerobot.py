@@ -7,6 +7,7 @@ import json
 import math
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from calib.arm_import.lerobot import Motor, given_back, read_calibration, taken_over
@@ -95,13 +96,20 @@ def test_what_does_not_fit_is_said(tmp_path: Path) -> None:
     file = tmp_path / "follower.json"
     for text, said in (
         ("{", "expected a calibration of LeRobot"),
+        (b"\x00\xff", "expected a calibration of LeRobot"),
+        (b'{"\xff": 1}', "expected a calibration of LeRobot"),
+        ('{"a": {"id": 1, "x": ' + "[" * 200_000, "expected a calibration of LeRobot"),
         ('{"a": {"id": 1}}', "missing required field `drive_mode`"),
         (
             json.dumps({"a": {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 9, "range_max": 9}}),
             "range_max above 9, got 9",
         ),
+        (
+            json.dumps({name: {**msgspec.to_builtins(MOTORS["gripper"]), "id": 1} for name in ("a", "b")}),
+            "b: expected an id of its own, got 1, which a has",
+        ),
     ):
-        file.write_text(text)
+        file.write_bytes(text if isinstance(text, bytes) else text.encode())
         with pytest.raises(ImportedModelError, match=said):
             read_calibration(file)
 
@@ -152,6 +160,7 @@ def test_the_commands_take_it_over_and_give_it_back(
         (["--like", "so99"], '"right" or "so101", got an unknown name'),
         (["--like", "so101", "--joints", "3"], "copies a whole arm: leave --joints out"),
         (["--like", "so101", "--ports", "a", "b"], "expected 1, as so101 has"),
+        (["--like", "so101", "--name", r"a\1"], "name: expected a name of 1 to 64 characters"),
     ],
 )
 def test_an_arm_like_another_is_that_arm(
@@ -161,3 +170,10 @@ def test_an_arm_like_another_is_that_arm(
     assert main(["new", *more, "--out", str(out)]) == 2
     assert said in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_quotes_of_names_and_ports_are_part_of_them(tmp_path: Path) -> None:
+    out, name, port = tmp_path / "mine.toml", 'my "best" arm', r"\\.\COM9"
+    assert main(["new", "--like", "so101", "--name", name, "--ports", port, "--out", str(out)]) == 0
+    arm = load_arm(out)
+    assert (arm.name, {board.port for board in arm.boards}) == (name, {port})
