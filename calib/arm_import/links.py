@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from typing import Literal
 
 import numpy as np
@@ -14,9 +13,8 @@ from calib.arm_import.serial import SerialArm
 from calib.arm_import.tree import Mass
 from calib.arrays import Array
 from control.model.arm import Convention, Effect, Link, Vector3
-from control.model.rules import NAME
+from control.model.rules import PART_NAME
 
-INVENTED = re.compile(r"(joint|link|base|tip)\d*")  # calib.export
 WORTH_SAYING = 1e-3  # products of inertia over the largest moment
 
 
@@ -76,7 +74,7 @@ def _named(link: Link, row: Row, serial: SerialArm) -> Link:
 
 
 def _own(name: str) -> str:
-    return "" if INVENTED.fullmatch(name) or not NAME.holds(name) else name
+    return name if PART_NAME.holds(name) else ""
 
 
 def _kind(row: Row) -> Literal["revolute", "fixed"]:

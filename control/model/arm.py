@@ -39,6 +39,7 @@ from control.model.rules import (
     LIMIT,
     NAME,
     ONE_OR_MORE,
+    PART_NAME,
     POSITION,
     TILT,
     ZERO_OR_MORE,
@@ -70,10 +71,10 @@ class Link:
         "of its body, for floor, table and own base; 0: a line. The tip is a point",
     ] = 0.0
     joint_name: Annotated[
-        str, NAME, "what its joint is called in messages and in models for other programs", '"joint N"'
+        str, PART_NAME, "what its joint is called in messages and in models for other programs", '"joint N"'
     ] = ""
     link_name: Annotated[
-        str, NAME, "what its body is called in such models; of a fixed first or last row, base or tip"
+        str, PART_NAME, "what its body is called in such models; of a fixed first or last row, base or tip"
     ] = ""
 
 

@@ -60,6 +60,13 @@ NAME: Final = Rule(
     is_file_name,
     "sockets and recordings are named after the arm",
 )
+INVENTED: Final = re.compile(r"(joint|link|fixed|base|tip) ?\d*|world")
+PART_NAME: Final = Rule(
+    f"a name of 1 to {LONGEST_NAME} characters, without / and \\, that does not begin with . or -, and is not joint N, link N,"
+    " base, tip or world",
+    lambda name: is_file_name(name) and not INVENTED.fullmatch(name),
+    "rows without a name are called so: another one's would be told, and models would have it twice",
+)
 LONGEST_WORD = 32
 WORD: Final = Rule(
     f"a name of 1 to {LONGEST_WORD} letters, digits, - and _, that begins with a letter",

@@ -340,8 +340,9 @@ def test_names_of_joints_and_links_go_through_an_export_and_an_import(form: str,
         dataclasses.replace(link, joint_name=f"pan {number}", link_name=f"arm {number}")
         for number, link in enumerate(RIGHT.links[:3])
     ]
-    last = Link("fixed", 0.02, 0.3, 0.01, 0.4, link_name="gripper_frame")
-    export(dataclasses.replace(RIGHT, links=(*rows, last), table=None), form, tmp_path / "arm.xml")
+    first = Link("fixed", 0.02, 0.3, 0.01, 0.4)  # a model's own world is no name for it
+    last = dataclasses.replace(first, link_name="gripper_frame")
+    export(dataclasses.replace(RIGHT, links=(first, *rows, last), table=None), form, tmp_path / "arm.xml")
     back, _ = arm_links(read_arm(tmp_path / "arm.xml", form), "standard")
     assert [link.joint_name for link in back if link.joint == "revolute"] == ["pan 0", "pan 1", "pan 2"]
     names = [link.link_name for link in back if link.link_name]

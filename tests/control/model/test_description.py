@@ -206,6 +206,14 @@ def test_drives_come_in_the_order_of_the_joints_whatever_the_file_has() -> None:
         ("stale_s = 0.02", "stale_s = 2.0", "limits.stale_s", "up to 0.5 s", "2.0"),
         ('name = "right"', 'name = "../../up"', "name", "without / and", "'../../up'"),
         ('name = "right"', 'name = ".hidden"', "name", "does not begin with .", "'.hidden'"),
+        (
+            "[[link]]",
+            '[[link]]\njoint_name = "joint 2"',
+            "joint_name of [[link]] 1",
+            "not joint N",
+            "'joint 2'",
+        ),
+        ("[[link]]", '[[link]]\nlink_name = "tip"', "link_name of [[link]] 1", "tip or world", "'tip'"),
         ("[camera]", "[camera]\nlens = 1", "camera.lens", "one of the keys", "an unknown key"),
         ("[camera]", '[camera]\nstream = { system = "vicon" }', "camera.stream.body", "text", "nothing"),
         (
