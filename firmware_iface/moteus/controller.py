@@ -5,7 +5,14 @@ import struct
 from collections.abc import Callable
 from typing import Final
 
-from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, ProtocolViolation
+from firmware_iface.errors import (
+    BoardReset,
+    BoardSilent,
+    LinkError,
+    MisuseError,
+    ProtocolViolation,
+    WrongIdentity,
+)
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.wire import Frame, Mode, Register
 from firmware_iface.node_bus import NodeBus
@@ -106,9 +113,11 @@ class Moteus:
         return f"firmware 0x{version:06x}, serial number {''.join(f'{word:08x}' for word in serial)}"
 
     def setting(self, name: str) -> float:
-        """A setting by its name in tview; NaN, too, if its firmware has none of this name. BoardSilent."""
-        while self._said():
-            pass  # to somebody else
+        """A setting by its name in tview; NaN, too, if its firmware has none of this name. BoardSilent, WrongIdentity."""
+        if all(self._said() for _ in range(TEXT_ANSWERS)):  # to somebody else
+            raise WrongIdentity(
+                f"{self.where}: expected a console that answers, it goes on talking (telemetry?): `tel stop` in tview"
+            )
         self._bus.send(wire.say(self.number, f"conf get {name}\n".encode()))
         said = b""
         for _ in range(TEXT_ANSWERS):

@@ -80,7 +80,8 @@ def _require_settings(board: Moteus, drive: Drive) -> None:
         if not setting.is_right(value, drive)
     ]
     kv, turns = board.setting("motor.Kv"), board.setting("motor_position.rotor_to_output_ratio")
-    given_Nm_A, its_own_Nm_A = drive.torque_constant_Nm_A, KT_Kv / (kv * turns) if kv and turns else math.nan
+    given_Nm_A, kv_of_joint = drive.torque_constant_Nm_A, kv * turns
+    its_own_Nm_A = KT_Kv / kv_of_joint if kv_of_joint and math.isfinite(kv_of_joint) else math.nan
     if max(given_Nm_A / its_own_Nm_A, its_own_Nm_A / given_Nm_A) > ALIKE:
         wrong.append(
             f"its motor.Kv {kv:g} makes {its_own_Nm_A:.3g} N m/A, torque_constant_Nm_A is {given_Nm_A:g}"

@@ -10,7 +10,7 @@ from firmware_iface.canopen.drive import MAKERS
 from firmware_iface.errors import ConnectionFailed
 from firmware_iface.vesc import wire
 from hil_mocks.devices.cia402_drive import MAXON
-from hil_mocks.devices.moteus import MoteusSetup
+from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.vesc import VescMock, VescSetup
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, open_cell, scenario, with_drives
@@ -93,6 +93,25 @@ def test_what_is_stored_in_a_moteus_is_compared_when_it_is_connected(
         open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004),
     ):
         pass
+
+
+def test_a_moteus_whose_console_never_ends_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        MoteusMock, "_says", property(lambda _: b"telemetry ", lambda *_: None), raising=False
+    )
+    with (
+        pytest.raises(ConnectionFailed, match="expected a console that answers, it goes on talking"),
+        open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("kv", ["inf", "-inf", "0", "nan", ""])
+def test_a_kv_that_is_none_is_not_compared(kv: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    as_set_up = MoteusSetup.stored
+    monkeypatch.setattr(MoteusSetup, "stored", lambda setup: {**as_set_up(setup), "motor.Kv": kv})
+    with open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004) as cell:
+        assert cell.mode is Mode.OFF
 
 
 def test_a_moteus_of_older_firmware_which_says_no_kv_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
