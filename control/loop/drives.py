@@ -112,7 +112,7 @@ class DriveStates:
             f"its drive did not reach OPERATION ENABLED within {CHANGE_LIMIT_S:.1f} s (statusword"
             f" 0x{feedback.statusword[joint]:02x}, fault bits 0x{feedback.drive_faults[joint]:02x})",
             "check its supply and the emergency stop",
-            Reaction.BRAKE,
+            Reaction.HOLD,  # boards of a take-over; from OFF there is nothing to hold
         )
 
     def _not_disabled(self, joint: int) -> Fault:

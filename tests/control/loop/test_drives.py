@@ -69,7 +69,7 @@ def test_a_drive_that_is_not_enabled_within_a_second_is_a_fault() -> None:
     assert drives.follow(9.0, late) == []
     faults = drives.follow(9.0 + 2**-40, late)
     assert [(fault.code, fault.where, fault.reaction) for fault in faults] == [
-        ("drive_not_enabled", "joint 1", Reaction.BRAKE), ("drive_not_enabled", "joint 3", Reaction.BRAKE),
+        ("drive_not_enabled", "joint 1", Reaction.HOLD), ("drive_not_enabled", "joint 3", Reaction.HOLD),
     ]  # fmt: skip
     assert "within 1.0 s (statusword 0x08, fault bits 0x80)" in faults[1].message
     drives.want(9.1, Wanted.ENABLED)  # as in FAULT

@@ -107,6 +107,19 @@ def test_off_while_it_is_taken_over_is_the_way_off_of_every_arm(kind: str, cycle
 
 
 @pytest.mark.parametrize("kind", ["reference", "moteus"])
+def test_a_drive_that_cannot_be_taken_over_lets_no_other_go(kind: str) -> None:
+    with held_on(kind) as held:
+        before_rad = held.rig.joint_rad()
+        held.client.ask("enable")
+        held.inject("over_temperature", ON_BOARDS[kind].first)
+        held.until_fault(2.0)
+        held.run(1.0)
+        assert held.faults == [("drive_not_enabled", "joint 1")]
+        assert held.torques()[1:] == [True, True]
+        assert held.rig.joint_rad() == pytest.approx(before_rad, abs=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["reference", "moteus"])
 def test_acknowledge_lets_nothing_go(kind: str) -> None:
     """Boards that hold after the time-out of their host let go when they are reset."""
     with held_on(kind) as held:
