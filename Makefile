@@ -48,7 +48,7 @@ drills: install  ## faults of every kind on the mock arm: how soon noticed, what
 crossing: dev  ## 100,000 random sequences of requests that cross, on every kind of board, judged by the plant; a night. COUNT=1000 SEED=1
 	$(BIN)/python -m tests.crossing --count $(or $(COUNT),100000) --seed $(or $(SEED),0)
 
-journeys: dev  ## whole ways of a user on four arms that are not supplied (tests/journeys), and the table of them; SELECT="1_first_day --arms six"
+journeys: dev  ## whole ways of a user on four arms that are not supplied, and the table of them; a quiet machine. SELECT="1_first_day --arms six"
 	$(BIN)/python -m tests.journeys $(SELECT)
 
 soak: dev  ## 24 simulated hours of table sessions, then an hour in real time beside busy processors; HOURS=1 MINUTES=10 for less

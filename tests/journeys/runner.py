@@ -122,8 +122,9 @@ def walk(journey: Journey, arm: str, folder: Path) -> Walk:
             )
     finally:
         for process in reversed(running):
-            os.killpg(process.pid, signal.SIGINT)
-            process.wait(LIMIT_s)
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGINT)
+                process.wait(LIMIT_s)
     done.minutes = (time.monotonic() - begun_s) / 60.0
     return done
 

@@ -34,6 +34,7 @@ def main() -> int:
         "--any-place", action="store_true", help="wherever the base stands: after the best rigid motion"
     )
     parser.add_argument("--times", type=float, default=1.0, help="how many times nearer the file must be")
+    parser.add_argument("--below", type=float, default=np.inf, help="how far off the file may be, in mm")
     given = parser.parse_args()
     built = load_arm(given.built)
     lower, upper = np.array(built.limits_rad).T
@@ -45,7 +46,7 @@ def main() -> int:
         for arm in (built, load_arm(given.file))
     ]
     print(f"{given.built}: {off_mm[0]:.3f} mm; {given.file}: {off_mm[1]:.3f} mm")
-    return int(off_mm[0] < given.times * off_mm[1])
+    return int(off_mm[1] > given.below or off_mm[0] < given.times * off_mm[1] and np.isinf(given.below))
 
 
 def distance_m(tips_m: np.ndarray, true_m: np.ndarray, any_place: bool) -> float:
