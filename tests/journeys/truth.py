@@ -46,7 +46,7 @@ def main() -> int:
         for arm in (built, load_arm(given.file))
     ]
     print(f"{given.built}: {off_mm[0]:.3f} mm; {given.file}: {off_mm[1]:.3f} mm")
-    return int(off_mm[1] > given.below or off_mm[0] < given.times * off_mm[1] and np.isinf(given.below))
+    return int(off_mm[1] > given.below or (off_mm[0] < given.times * off_mm[1] and np.isinf(given.below)))
 
 
 def distance_m(tips_m: np.ndarray, true_m: np.ndarray, any_place: bool) -> float:
