@@ -6,6 +6,7 @@ What header and cells tell is taken and said; what they do not tell is `Unclear`
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -23,15 +24,17 @@ from control.model.arm import Arm
 SEPARATORS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", ",": "commas"}
 ANGLES: Final = {"rad": 1.0, "deg": np.pi / 180.0}
 LENGTHS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
-UNITS: Final = (  # as a header says them, the first that is found; German degrees (Grad) have a rad in them
-    ("deg", r"deg|grad\b|°"), ("rad", r"rad"), ("mm", r"mm\b"), ("cm", r"cm\b"), ("m", r"(?<![a-z])m\b"), ("in", r"\bin(ch)?\b"),
+UNITS: Final = (  # as a header says them, the first that is found
+    ("deg", r"deg|grad\b|°"), ("rad", r"rad"), ("mm", r"mm\b"), ("cm", r"cm\b"), ("m", r"m\b"), ("in", r"in(ch)?\b"),
 )  # fmt: skip
+ALONE: Final = r"(?<![^\W\d_])(?:{})(?!\w*\s*/)"  # no mrad, no µm, no deg/s
 JOINT: Final = r"^\W*(?:q|j|a|joint|axis|achse|gelenk|axe|articulation|theta|winkel|angle)[\s_.-]*{}(?!\d)"
 COLUMNS: Final = {
     **{name: rf"^(?:tip|tcp|pos(?:ition)?|mess(?:ung|punkt)?)?[\s_.-]*{name[0]}(?![a-z])" for name in TIP},
     "setup": r"^(setup|aufbau|lage|tilt)\b", "point": r"^(point|punkt|pose|name|no|nr|id|place|stelle)\b",
     "repeat": r"^(repeat|rep|wiederholung|visit|take)\b",
 }  # fmt: skip
+NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.ASCII | re.IGNORECASE)
 OPTIONAL: Final = ("setup", "point", "repeat")
 
 
@@ -62,12 +65,23 @@ class Sheet:
         ]
 
     def _number(self, cell: str, line: int, name: str) -> float:
-        try:
-            return float(cell.replace(",", ".") if self.has_decimal_commas else cell)
-        except ValueError:
+        text = cell.translate({ord(","): ".", ord("."): ","}) if self.has_decimal_commas else cell
+        number = float(text) if NUMBER.fullmatch(text) else math.inf
+        if math.isinf(number):
+            mark = " with a decimal comma, as others have" if self.has_decimal_commas else ""
             raise PointsFileError(
-                f'{self.path}, line {line}, column {name}: got "{cell}", expected a number'
-            ) from None
+                f'{self.path}, line {line}, column {name}: got "{cell}", expected a number{mark}'
+            )
+        return number
+
+    def words(self, name: str) -> list[str]:
+        """A column of names, none of them empty; PointsFileError names line and column."""
+        cells = [row[self.names.index(name)] for row in self.rows]
+        if "" in cells:
+            raise PointsFileError(
+                f"{self.path}, line {cells.index('') + 2}, column {name}: got an empty cell, expected a name"
+            )
+        return cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +101,11 @@ def read_sheet(path: Path) -> Sheet:
         text, encoding = content.decode("cp1252", errors="replace"), "Latin-1 (Windows 1252)"
     lines = text.splitlines()
     separator = max(SEPARATORS, key=lambda mark: (lines[0].count(mark) if lines else 0, mark != ","))
-    rows = [tuple(cell.strip() for cell in row) for row in csv.reader(lines, delimiter=separator) if any(row)]
+    try:
+        read = list(csv.reader(lines, delimiter=separator))
+    except csv.Error as error:
+        raise PointsFileError(f"{path}: no table ({error})") from None
+    rows = [tuple(cell.strip() for cell in row) for row in read if any(row)]
     if len(rows) < 2 or len(rows[0]) < 2:
         raise PointsFileError(f"{path}: expected a header line and rows of several columns")
     for line, row in enumerate(rows, 1):
@@ -107,22 +125,22 @@ def understood(
     """The points of a table. Unclear where it does not tell. `columns`: its names by ours; units None: as its header says."""
     joints = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
     wanted = {name: JOINT.format(j) for j, name in enumerate(joints, 1)} | COLUMNS
+    if strange := [ours for ours in columns if ours not in wanted]:
+        raise PointsFileError(
+            f"--columns {strange[0]}: expected one of {', '.join(wanted)}, and = a name of theirs"
+        )
     found = {ours: _column(sheet, ours, pattern, columns) for ours, pattern in wanted.items()}
     of_angle, of_length = [found[name] or "" for name in joints], [found[name] or "" for name in TIP]
     angle = _unit(sheet, of_angle, angles, "--angles", ANGLES)
     length = _unit(sheet, of_length, lengths, "--lengths", LENGTHS)
     q_rad = np.column_stack([sheet.numbers(name) for name in of_angle]) * ANGLES[angle]
     tip_m = np.column_stack([sheet.numbers(name) for name in of_length]) * LENGTHS[length]
-    names = {ours: sheet.names.index(name) for ours in OPTIONAL if (name := found[ours])}
-    setup = [row[names["setup"]] for row in sheet.rows] if "setup" in names else ["free"] * len(sheet.rows)
-    point = (
-        [row[names["point"]] for row in sheet.rows]
-        if "point" in names
-        else [f"p{k}" for k in range(1, len(q_rad) + 1)]
-    )
+    named = {ours: sheet.words(name) for ours in OPTIONAL if (name := found[ours])}
+    setup = named.get("setup") or ["free"] * len(q_rad)
+    point = named.get("point") or [f"p{k}" for k in range(1, len(q_rad) + 1)]
     words = [f'{ours} is "{name}"' for ours, name in found.items() if name]
     return Understood(
-        make_points(setup, point, _repeats(sheet, names.get("repeat"), setup, point), q_rad, tip_m),
+        make_points(setup, point, _repeats(sheet, found["repeat"], setup, point), q_rad, tip_m),
         (sheet.about, f"{', '.join(words)}; angles in {angle}, lengths in {length}"),
     )
 
@@ -150,17 +168,23 @@ def _unit(
     """The unit of columns: as given, else what their header says."""
     if given is not None:
         return given
-    said = {next((unit for unit, form in UNITS if re.search(form, name.lower())), None) for name in names}
+    said = {
+        next((unit for unit, form in UNITS if re.search(ALONE.format(form), name.lower())), None)
+        for name in names
+    }
     (unit,) = said if len(said) == 1 else (None,)
     if unit is None or unit not in units:
         raise Unclear(f"{sheet.path}: the unit of {', '.join(names)}", option, "", tuple(units))
     return unit
 
 
-def _repeats(sheet: Sheet, at: int | None, setup: Sequence[str], point: Sequence[str]) -> list[int]:
+def _repeats(sheet: Sheet, name: str | None, setup: Sequence[str], point: Sequence[str]) -> list[int]:
     """As the table numbers them, else counted."""
-    if at is not None:
-        return [round(number) for number in sheet.numbers(sheet.names[at])]
+    if name is not None:
+        numbers = sheet.numbers(name)
+        if wrong := [number for number in numbers if number != round(number)]:
+            raise PointsFileError(f"{sheet.path}, column {name}: got {wrong[0]:g}, expected whole numbers")
+        return list(map(round, numbers))
     seen: Counter[tuple[str, str]] = Counter()
     counted = []
     for key in zip(setup, point, strict=True):

@@ -13,6 +13,8 @@ from calib.points.spreadsheet import Unclear, read_sheet, understood
 from control.model.description import load_arm
 
 RIGHT = load_arm("right")
+NO_ANGLES = ("mrad", "[mdeg]", "deg/s", "[rad / s]", "°/s")
+NO_LENGTHS = ("[µm]", "\N{GREEK SMALL LETTER MU}m", "km", "mm/s")
 GERMAN = "Stelle;Achse 1 [°];Achse 2 [°];Achse 3 [°];X [mm];Y [mm];Z [mm];Prüfer\n"
 
 
@@ -23,7 +25,7 @@ def points_of(path: Path, text: str, encoding: str = "utf-8", **given: str) -> P
 
 
 def test_semicolons_decimal_commas_latin_1_degrees_and_millimetres_are_read(tmp_path: Path) -> None:
-    text = GERMAN + "a;180,0;-90;0,5;1.5;250;-1e2;Böhm\na;0;0;0;0;0;0;\n"
+    text = GERMAN + "a;180,0;-90;0,5;1,5;250;-1e2;Böhm\na;0;0;0;0;0;0;\n"
     points = points_of(tmp_path / "t.csv", text, "latin-1")
     np.testing.assert_allclose(points.q_rad[0], np.radians([180.0, -90.0, 0.5]))
     np.testing.assert_allclose(points.tip_m[0], [1.5e-3, 0.25, -0.1])
@@ -41,6 +43,14 @@ def test_commas_points_radians_and_names_with_units_are_read(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("header", "asks", "choices"),
     [
+        *(
+            (f"q1 {unit};q2 {unit};q3 {unit};x mm;y mm;z mm", f"the unit of q1 {unit}", ("rad", "deg"))
+            for unit in NO_ANGLES
+        ),
+        *(
+            (f"q1 deg;q2 deg;q3 deg;x {unit};y {unit};z {unit}", f"the unit of x {unit}", ("m", "mm"))
+            for unit in NO_LENGTHS
+        ),
         ("q1;q2;q3;x [mm];y [mm];z [mm]", "the unit of q1, q2, q3: answer with --angles", ("rad", "deg")),
         ("q1 deg;q2 deg;q3 deg;x;y;z", "the unit of x, y, z: answer with --lengths", ("m", "cm", "mm", "in")),
         ("q1 deg;q2 rad;q3 deg;x mm;y mm;z mm", "the unit of q1 deg, q2 rad, q3 deg", ("rad", "deg")),
@@ -69,3 +79,28 @@ def test_answers_are_taken_and_wrong_ones_refused(tmp_path: Path) -> None:
         points_of(tmp_path / "t.csv", text, q1_rad="B")
     with pytest.raises(PointsFileError, match='line 2, column q2: got "zero", expected a number'):
         points_of(tmp_path / "t.csv", text.replace("\t0", "\tzero", 1), q1_rad="A", angles="deg", lengths="m")
+
+
+ENGLISH = "q1 deg;q2 deg;q3 deg;x mm;y mm;z mm;point;repeat\n"
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("1,5;2;3;1.400;50;300;a;1", 'column x mm: got "1.400", expected a number with a decimal comma'),
+        *((f"1;2;3;{cell};50;300;a;1", f'column x mm: got "{cell}", expected a number')
+          for cell in ("nan", "inf", "1e999", "4_0", "\u0664", "", "-")),
+        ("1;2;3;4;5;6;a;1.5", "column repeat: got 1.5, expected whole numbers"),
+        ("1;2;3;4;5;6;a;nan", 'column repeat: got "nan", expected a number'),
+        ("1;2;3;4;5;6;;1", "line 2, column point: got an empty cell, expected a name"),
+        (f"1;2;3;4;5;{'6' * 200_000};a;1", "no table"),
+    ],
+)  # fmt: skip
+def test_what_is_no_value_is_refused(row: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(PointsFileError, match=said):
+        points_of(tmp_path / "t.csv", f"{ENGLISH}{row}\n")
+
+
+def test_an_answer_about_no_column_of_ours_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PointsFileError, match="--columns tipx: expected one of q1_rad"):
+        points_of(tmp_path / "t.csv", f"{ENGLISH}1;2;3;4;5;6;a;1\n", tipx="x mm")
