@@ -18,6 +18,7 @@ import msgspec
 from calib.errors import ImportedModelError
 from control.files import read_bytes
 from control.model.arm import Arm, Drive
+from control.model.joint_map import JointMap
 
 COUNTS: Final = 4096  # a turn of an STS, X and XL servo
 WORTH_SAYING_rad: Final = 0.02
@@ -58,7 +59,7 @@ def read_calibration(path: Path) -> dict[str, Motor]:
 def taken_over(arm: Arm, motors: Mapping[str, Motor]) -> tuple[Arm, tuple[str, ...]]:
     """The arm with LeRobot's zeros, its ranges within LeRobot's; and a sentence a joint. Motors are found by their ids."""
     drives, notes = [], []
-    for drive, name in zip(arm.drives, arm.joint_names, strict=True):
+    for drive, name in _named_drives(arm):
         motor = _motor_of(arm, drive, motors)
         zero = round(0.5 * (motor.range_min + motor.range_max))
         ends = sorted(
@@ -66,6 +67,11 @@ def taken_over(arm: Arm, motors: Mapping[str, Motor]) -> tuple[Arm, tuple[str, .
             for end in (motor.range_min, motor.range_max)
         )
         lower, upper = max(drive.joint_lower_rad, ends[0]), min(drive.joint_upper_rad, ends[1])
+        if lower >= upper:
+            raise ImportedModelError(
+                f"{name}: its range, {drive.joint_lower_rad:.3f} to {drive.joint_upper_rad:.3f} rad, has nothing of LeRobot's,"
+                f" {ends[0]:.3f} to {ends[1]:.3f} rad"
+            )
         drives.append(
             dataclasses.replace(drive, zero_count=zero, joint_lower_rad=lower, joint_upper_rad=upper)
         )
@@ -89,7 +95,7 @@ def given_back(
         )
     both = zip(arm.links, generic.links, strict=True)
     moved = [link.theta_rad - other.theta_rad for link, other in both if link.joint == "revolute"]
-    for drive, called, shift_rad in zip(arm.drives, arm.joint_names, moved, strict=True):
+    for (drive, called), shift_rad in zip(_named_drives(arm), moved, strict=True):
         motor, counts = _motor_of(arm, drive, motors), _counts_per_rad()
         zero = drive.zero_count - drive.encoder_direction * shift_rad * counts
         ends_rad = (drive.joint_lower_rad + shift_rad, drive.joint_upper_rad + shift_rad)
@@ -110,11 +116,25 @@ def _counts_per_rad() -> float:
     return COUNTS / (2.0 * math.pi)
 
 
+def _named_drives(arm: Arm) -> list[tuple[Drive, str]]:
+    """Each joint's drive, and what the joint is called. ImportedModelError if one has none."""
+    if len(arm.drives) < arm.joint_count:
+        raise ImportedModelError(
+            f"arm {arm.name}: expected a [[drive]] for each of its {arm.joint_count} joints, it has {len(arm.drives)}"
+        )
+    return list(zip(arm.drives, arm.joint_names, strict=True))
+
+
 def _motor_of(arm: Arm, drive: Drive, motors: Mapping[str, Motor]) -> Motor:
     board = arm.board(drive)
     if board is None or not arm.kind_of(drive).is_absolute:
         raise ImportedModelError(
             f"arm {arm.name}: joint {drive.joint} is on no smart servo, which LeRobot's calibration is about"
+        )
+    if not math.isclose(abs(JointMap(drive).counts_per_radian), _counts_per_rad()):
+        raise ImportedModelError(
+            f"arm {arm.name}: joint {drive.joint} is geared or has another encoder: expected {COUNTS} counts a turn of it, as"
+            " LeRobot counts"
         )
     by_id = {motor.id: motor for motor in motors.values()}
     if board.address not in by_id:

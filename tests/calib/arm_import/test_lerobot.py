@@ -16,6 +16,7 @@ from console.main import main
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.joint_map import JointMap
+from tests.cell import with_drive
 
 SO101 = load_arm("so101")
 MIDDLES = {
@@ -93,6 +94,13 @@ def test_what_does_not_fit_is_said(tmp_path: Path) -> None:
         taken_over(load_arm("right"), MOTORS)
     with pytest.raises(ImportedModelError, match="arm right is another arm than so101"):
         given_back(SO101, MOTORS, load_arm("right"))
+    with pytest.raises(ImportedModelError, match="each of its 5 joints, it has 0"):
+        taken_over(dataclasses.replace(SO101, drives=()), MOTORS)
+    with pytest.raises(ImportedModelError, match=r"shoulder_pan: its range, .* has nothing of"):
+        taken_over(with_drive(SO101, 1, joint_lower_rad=1.7), MOTORS)
+    for other in ({"gear_ratio": 0.5}, {"encoder_counts_per_rev": 1024}):
+        with pytest.raises(ImportedModelError, match="joint 1 is geared or has another encoder"):
+            given_back(with_drive(SO101, 1, **other), MOTORS, SO101)
     file = tmp_path / "follower.json"
     for text, said in (
         ("{", "expected a calibration of LeRobot"),
