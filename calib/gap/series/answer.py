@@ -75,6 +75,8 @@ def judged(fit: Fit, parts: Split, harming: Sequence[Key]) -> Verdict:
     corrected, names = [], []
     for one in members(fit):
         key = one.term.key
+        if one.term.curve is not None and one.size[0] < one.term.least:
+            continue  # nearer to nought than its law's least, at which it would stand in the file or be taken off
         if correction := _correction(fit, one):
             said.append(correction)
             corrected.append(one.number)

@@ -71,7 +71,7 @@ def test_a_soft_spring_is_named_although_friction_winds_it_up_in_some_poses() ->
     assert names(found) == [EffectName("joint_compliance", 2)]
     assert found.effects[-1].parameters["stiffness_Nm_rad"][0] == pytest.approx(341.1, rel=0.02)
     assert found.gap_explained < 0.03 * found.gap_before
-    assert found.gap_after < 0.2 * found.gap_before  # no file says what friction winds up behind a gear
+    assert found.gap_after < 0.16 * found.gap_before  # no file says what friction winds up behind a gear
     assert found.unknown is None
 
 

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.gap.dynamic.cases import made
+from benchmarks.gap.dynamic.score import arm_of
+from benchmarks.gap.dynamic.score import log_of as log_of_case
+from benchmarks.gap.dynamic.series_score import asked
 from calib.arrays import Array
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.series.find import find
@@ -41,5 +45,17 @@ def test_two_laws_that_are_only_roughly_right_are_both_named_as_what_they_are() 
     assert value == pytest.approx(0.2, rel=0.1)
     assert abs(value - 0.2) < 3.0 * sd
     assert (
-        found.gap_explained < 1.3 < found.gap_after < 0.1 * found.gap_before
+        found.gap_explained < 1.3 < found.gap_after < 0.06 * found.gap_before
     )  # no file says how a part departs
+
+
+@pytest.mark.nightly
+def test_what_is_no_law_of_the_sensors_is_not_taken_off_and_the_file_leaves_the_currents_as_they_were() -> (
+    None
+):
+    (case,) = made([asked("rough", 482_003)])  # a drift that the camera alone sees; samples are read at once
+    found = find(arm_of(case.arm_toml), log_of_case(case))
+    assert names(found) == {EffectName("thermal_drift", 1)}
+    assert found.after_si["tip_m"] < 1.1 * found.noise_floor["tip_m"]
+    for channel in ("current_A", "voltage_V"):
+        assert found.after_si[channel] == pytest.approx(found.before_si[channel], rel=1e-6)
