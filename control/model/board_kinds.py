@@ -4,6 +4,7 @@ A `[[drive]]` without `board` is on a reference motor board (docs/motor_board.md
 others; each has a page in docs.
 """
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -42,6 +43,7 @@ class BoardKind:
     current_is_newest: bool = True  # measured after the last command; else before the one that it answers
     counts_per_turn: int = 0  # that it sends, whatever the encoder; 0: its encoder's
     first_count: int | None = None  # of the turn that an absolute encoder knows; None: its settings say
+    highest_supply_V: float = math.inf  # of its usual types
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
 
 
@@ -74,6 +76,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             usual_rate_Hz=100.0,
             stops_early=False,
             limits_current=True,
+            highest_supply_V=34.0,
         ),
         "cia402": BoardKind(
             line="can",
@@ -133,6 +136,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             limits_force=True,
             limits_current=True,
             needs_fd=True,
+            highest_supply_V=44.0,
             may_be_absolute=True,
             moves_on=True,
         ),

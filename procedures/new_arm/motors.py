@@ -151,7 +151,9 @@ def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: fl
     kind = parts.boards[number - 1]
     servos = SERVOS.get(kind, ())  # whose gear is inside
     gears = (1.0,) if servos else (given,) if given else GEARS
-    motor, gear = _chosen(joint, load, servos or MOTORS, gears)
+    highest_V = math.inf if kind == REFERENCE else KINDS[kind].highest_supply_V
+    motors = servos or tuple(motor for motor in MOTORS if motor.supply_V <= highest_V)
+    motor, gear = _chosen(joint, load, motors, gears)
     current_A = motor.current_A
     if math.isfinite(joint.torque_Nm) and joint.torque_Nm < motor.torque_Nm(gear):
         current_A = joint.torque_Nm / (motor.torque_constant_Nm_A * gear)

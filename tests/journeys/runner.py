@@ -24,15 +24,9 @@ HERE = Path(__file__).parent
 ARMS: dict[str, dict[str, str]] = tomllib.loads((HERE / "arms.toml").read_text(encoding="utf-8"))
 LIMIT_s = 900.0  # of one command, on a busy machine
 NO_DECISION = {
-    "--arm",
-    "--out",
-    "--yes",
-    "--mock",
-    "--points",
-    "--log",
-    "--against",
-    "--json",
-}  # files and repetition
+    f"--{word}"
+    for word in ["arm", "out", "yes", "mock", "points", "log", "against", "json", "scenario", "quit"]
+}
 
 
 class Stumble(AssertionError):
@@ -110,7 +104,10 @@ def walk(journey: Journey, arm: str, folder: Path) -> Walk:
     try:
         for step in journey.steps():
             command = re.sub(r"\{([A-Z_]+)\}", lambda name: words[name[1]], step.command)
-            done.options += [word for word in re.findall(r" (--[a-z-]+)", command) if word not in NO_DECISION]
+            if "armwright" in command:
+                done.options += [
+                    word for word in re.findall(r" (--[a-z-]+)", command) if word not in NO_DECISION
+                ]
             done.answers += len(step.typed)
             _take(
                 Step(step.line, command, step.typed, step.says),

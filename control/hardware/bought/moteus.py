@@ -50,9 +50,10 @@ def _goes_at_once(most: float, drive: Drive) -> bool:
 
 
 def _reaches(most_A: float, drive: Drive) -> bool:
-    return math.isinf(drive.current_limit_A) or not most_A < drive.current_limit_A
+    return math.isinf(drive.current_limit_A) or not most_A < (1.0 - TOLD) * drive.current_limit_A
 
 
+TOLD: Final = 1e-5  # it tells six decimals of a number of 32 bits
 _DIGITAL_INPUT: Final = 14
 SETTINGS: Final = (
     Setting("servo.timeout_mode", lambda mode, _: mode in (10, 15), "10 (holds without the host) or 15 (brakes)"),

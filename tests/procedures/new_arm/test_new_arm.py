@@ -299,6 +299,20 @@ def test_whatever_ranges_a_model_has_what_new_writes_is_read(kind: str, tmp_path
             assert limits is None or limits[0] <= drive.joint_lower_rad < drive.joint_upper_rad <= limits[1]
 
 
+@pytest.mark.parametrize(("kind", "most_V"), [("roboclaw", 34.0), ("moteus", 44.0), ("reference", 48.0)])
+def test_motors_have_a_supply_that_their_boards_bear_and_are_enabled_on_the_mock(
+    kind: str, most_V: float, tmp_path: Path
+) -> None:
+    (tmp_path / "strong.urdf").write_text(chain([(-1.0, 1.0)] * 3, 50.0, 2.0))
+    status, file = new(tmp_path, "--from-urdf", str(tmp_path / "strong.urdf"), "--boards", kind, "--yes")
+    assert status == 0
+    arm = load_arm(file)
+    assert max(drive.supply_V for drive in arm.drives) <= most_V
+    with open_cell(load_scenario("demo"), arm=arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        cell.client.enable()
+        assert cell.faults == []
+
+
 def test_a_message_about_a_model_names_its_element_and_not_the_file_that_was_not_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
