@@ -377,7 +377,9 @@ def test_saving_never_overwrites(tmp_path: Path) -> None:
         save_arm(load_arm("right"), path)
     assert path.read_text() == "mine"
     with pytest.raises(ArmFileError, match="a writable path"):
-        save_arm(load_arm("right"), tmp_path / "no" / "arm.toml")
+        save_arm(load_arm("right"), path / "arm.toml")
+    save_arm(load_arm("right"), tmp_path / "new" / "arm.toml")
+    assert load_arm(tmp_path / "new" / "arm.toml") == load_arm("right")
 
 
 def test_with_dh_takes_only_a_finite_table_of_the_right_shape() -> None:

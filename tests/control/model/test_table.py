@@ -72,7 +72,7 @@ def test_an_unknown_setup_lists_the_valid_ones():
 
 
 def test_an_arm_without_a_table_says_what_to_add():
-    with pytest.raises(MissingModel, match=r"add a \[table\]"):
+    with pytest.raises(MissingModel, match=r"add \[table\]\. Without one a camera"):
         tables.table_of(load_arm("right").__class__("bare", ()))
 
 
