@@ -142,7 +142,8 @@ def _in_place_of(path: Path, is_new: bool = False) -> Iterator[Path]:
     """
     with contextlib.ExitStack() as closing:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(FileExistsError):  # what is there and no folder, the next line names
+                path.parent.mkdir(parents=True, exist_ok=True)
             here = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
             closing.callback(os.close, here)
             _clear_away(here)
