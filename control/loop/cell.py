@@ -80,7 +80,8 @@ class CellRuntime:
     def attend(self, until_s: float) -> None:
         """Wait until then; boards that must be asked are asked, arm by arm."""
         if len(self._attended) > 1:
-            at_s = self._all[0].now_s
+            # Not from `now_s`: before the first cycle, and after a wait, it is long ago.
+            at_s = until_s - self.period_s
             while at_s < until_s:
                 for hardware in self._attended:
                     at_s = min(until_s, at_s + SLICE_S)

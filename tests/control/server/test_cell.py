@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,8 +16,9 @@ from control.model.cell import Cell, Placed
 from control.safety.table import Mode
 from control.server.client import MotionStopped
 from control.server.server import Server
+from procedures.on_boards import on_boards
 from tests.cell import scenario
-from tests.pair import APART, FREE, PAIR, Pair, holding_pair, open_pair
+from tests.pair import APART, FREE, PAIR, PERIOD_S, Pair, holding_pair, open_pair
 
 TOLERANCE_rad = 2e-3  # friction and quantisation at the end of a move
 
@@ -206,3 +209,29 @@ def test_a_brake_of_all_is_answered_by_those_that_were_braked() -> None:
         assert pair.mode("left") is Mode.BRAKED
         pair.clients["left"].off()
         assert "is OFF" in pair.refusal("left", do="brake")
+
+
+def _noted(asked: list[float], attend: Callable[[float], None], until_s: float) -> None:
+    asked.append(until_s)
+    attend(until_s)
+
+
+def test_arms_whose_boards_must_be_asked_are_served_from_the_first_cycle_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arms = []
+    for number, placed in enumerate(PAIR.arms):
+        arm = on_boards(placed.arm, "feetech")
+        boards = tuple(replace(board, port=f"/dev/ttyACM{number}") for board in arm.boards)
+        arms.append(replace(arm, name=placed.name, boards=boards))
+    with open_pair(cell=PAIR.with_arms(arms)) as pair:
+        looped, asked = pair.assembly.runtime, list[float]()
+        for runtime in looped.runtimes.values():
+            runtime.now_s = -10_000.0  # as before the first cycle, on a computer that has run for hours
+            attend = runtime.parts.hardware.attend
+            monkeypatch.setattr(runtime.parts.hardware, "attend", partial(_noted, asked, attend))
+        begun_s = pair.rig.clock.now_s()
+        looped.attend(begun_s + PERIOD_S)
+        assert pair.rig.clock.now_s() == pytest.approx(begun_s + PERIOD_S)
+        assert asked
+        assert min(asked) >= begun_s
