@@ -30,7 +30,8 @@ class JointWiring:
     counts_per_rad: float  # of joint angle
     phase_count: float  # phase between two edges at joint angle zero
     index_rad: float  # joint angle of one of its index pulses
-    switch_rad: float  # joint angle where the home switch changes; it is active on the side of the index
+    switch_rad: float  # joint angle where the home switch changes
+    switch_side: float  # the side on which it is active: that of the index by the arm's file, upwards where both are one
     zero_count: int
 
     def raw_count(self, encoder_rad: float) -> int:
@@ -43,8 +44,7 @@ class JointWiring:
 
     def is_at_switch(self, joint_rad: float) -> bool:
         """Whether the home switch is active; a missing one never is."""
-        side = 1.0 if self.index_rad >= self.switch_rad else -1.0
-        return (joint_rad - self.switch_rad) * side >= 0.0
+        return (joint_rad - self.switch_rad) * self.switch_side >= 0.0
 
     def index_count(self) -> int:
         """Raw count of an index pulse."""
@@ -85,6 +85,7 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
         phase_count=source.random(),
         index_rad=(home.index_rad if home else 0.0) + source.uniform(-error_rad, error_rad),
         switch_rad=home.switch_rad if home else math.nan,
+        switch_side=-1.0 if home and home.index_rad < home.switch_rad else 1.0,
         zero_count=drive.zero_count,
     )
 
@@ -110,7 +111,7 @@ class Channels:
                 w.encoder_direction * w.counts_per_rad,
                 w.phase_count,
                 w.switch_rad,
-                1.0 if w.index_rad >= w.switch_rad else -1.0,
+                w.switch_side,
             )
             for j, w in enumerate(wiring)
             if w.encoder_board == board
