@@ -17,6 +17,7 @@ import tomli_w
 from control.errors import ArmError, ArmFileError
 from control.files import parsed_toml, read_text, write_whole
 from control.model.arm import Arm, Camera, CanBus
+from control.model.board_kinds import KINDS, bus_conflict
 from control.model.description import load_arm, save_arm
 from control.model.end_effector import Vector3
 from control.model.reader import Rejected, read_table
@@ -50,6 +51,9 @@ class ArmEntry:
         1.0, 0.0, 0.0, 0.0,
     )  # fmt: skip
     encoder_ports: Annotated[tuple[str, ...], "instead of the ports in its file, in their order"] = ()
+    board_ports: Annotated[
+        tuple[str, ...], "instead of those of its [[board]]s, one per serial port, in the order of the file"
+    ] = ()
     motor_nodes: Annotated[
         tuple[Annotated[int, NODE], ...], "instead of those in its file, one per drive; for a shared bus"
     ] = ()
@@ -246,12 +250,26 @@ def _placed(entry: ArmEntry, index: int, can: CanBus | None, cell_file: Path) ->
         arm = dataclasses.replace(
             arm, encoder_boards=tuple(dataclasses.replace(board, port=port) for board, port in boards)
         )
+    if entry.board_ports:
+        ports = _serial_ports(arm)
+        if len(entry.board_ports) != len(ports):
+            expected = f"{len(ports)} ports, one for each of {', '.join(ports) or 'none'} in {arm.path}"
+            raise Rejected(("arm", index, "board_ports"), expected, str(len(entry.board_ports)))
+        port_of = dict(zip(["", *ports], ["", *entry.board_ports], strict=True))
+        arm = dataclasses.replace(
+            arm, boards=tuple(dataclasses.replace(board, port=port_of[board.port]) for board in arm.boards)
+        )
     if entry.camera_port is not None:
         camera = (arm.camera or Camera()).with_port(entry.camera_port)
         arm = dataclasses.replace(arm, camera=camera)
     arm = dataclasses.replace(arm, name=entry.name or arm.name, can=can or arm.can)
     w, x, y, z = (value / length for value in entry.orientation)
     return Placed(arm, entry.origin_m, (w, x, y, z))
+
+
+def _serial_ports(arm: Arm) -> list[str]:
+    """Those that its bought boards are on; boards may share one."""
+    return list(dict.fromkeys(board.port for board in arm.boards if board.port))
 
 
 def _beside(file: str, cell_file: Path) -> str:
@@ -264,6 +282,7 @@ def _check(cell: Cell) -> None:
     if not cell.arms:
         raise Rejected(("arm",), "at least one [[arm]]", "none")
     taken: dict[object, str] = {}
+    kinds_on: dict[tuple[str, str], set[str]] = {}
     for index, placed in enumerate(cell.arms):
         for key, what, one in _claims(placed):
             if one in taken:
@@ -273,6 +292,12 @@ def _check(cell: Cell) -> None:
                     f"that of arm {taken[one]!r}",
                 )
             taken[one] = placed.name
+        if (can := placed.arm.can) is not None:
+            kinds = kinds_on.setdefault((can.interface, can.channel), set())
+            kinds |= {board.kind for board in placed.arm.boards if KINDS[board.kind].line == "can"}
+            kinds |= {"" for drive in placed.arm.drives if not drive.board}
+            if (conflict := bus_conflict(kinds)) is not None:
+                raise Rejected(("arm", index, "file"), conflict, f"both on {can.interface}:{can.channel}")
         first, here = _gravity(cell.arms[0]), _gravity(placed)
         if max(abs(a - b) for a, b in zip(first, here, strict=True)) > GRAVITY_TOLERANCE_m_s2:
             raise Rejected(
@@ -288,10 +313,23 @@ def _claims(placed: Placed) -> list[tuple[str, str, object]]:
     arm, can = placed.arm, placed.arm.can
     claims: list[tuple[str, str, object]] = [("name", "a name", ("name", arm.name))]
     claims += [("encoder_ports", "a port", ("port", board.port)) for board in arm.encoder_boards]
+    claims += [
+        ("board_ports", f"a port for its [[board]]s (here {port})", ("port", port))
+        for port in _serial_ports(arm)
+    ]
     if can is not None:
+        bus = (can.interface, can.channel)
+        claims += [
+            (
+                "file",
+                f"an address of a {board.kind} (here {board.address}) on {can.channel}",
+                (board.kind, *bus, board.address),
+            )
+            for board in arm.boards
+            if KINDS[board.kind].line == "can"
+        ]
         nodes = [drive.motor_node for drive in arm.drives if not drive.board]
         nodes += [arm.gripper.motor_node] if arm.gripper is not None and not arm.gripper.board else []
-        bus = (can.interface, can.channel)
         claims += [("motor_nodes", f"a motor node (here {node})", ("node", *bus, node)) for node in nodes]
     if arm.camera is not None and arm.camera.listens:
         claims.append(("camera_port", "a camera port", ("camera", arm.camera.port)))

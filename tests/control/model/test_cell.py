@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from console.main import main
 from control.errors import ArmError, ArmFileError
 from control.model.cell import cell_of_one, load_cell, save_cell
 from control.model.description import load_arm
@@ -90,3 +91,49 @@ def test_an_unknown_arm_or_cell_is_refused_with_the_names() -> None:
 def test_an_arm_alone_stands_at_the_origin_of_its_cell() -> None:
     cell = cell_of_one(load_arm("right"))
     assert cell.placed("right").in_cell((0.1, 0.2, 0.3)) == (0.1, 0.2, 0.3)
+
+
+BOUGHT = """name = "two"
+[[arm]]
+name = "a"
+file = "{0}.toml"
+[[arm]]
+name = "b"
+file = "{1}.toml"
+"""
+
+
+def saved(folder: Path, *kinds: str) -> None:
+    """Arms of three joints on these kinds of boards, as `new` writes them."""
+    for kind in kinds:
+        options = ["--joints", "3", "--boards", kind, "--yes", "--out", str(folder / f"{kind}.toml")]
+        assert main(["new", *options]) == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("feetech", "arm.2.board_ports: expected a port for its [[board]]s (here /dev/ttyACM0) that no other arm"),
+        ("cia402", "arm.2.file: expected an address of a cia402 (here 1) on can0 that no other arm of the cell has"),
+    ],
+)  # fmt: skip
+def test_two_arms_never_command_one_board(tmp_path: Path, kind: str, said: str) -> None:
+    saved(tmp_path, kind)
+    with pytest.raises(ArmFileError) as refused:
+        load_cell(written(tmp_path, BOUGHT.format(kind, kind)))
+    assert said in str(refused.value)
+
+
+def test_the_ports_of_bought_boards_are_those_of_the_cell(tmp_path: Path) -> None:
+    saved(tmp_path, "feetech")
+    text = BOUGHT.format("feetech", "feetech")
+    cell = load_cell(written(tmp_path, text + 'board_ports = ["/dev/ttyACM7"]\n'))
+    assert {board.port for board in cell.placed("b").arm.boards} == {"/dev/ttyACM7"}
+    with pytest.raises(ArmFileError, match="expected 1 ports, one for each of /dev/ttyACM0 in"):
+        load_cell(written(tmp_path, text + 'board_ports = ["/dev/ttyACM7", "/dev/ttyACM8"]\n'))
+
+
+def test_boards_that_take_each_others_frames_are_no_neighbours_on_a_bus(tmp_path: Path) -> None:
+    saved(tmp_path, "reference", "odrive")
+    with pytest.raises(ArmFileError, match="no odrive beside reference motor boards on one CAN bus"):
+        load_cell(written(tmp_path, BOUGHT.format("reference", "odrive")))
