@@ -1,9 +1,11 @@
 """Options of the command line as data, so that `--help` needs only argparse."""
 
 import argparse
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 Command = Callable[[argparse.Namespace], int]
@@ -59,12 +61,27 @@ def option(*flags: str, **details: Any) -> Option:
 
 
 def settle_arm(given: argparse.Namespace) -> None:
-    """Use the user's default arm if none was given; `has_arm` says whether one was. ConfigError."""
-    given.has_arm = getattr(given, "arm", None) not in (None, USERS_ARM)
-    if getattr(given, "arm", None) == USERS_ARM:
+    """Use the user's default arm if none was given; `has_arm` says whether one was. ConfigError.
+
+    An arm by a name that is no file and not supplied may be one that runs, as the arms of a cell: its runtime says its file.
+    """
+    named: str | None = getattr(given, "arm", None)
+    given.has_arm = named not in (None, USERS_ARM)
+    if named == USERS_ARM:
         from console.user_config import default_arm
 
         given.arm = default_arm()
+    elif named and Path(named).name == named and given.command not in ("serve", "stop"):
+        from control.model.description import arm_names
+        from control.server.channel import NoRuntime, SocketChannel
+        from control.server.sockets import default_path
+
+        socket = getattr(given, "socket", None) or default_path(named)
+        if named in arm_names() or Path(named).exists() or not Path(socket).exists():
+            return
+        with contextlib.suppress(NoRuntime):
+            given.arm = SocketChannel(Path(socket)).request({"do": "arm"})["file"] or named
+            given.socket = str(socket)
 
 
 def add(parser: argparse.ArgumentParser, options: Sequence[Option]) -> None:
@@ -78,7 +95,7 @@ ARM = option(
     "--arm",
     default=USERS_ARM,
     metavar="A",
-    help="an arm.toml, or the name of a supplied arm (default: $ARMWRIGHT_ARM, `arm` in"
+    help="an arm.toml, or the name of a supplied arm or of one that runs (default: $ARMWRIGHT_ARM, `arm` in"
     " ~/.config/armwright/config.toml, or right)",
 )
 CELL = option(

@@ -32,6 +32,8 @@ def _wanted(given: argparse.Namespace) -> Sequence[Path]:
         sys.stderr.write(f"armwright: {problem}\n")
     if not given.arm:
         return find_sockets()
+    if found := find_sockets(given.arm):  # its name is enough, as for the arms of a cell
+        return found
     from control.model.description import load_arm
 
     try:
