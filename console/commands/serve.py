@@ -1,12 +1,11 @@
 """`armwright serve`: runs the loop in this process until it is stopped."""
 
 import argparse
-import math
 import sys
 from pathlib import Path
 
 from console.commands.connection import socket_path
-from control.end_effector.bus_load import bus_load
+from control.end_effector.bus_load import USUAL_LOAD, bus_load, usual_rate_Hz
 from control.errors import ArmError
 from control.hardware.connect import with_links
 from control.model.arm import Arm
@@ -17,8 +16,7 @@ from control.server.sockets import default_path
 from procedures.link_options import link_options
 
 LOWEST_RATE_Hz, HIGHEST_RATE_Hz = 50.0, 1200.0  # three boards at 1 Mbit/s end at 1234 Hz
-RATE_STEP_Hz = 50.0
-USUAL_LOAD, LARGEST_LOAD = 0.7, 0.95  # of a CAN bus that several arms share; `doctor` expects the first
+LARGEST_LOAD = 0.95  # of a CAN bus that several arms share
 OF_ONE_ARM = ("socket", "encoder", "can_interface", "can_channel", "can_option", "camera_port")
 
 
@@ -32,10 +30,14 @@ def run(given: argparse.Namespace) -> int:
     else:
         arm = with_links(load_arm(given.arm), link_options(given))
         cell, sockets = cell_of_one(arm), {arm.name: socket_path(given, arm)}
-    rate_Hz = given.rate or min(placed.arm.usual_rate_Hz for placed in cell.arms)
-    if given.cell is not None:
-        rate_Hz = _rate_for_the_bus(cell, rate_Hz, is_asked=given.rate is not None)
-    if (load := bus_load(cell, rate_Hz)) > USUAL_LOAD:
+    rate_Hz = given.rate or usual_rate_Hz(cell)
+    load = bus_load(cell, rate_Hz)
+    if given.cell is not None and load > LARGEST_LOAD:
+        raise ArmError(
+            f"--rate: at {rate_Hz:g} Hz the arms' boards would need {100 * load:.0f} % of their CAN bus (at most"
+            f" {100 * LARGEST_LOAD:.0f} %): give a lower rate, or each arm a bus of its own"
+        )
+    if load > USUAL_LOAD:
         fixed = bus_load(cell, 0.0)
         good_Hz = (USUAL_LOAD - fixed) / (load - fixed) * rate_Hz
         sys.stderr.write(
@@ -45,20 +47,6 @@ def run(given: argparse.Namespace) -> int:
     ports = {placed.name: camera_port(given, placed.arm) for placed in cell.arms}
     serve(cell, ServeOptions(sockets, Path(given.log), 1.0 / rate_Hz, ports))
     return 0
-
-
-def _rate_for_the_bus(cell: Cell, rate_Hz: float, is_asked: bool) -> float:
-    """A rate that the shared CAN bus carries. ArmError if the one that is asked for is too high."""
-    load = bus_load(cell, rate_Hz)
-    if is_asked and load > LARGEST_LOAD:
-        raise ArmError(
-            f"--rate: at {rate_Hz:g} Hz the arms' boards would need {100 * load:.0f} % of their CAN bus (at most"
-            f" {100 * LARGEST_LOAD:.0f} %): give a lower rate, or each arm a bus of its own"
-        )
-    while not is_asked and load > USUAL_LOAD and rate_Hz > RATE_STEP_Hz:
-        rate_Hz = max(RATE_STEP_Hz, RATE_STEP_Hz * math.ceil(rate_Hz / RATE_STEP_Hz - 1.0))
-        load = bus_load(cell, rate_Hz)
-    return rate_Hz
 
 
 def _cell(given: argparse.Namespace) -> Cell:

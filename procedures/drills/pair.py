@@ -28,7 +28,7 @@ from procedures.drills.promise import Outcome, Promise, length_m, stood_s
 from procedures.drills.stage import REST, SETTLED_S, THINNED, UNDER_WAY_S, off_way_m, wired_as_real
 from procedures.guiding.following import PERIOD_S as FOLLOWS_S
 from procedures.guiding.following import Following
-from procedures.mock.cell_bench import PERIOD_S, CellBench
+from procedures.mock.cell_bench import CellBench
 
 PAIR = "both move"  # the situation
 FROM_rad, TO_rad = (0.0, -0.4, 0.4), (0.8, -0.3, 0.6)  # of both: they stay half a metre apart
@@ -67,7 +67,7 @@ class PairStage:
         """Run cycles; note tips and faults after each."""
         end_s = self.now_s + duration_s
         while self.now_s < end_s - 1e-9:
-            self.bench.wait(PERIOD_S)
+            self.bench.wait(self.bench.period_s)
             for name, runtime in self.bench.runtimes.items():
                 self.ways.setdefault(name, []).append((self.now_s, self.bench.tip_m(name)))
                 if runtime.monitor.mode is Mode.FAULT and name not in self.found:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.frames import rotation_of
+from control.end_effector.bus_load import usual_rate_Hz
 from control.errors import ArmError
 from control.hardware.shared_bus import CellConnection, connect_cell
 from control.kinematics.rotation import quaternion_of
@@ -28,7 +29,6 @@ from procedures.mock.arm import wired_to
 from procedures.ports import move_together
 
 Wired = Callable[[Arm, MockPorts], Arm]
-PERIOD_S = 0.0025  # 400 Hz: what six boards on one bus allow
 SHIFT_m, TURN_rad = 0.004, 0.007  # a base that was placed by tape measure, against its file
 
 
@@ -37,6 +37,7 @@ class CellBench:
 
     def __init__(self, standing: Cell, scenario: Scenario, log_folder: Path, wired: Wired = wired_to) -> None:
         """`wired`: an arm with the mock's ports, and with the limits that the drives are to have."""
+        self.period_s = 1.0 / usual_rate_Hz(standing)
         self.standing, self._log_folder, self._wired = standing, log_folder, wired
         self.rig = SteppedCell(standing, scenario)
         self.clients: Mapping[str, ArmClient] = {}
@@ -51,7 +52,7 @@ class CellBench:
         self._starts += 1
         wired = cell.with_arms([self._wired(placed.arm, self.rig.ports[placed.name]) for placed in cell.arms])
         ports = {name: one.camera_port for name, one in self.rig.ports.items()}
-        self._connection = connect_cell(wired, self.rig.clock, PERIOD_S, ports)
+        self._connection = connect_cell(wired, self.rig.clock, self.period_s, ports)
         self.runtimes = (assembly := self._assembled(wired, self._connection)).runtime.runtimes
         self.channels = []
         for number, name in enumerate(cell.names, 1):
@@ -75,12 +76,12 @@ class CellBench:
         of_arms = {}
         for placed in cell.arms:
             arm, path = placed.arm, self.recording / f"{placed.name}.armlog"
-            about = {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": PERIOD_S}
+            about = {"arm": arm.name, "arm_toml": arm_text(arm), "period_s": self.period_s}
             header = layout_of(arm).header({**about, **about_cell(cell, arm.name), **about_columns(arm)})
             self._sinks.append(FileSink(path, header))
             opened = connection.of_arms[arm.name]
             of_arms[arm.name] = assemble(
-                arm, opened.hardware, PERIOD_S, opened.camera, self._sinks[-1], self.rig.clock.now_s
+                arm, opened.hardware, self.period_s, opened.camera, self._sinks[-1], self.rig.clock.now_s
             )
         return assemble_cell(cell, of_arms)
 
@@ -112,7 +113,7 @@ class CellBench:
             raise ArmError("the bench has no runtime to stop")
         next(iter(self.clients.values())).off(quit_runtime=True)
         while self.channels[0].is_running:
-            self.wait(PERIOD_S)
+            self.wait(self.period_s)
         self._end()
         return self.recording
 
