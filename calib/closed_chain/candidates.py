@@ -19,7 +19,9 @@ from control.model.cell import Cell, Placed
 
 DRAWN = 6000  # poses of the first arm; one in ten gives a contact
 STARTS = 12  # from which postures of the second arm are searched
-LEVER_m_rad = 0.1  # least way of the tip for a turn of the joints: 2 cm are then made up for within 0.2 rad
+LEVER = (
+    0.12  # of the reach, per rad: least way of the tip; 3 % of the reach are then made up for within 0.25 rad
+)
 CAVITY, APART = "cavity", "apart"  # setups of contacts in one place, and at a distance
 SEED = 0
 
@@ -104,7 +106,7 @@ def _is_fit(arm: Arm, q_rad: Array) -> Mask:
     """Poses of which no part is near the floor and the tip well above it, away from where the tip cannot be moved one way."""
     model = ArmModel(arm)
     by_q = model.slopes(model.nominal_dh, q_rad).by_dh[:, :, list(model.theta_places)]
-    can_move = np.linalg.svd(by_q, compute_uv=False)[:, -1] >= LEVER_m_rad
+    can_move = np.linalg.svd(by_q, compute_uv=False)[:, -1] >= LEVER * _reach_m(arm)
     points = body_points(arm, q_rad)
     lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + FREE_HEIGHT_M
     return np.asarray(can_move & is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m))

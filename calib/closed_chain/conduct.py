@@ -88,6 +88,7 @@ class _Conductor(Conversation):
         super().__init__(folder, station.watch)
         self._station = station
         self._is_touching = bool(folder.is_at_point)
+        self._came_from: Poses | None = None  # where both stood before the tips were brought together
 
     def _begin(self) -> Talk:
         if (points := self._folder.points()) is not None:
@@ -108,6 +109,7 @@ class _Conductor(Conversation):
         try:
             self._lift()
             self._lead(away)
+            self._came_from = away
         except (ArmFaulted, RuntimeGone):
             raise
         except ArmError as error:
@@ -133,13 +135,27 @@ class _Conductor(Conversation):
     def _lift(self) -> None:
         if not self._is_touching:
             return
-        off = self._station.room.backed_off(self._poses_now())
-        if off is None:
+        along = self._station.room.backed_off(self._poses_now())
+        refused: ArmError | None = None
+        for off in (
+            self._came_from,
+            along,
+        ):  # the way they came was clear, whatever the arms' models say here
+            if off is None:
+                continue
+            try:
+                self._station.together(off, BACK_OFF)
+                break
+            except (ArmFaulted, RuntimeGone):
+                raise
+            except ArmError as error:
+                refused = error
+        else:
+            why = f": {refused}" if refused else " along their last links"
             raise SessionError(
-                "the arms cannot back off along their last links: jog one of them away from the other"
+                f"the arms cannot back off from each other{why}. Jog one of them away, then resume"
             )
-        self._station.together(off, BACK_OFF)
-        self._is_touching = False
+        self._came_from, self._is_touching = None, False
         self._folder.lifted(self._standing or self._folder.standing)
 
     def _seated_by(self, hand: PairHand, target: Target) -> Talk:

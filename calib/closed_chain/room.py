@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise, product
 
 import numpy as np
 
+from calib.arrays import Array, frozen
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
@@ -16,7 +18,8 @@ from control.safety.collision import least_gap
 
 MARGIN_m = 0.03  # beyond the cell's clearance: tips of uncalibrated arms are some 2 cm off
 AWAY_m = 0.04  # back along the last link, to where an arm moves before a hand brings its tip to the contact
-LOOKS = 30  # at a joint move of both
+STEP_m = 0.005  # two looks at a way are at least so far apart: no part comes nearer between them by more than half of it
+AHEAD_m = 0.2  # gaps beyond it are not looked at closely
 Poses = Sequence[Sequence[float]]
 """Joint angles of the first and of the second arm [rad]."""
 
@@ -33,16 +36,21 @@ class Room:
         ]
         self._least_m = cell.clearance_m + MARGIN_m
         self._backs = (_Back(pair[0].arm), _Back(pair[1].arm))
+        self._levers_m = [_levers_m(placed.arm) for placed in pair]
 
     def is_clear(self, first_rad: Sequence[float], second_rad: Sequence[float]) -> bool:
         """Of a pose of both."""
+        return self._to_spare_m(first_rad, second_rad) >= 0.0
+
+    def _to_spare_m(self, first_rad: Sequence[float], second_rad: Sequence[float]) -> float:
+        """How much more than asked for the nearest parts are apart, AHEAD_m at most."""
         one, two = self._bodies[0].at(first_rad), self._bodies[1].at(second_rad)
-        if least_gap(one, two, self._pairs, self._least_m).gap_m < self._least_m:
-            return False
-        return all(
-            not pairs or least_gap(at, at, pairs, MARGIN_m).gap_m >= MARGIN_m
+        between_m = least_gap(one, two, self._pairs, self._least_m + AHEAD_m).gap_m - self._least_m
+        own_m = [
+            least_gap(at, at, pairs, MARGIN_m + AHEAD_m).gap_m - MARGIN_m
             for pairs, at in zip(self._own_pairs, (one, two), strict=True)
-        )
+        ]
+        return min(AHEAD_m, between_m, *own_m)
 
     def backed_off(self, poses_rad: Poses) -> Poses | None:
         """Both tips a little back along the last links; None if an arm cannot."""
@@ -50,12 +58,21 @@ class Room:
         return None if off[0] is None or off[1] is None else [off[0], off[1]]
 
     def is_way_clear(self, start_rad: Poses, end_rad: Poses) -> bool:
-        """Of a joint move of both, which begin and end together; the ends themselves are not looked at."""
+        """Of a joint move of both, which begin and end together; the ends themselves are not looked at.
+
+        By conservative advancement: parts that have a distance to spare cannot meet before they have moved that far.
+        """
         start, end = ([np.array(q_rad) for q_rad in poses] for poses in (start_rad, end_rad))
-        for share in np.linspace(0.0, 1.0, LOOKS + 2)[1:-1]:
+        moved_m = sum(
+            float(np.abs(b - a) @ levers) for a, b, levers in zip(start, end, self._levers_m, strict=True)
+        )
+        share = STEP_m / max(moved_m, STEP_m)
+        while share < 1.0:
             first, second = (a + share * (b - a) for a, b in zip(start, end, strict=True))
-            if not self.is_clear(first.tolist(), second.tolist()):
+            to_spare_m = self._to_spare_m(first.tolist(), second.tolist())
+            if to_spare_m < 0.0:
                 return False
+            share += max(to_spare_m, STEP_m) / moved_m
         return True
 
     def way(self, start_rad: Poses, goal_rad: Poses) -> Sequence[Poses] | None:
@@ -64,6 +81,8 @@ class Room:
         Straight there, else by way of the rest poses, where one arm may wait until the other has left.
         """
         for way in self._ways(start_rad, goal_rad):
+            if not all(self.is_clear(*via) for via in way[:-1]):
+                continue
             if all(self.is_way_clear(a, b) for a, b in pairwise((start_rad, *way))):
                 return way
         return None
@@ -75,6 +94,14 @@ class Room:
         arrive = ((), ((rest[0], goal_rad[1]),), ((goal_rad[0], rest[1]),))
         for first, last in product(leave, arrive):
             yield (*first, rest, *last, goal_rad)
+
+
+def _levers_m(arm: Arm) -> Array:
+    """(joints,): how far a part can be from each joint's axis, so how far it moves at most for a turn of 1 rad."""
+    lengths_m = [math.hypot(row.d_m, row.L_m) for row in arm.links]
+    lengths_m[-1] += math.hypot(*arm.tool.position_m)
+    beyond_m = np.cumsum(lengths_m[::-1])[::-1]
+    return frozen(beyond_m[[row.joint == "revolute" for row in arm.links]])
 
 
 def _apart(body: ArmBody, rest_rad: Sequence[float]) -> tuple[tuple[int, int], ...]:
