@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from calib.session.moves.ports import Sample, SeenTip, Vector
 from calib.session.plan import Target
 from control.errors import ArmError
+from control.server.channel import RuntimeGone
 from control.server.client import ArmClient, ArmFaulted, fault_text
 
 if TYPE_CHECKING:
@@ -132,8 +133,19 @@ class HandPort:
 
 
 def move_together(clients: Mapping[str, ArmClient], moves: Mapping[str, Any]) -> None:
-    """Motions of several arms that begin and end together (docs/socket.md); returns when all have arrived."""
+    """Motions of several arms that begin and end together (docs/socket.md); returns when all have arrived.
+
+    ArmFaulted if one of them is in FAULT.
+    """
     first = next(iter(moves))
-    duration_s = clients[first].ask("move_together", moves=moves)["duration_s"]
-    for name in moves:
-        clients[name].arrive(duration_s + ARRIVAL_MARGIN_S)
+    try:
+        duration_s = clients[first].ask("move_together", moves=moves)["duration_s"]
+        for name in moves:
+            clients[name].arrive(duration_s + ARRIVAL_MARGIN_S)
+    except (ArmFaulted, RuntimeGone):
+        raise
+    except ArmError:  # it may be the other arm's fault that stops this one
+        for name in moves:
+            if (status := clients[name].status())["mode"] == "FAULT":
+                raise ArmFaulted(f"{name}: {fault_text(status)}") from None
+        raise

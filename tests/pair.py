@@ -74,16 +74,18 @@ class Pair:
 
 
 @contextmanager
-def open_pair(hidden: Scenario | None = None, cell: Cell = PAIR) -> Iterator[Pair]:
+def open_pair(
+    hidden: Scenario | None = None, cell: Cell = PAIR, period_s: float = PERIOD_S
+) -> Iterator[Pair]:
     """Connect a runtime to mocks of a cell's arms; drives are off."""
     with SteppedCell(cell, hidden or scenario(APART, effect=FRICTION)) as rig:
         arms = [wired_to(placed.arm, rig.ports[placed.name]) for placed in cell.arms]
         wired = cell.with_arms(arms)
         ports = {name: one.camera_port for name, one in rig.ports.items()}
-        connection = connect_cell(wired, rig.clock, PERIOD_S, ports)
+        connection = connect_cell(wired, rig.clock, period_s, ports)
         of_arms = {
             arm.name: assemble(
-                arm, connection.of_arms[arm.name].hardware, PERIOD_S, stopwatch_s=rig.clock.now_s
+                arm, connection.of_arms[arm.name].hardware, period_s, stopwatch_s=rig.clock.now_s
             )
             for arm in arms
         }
@@ -95,7 +97,7 @@ def open_pair(hidden: Scenario | None = None, cell: Cell = PAIR) -> Iterator[Pai
             loop = channels[name].loop
         pair = Pair(rig, assembly, channels, {name: ArmClient(channel) for name, channel in channels.items()})
         try:
-            pair.run(10 * PERIOD_S)
+            pair.run(10 * period_s)
             yield pair
         finally:
             connection.close()

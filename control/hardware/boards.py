@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import ParamSpec
 
-from control.hardware.interface import EndBoards, Feedback, OutputMode
+from control.hardware.interface import Asked, EndBoards, Feedback, Hardware, OutputMode
 from control.hardware.roles import Drives, Encoders, Line, PolledLine
 from control.hardware.words import Wanted
 from firmware_iface.clock import Clock
@@ -64,17 +64,23 @@ class BoardHardware:
         """Whether some of its boards speak only when they are asked."""
         return bool(self._polled)
 
-    def attend(self, until_s: float) -> None:
-        """Wait until then, and serve the polled lines meanwhile."""
+    def attend(self, until_s: float, beside: Sequence[Hardware] = ()) -> None:
+        """Wait until then, and serve the polled lines meanwhile, with those of other arms `beside`."""
         clock = self._clock
-        polled = self._polled
-        if self._gone:
-            polled = tuple(line for line in polled if line.update not in self._gone)
+        polled: Sequence[Asked] = self.polled_lines()
+        for other in beside:
+            polled = (*polled, *other.polled_lines())
         while polled and (now_s := clock.now_s()) < until_s - ATTEND_EVERY_S:
             for line in polled:
                 line.attend()
             clock.wait_until_s(now_s + ATTEND_EVERY_S)
         clock.wait_until_s(until_s)
+
+    def polled_lines(self) -> Sequence[PolledLine]:
+        """The lines that are there and must be asked."""
+        if self._gone:
+            return tuple(line for line in self._polled if line.update not in self._gone)
+        return self._polled
 
     def read(self) -> Feedback:
         """Drain the links into `feedback`. Raises, one a call, each BoardReset, ProtocolViolation, and LinkLost found since."""

@@ -82,6 +82,14 @@ class EndBoards:
             self.gripper.prepare()
 
 
+class Asked(Protocol):
+    """A line whose boards speak only when they are asked."""
+
+    def attend(self) -> None:
+        """Go on asking, while the loop waits for its next cycle. Never raises: `update` does."""
+        ...
+
+
 class Hardware(Protocol):
     """The arm as seen by the loop; real and mock boards implement it alike."""
 
@@ -100,8 +108,12 @@ class Hardware(Protocol):
         """Whether some of its boards speak only when they are asked."""
         ...
 
-    def attend(self, until_s: float) -> None:
-        """Wait until then; lines whose boards speak only when asked are served meanwhile."""
+    def attend(self, until_s: float, beside: Sequence["Hardware"] = ()) -> None:
+        """Wait until then; lines whose boards speak only when asked are served meanwhile, those of other arms `beside`, too."""
+        ...
+
+    def polled_lines(self) -> Sequence[Asked]:
+        """Those lines, as far as they are there."""
         ...
 
     def read(self) -> Feedback:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from control.hardware.interface import Feedback, OutputMode
+from control.hardware.interface import Asked, Feedback, OutputMode
 from control.hardware.words import Wanted
 
 
@@ -25,12 +25,8 @@ class Line(Protocol):
         ...
 
 
-class PolledLine(Line, Protocol):
+class PolledLine(Line, Asked, Protocol):
     """A line whose boards speak only when they are asked."""
-
-    def attend(self) -> None:
-        """Go on asking, while the loop waits for its next cycle. Never raises: `update` does."""
-        ...
 
 
 class AskedEncoders:

@@ -14,7 +14,6 @@ from control.model.cell import Cell
 from control.safety.table import TRAVELLING_MODES, Mode
 
 MOVING_MODES = TRAVELLING_MODES | {Mode.STOPPING, Mode.GUIDING}  # in which an arm may be in motion
-SLICE_S = 0.0005  # in turn for each arm whose boards speak only when they are asked
 
 
 class Looped(Protocol):
@@ -78,16 +77,9 @@ class CellRuntime:
         return self._all[0].parts.hardware
 
     def attend(self, until_s: float) -> None:
-        """Wait until then; boards that must be asked are asked, arm by arm."""
-        if len(self._attended) > 1:
-            # Not from `now_s`: before the first cycle, and after a wait, it is long ago.
-            at_s = until_s - self.period_s
-            while at_s < until_s:
-                for hardware in self._attended:
-                    at_s = min(until_s, at_s + SLICE_S)
-                    hardware.attend(at_s)
-        else:
-            self._attended[0].attend(until_s)
+        """Wait until then; the lines of all arms whose boards must be asked are served at once."""
+        first, *others = self._attended
+        first.attend(until_s, others)
 
     def cycle(self, now_s: float, late_s: float, missed: int, missed_in_row: int) -> bool:
         """Run one cycle of every arm; False once all of them have been shut down."""

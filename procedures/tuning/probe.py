@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from control.hardware.interface import EndBoards, Feedback, Hardware, OutputMode
+from control.hardware.interface import Asked, EndBoards, Feedback, Hardware, OutputMode
 from control.hardware.words import Wanted
 from firmware_iface.clock import Clock
 
@@ -57,9 +57,13 @@ class Probe:
         """Whether some of its boards speak only when they are asked."""
         return self._hardware.is_polled
 
-    def attend(self, until_s: float) -> None:
+    def attend(self, until_s: float, beside: Sequence[Hardware] = ()) -> None:
         """As the hardware."""
-        self._hardware.attend(until_s)
+        self._hardware.attend(until_s, beside)
+
+    def polled_lines(self) -> Sequence[Asked]:
+        """As the hardware."""
+        return self._hardware.polled_lines()
 
     def read(self) -> Feedback:
         """As the hardware."""
