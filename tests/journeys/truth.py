@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from control.kinematics.kinematics import Kinematics
-from control.model.arm import Arm
+from control.model.arm import Arm, Tool
 from control.model.description import load_arm
 from hil_mocks.scenario import load_scenario
 
@@ -35,8 +36,16 @@ def main() -> int:
     )
     parser.add_argument("--times", type=float, default=1.0, help="how many times nearer the file must be")
     parser.add_argument("--below", type=float, default=np.inf, help="how far off the file may be, in mm")
+    parser.add_argument(
+        "--target",
+        type=float,
+        nargs=3,
+        help="what was seen instead of the tip, in the last link's frame, in m",
+    )
     given = parser.parse_args()
     built = load_arm(given.built)
+    if given.target:
+        built = replace(built, tool=Tool(position_m=tuple(given.target)))
     lower, upper = np.array(built.limits_rad).T
     middle, half = (lower + upper) / 2.0, (upper - lower) / 2.0
     q_rad = middle + 0.5 * half * np.random.default_rng(3).uniform(-1.0, 1.0, (300, built.joint_count))

@@ -75,7 +75,7 @@ def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
     if given.json:
         sys.stdout.write(json.dumps(_summary(aligned, rested, file, written, (*of_clock, *said))) + "\n")
     else:
-        about = "".join(f"{sentence}.\n" for sentence in of_clock)
+        about = "".join(f"{sentence.rstrip('.')}.\n" for sentence in of_clock)
         sys.stdout.write(f"{about}{_text(aligned, rested, body)}written: {file}\n{about_log}\n")
     return 0
 
