@@ -26,6 +26,7 @@ from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
 from control.progress import Advance
 from control.server.client import ArmClient
+from procedures.arm_sheet.figures import torque_limit_Nm
 from procedures.iso9283.run_rows import RunRows
 
 DWELL_S = 0.2  # after a move, before the average: the arm comes to rest
@@ -70,8 +71,24 @@ def rated_speed_m_s(arm: Arm, cube: TestCube) -> float:
     return speed
 
 
+def largest_load_kg(arm: Arm, cube: TestCube) -> float:
+    """The load at P1 that the loop does not take for a collision: nobody tells it of the loads of this test.
+
+    A mass m at the tip needs the torques m J'(q) g, of which a share `limits.unexplained_torque` of each joint's limit may be.
+    """
+    q_rad = _solved(solver_of(arm, cube), cube.poses()["P1"])
+    per_kg = np.abs(np.array(arm.gravity_m_s2) @ Kinematics(arm).jacobians([q_rad])[0])
+    allowed_Nm = arm.limits.unexplained_torque * np.array([torque_limit_Nm(drive) for drive in arm.drives])
+    return float((allowed_Nm / np.maximum(per_kg, 1e-9)).min())
+
+
 def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
     """Solve every pose and plan every path; ArmError or Iso9283Error name the obstacle, and nothing moves."""
+    if extent.rated_load_kg > (most_kg := largest_load_kg(arm, cube)):
+        raise Iso9283Error(
+            f"--rated-load-kg: expected at most {most_kg:.2f} kg, got {extent.rated_load_kg:g} kg: the loop would take more"
+            " at P1 for a collision ([limits] unexplained_torque)"
+        )
     solver = solver_of(arm, cube)
     todo = tuple(steps(cube, extent, rated_m_s))
     visits = [step for step in todo if isinstance(step, Visit)]

@@ -24,6 +24,7 @@ from procedures.ports import camera_said
 FULL = Extent()
 QUICK = Extent(repeats=5, path_cycles=3, speed_shares=(0.5, 1.0), drift_s=30.0, drift_sets=2)
 MOCK_LOAD_kg = 1.0
+MOCK_SHARE = 0.7  # of the largest load: friction needs torque, too
 REAL_SPEED, MOCK_SPEED = 0.5, 1.0
 CAMERA_LOOK_S = 0.5
 
@@ -51,7 +52,8 @@ def run(given: argparse.Namespace) -> int:
 def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
     """Plan, print the plan, record on `client`'s arm or on a mock, evaluate."""
     out = Path(given.out)
-    extent, cube = _extent(given, arm), _cube(given, arm)
+    cube = _cube(given, arm)
+    extent = _extent(given, arm, cube)
     rated_m_s = given.rated_speed or recording.rated_speed_m_s(arm, cube)
     planned = recording.plan(arm, cube, extent, rated_m_s)
     sys.stdout.write(_described(arm, cube, planned, rated_m_s))
@@ -124,9 +126,11 @@ def _programme(given: argparse.Namespace, points: Path) -> Path | None:
     return beside if beside.exists() else None
 
 
-def _extent(given: argparse.Namespace, arm: Arm) -> Extent:
+def _extent(given: argparse.Namespace, arm: Arm, cube: TestCube) -> Extent:
     base = QUICK if given.quick else FULL
-    load_kg = given.rated_load_kg if given.rated_load_kg is not None else MOCK_LOAD_kg * bool(given.mock)
+    load_kg = given.rated_load_kg or 0.0
+    if given.rated_load_kg is None and given.mock:
+        load_kg = min(MOCK_LOAD_kg, MOCK_SHARE * recording.largest_load_kg(arm, cube))
     programmes = tuple(given.programmes or PROGRAMMES)
     return Extent(
         given.repeats if given.repeats is not None else base.repeats,

@@ -208,6 +208,7 @@ def test_the_plan_is_said_and_nothing_is_made(tmp_path: Path, capsys: pytest.Cap
             "--rated-speed: expected a rated path speed in m/s above 0 and up to 1, got -1",
         ),
         (["--mock", "--speed", "2"], "--speed: expected a fraction"),
+        (["--mock", "--rated-load-kg", "5"], "--rated-load-kg: expected at most 2.3"),
         (["--points", "absent.csv"], "absent.csv: cannot be read"),
         (["--points", "p.armlog"], "p.armlog: a recording, expected points.csv"),
         (["--record", "--socket", "/nonexistent.sock"], "no runtime answers"),
