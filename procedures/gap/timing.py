@@ -183,10 +183,14 @@ def _current_slope_A_s(arm: Arm, q: Array, period_s: float) -> Array:
 def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
     """The clock of the board of these joints (0-based)."""
     period = runs[0].period_s
-    ahead_s = float(np.mean(np.concatenate([raw.t_s - raw.counted_s[:, joints[0]] for raw in runs])))
-    since = float(runs[0].counted_s[0, joints[0]])
-    is_hosts = arm.drive(joints[0] + 1).encoder_board < 0  # a bought board's counts have the host's time
-    first = Clock(since, 0.0 if is_hosts else ahead_s - 0.5 * period)
+    ahead_s = np.concatenate([raw.t_s - raw.counted_s[:, joints[0]] for raw in runs])
+    since, mean_s = float(runs[0].counted_s[0, joints[0]]), float(np.mean(ahead_s))
+    first = Clock(since, mean_s - 0.5 * period)
+    if arm.drive(joints[0] + 1).encoder_board < 0:  # a bought board's counts have the host's time
+        is_loops = (
+            0.0 <= mean_s <= OLDEST_ENCODER * period
+        )  # else the times of an exported log, which begins at 0
+        first = Clock(since, 0.0 if is_loops else float(ahead_s.min()))
     clock, information = first, np.zeros((2, 2))
     for _ in range(ROUNDS):
         information, pull = np.zeros((2, 2)), np.zeros(2)

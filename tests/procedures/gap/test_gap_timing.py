@@ -159,6 +159,14 @@ def test_without_voltages_a_bought_boards_counts_are_as_old_as_the_host_noted() 
     assert clocks.angle_age_s == pytest.approx(np.mean(bare[0].t_s - bare[0].counted_s[:, 0]), abs=1e-9)
 
 
+def test_an_exported_log_begins_at_0_while_a_bought_boards_counts_have_the_hosts_time() -> None:
+    (raw,) = RUNS[:1]
+    ages_s = raw.t_s - raw.counted_s[:, 0]
+    exported = replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan), counted_s=raw.counted_s + 13_949.0)
+    clocks = clocks_of(on_boards(ARM, "dynamixel"), [exported])
+    assert clocks.angle_age_s == pytest.approx(np.mean(ages_s) - np.min(ages_s), abs=1e-6)
+
+
 def test_without_voltages_angles_count_as_half_a_cycle_old_and_without_frames_there_is_no_camera() -> None:
     bare = [
         replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan), tip_m=np.full_like(raw.tip_m, np.nan))
