@@ -154,7 +154,10 @@ def test_what_a_board_is_told_beside_a_position_is_no_voltage(tmp_path: Path, ki
 
 
 def test_without_voltages_a_bought_boards_counts_are_as_old_as_the_host_noted() -> None:
-    bare = [replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan)) for raw in RUNS[:1]]
+    bare = [
+        replace(raw, voltage_V=np.full_like(raw.voltage_V, np.nan), counted_s=raw.counted_s + OFFSET_s)
+        for raw in RUNS[:1]
+    ]
     clocks = clocks_of(on_boards(ARM, "dynamixel"), bare)
     assert clocks.angle_age_s == pytest.approx(np.mean(bare[0].t_s - bare[0].counted_s[:, 0]), abs=1e-9)
 
