@@ -15,16 +15,14 @@ from calib.arm_problem.assembly import Choice
 from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut
 from calib.calibration.calibrate import calibrate as calibrated
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
-from calib.calibration.report import calibration_report
-from calib.calibration.text import judgement_json, summary_text
+from calib.calibration.report import calibration_report, judgement_json, summary_text
 from calib.errors import CalibrationError
 from calib.identify.objective import objective_named
 from calib.points.points import Points
 from calib.points.points import make_points as made_points
 from calib.points.reading import read_points as points_of
 from calib.report.report import write_report
-from calib.validation.verify import Comparison
-from calib.validation.verify_recorded import compare_arms
+from calib.validation.verify import Comparison, compare_arms
 from control.model.arm import Arm
 
 Array = NDArray[np.float64]

@@ -27,7 +27,7 @@ from control.motion.joint_limits import JointLimits
 from control.server.client import RequestRefused
 from hil_mocks.scenario import load_scenario
 from procedures.folders import free_folder
-from procedures.mock.bench import SteppedBench
+from procedures.mock import SteppedBench
 
 try:
     import gymnasium

@@ -13,7 +13,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
 from control.server.client import ArmClient
 from hil_mocks.rig import MockArm as Rig
-from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
+from procedures.mock import Bench, RealTimeBench, SteppedBench
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from control.model.description import Arm, Drive
 from hil_mocks.devices.camera import CameraMock, CameraSetup, PictureMock
 from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup
-from hil_mocks.devices.mocap.natnet import NatNetMock
-from hil_mocks.devices.mocap.qtm import QtmMock
-from hil_mocks.devices.mocap.scene import MocapMock, SceneSetup
-from hil_mocks.devices.mocap.vicon import ViconMock
+from hil_mocks.devices.mocap import MocapMock, NatNetMock, QtmMock, SceneSetup, ViconMock
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
 from hil_mocks.firmware.choice import encoder_board_class, motor_board_class
 from hil_mocks.plant.build import PlantOptions

@@ -1,4 +1,4 @@
-"""Adapters of runtime, mock hand and camera to the interfaces of a session (calib.session.moves.ports)."""
+"""Adapters of runtime, mock hand and camera to the interfaces of a session (calib.session.moves)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from calib.session.moves.ports import Sample, SeenTip, Vector
+from calib.session.moves import Sample, SeenTip, Vector
 from calib.session.plan import Target
 from control.errors import ArmError
 from control.server.channel import RuntimeGone

@@ -122,7 +122,7 @@ class Cell:
 
 
 def wired_to(arm: Arm, rig: MockPorts) -> Arm:
-    """The arm on the rig's wires, with the limits of a real one (procedures.mock.arm has more patience with its boards)."""
+    """The arm on the rig's wires, with the limits of a real one (procedures.mock has more patience with its boards)."""
     boards = tuple(
         replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
     )

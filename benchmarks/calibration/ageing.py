@@ -9,9 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles_for, board_points, deviations
-from calib.ageing.history import FORMAT, Entry, geometry_of
-from calib.ageing.trend import YEAR_days
-from calib.ageing.words import trend_of
+from calib.ageing import FORMAT, Entry, YEAR_days, geometry_of, trend_of
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arrays import Array
 from calib.design.candidates import workspace_poses

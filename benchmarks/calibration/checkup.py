@@ -15,9 +15,7 @@ from benchmarks.calibration.trust_coverage import session
 from benchmarks.gap.static.cases import ARM, NOISE_m
 from benchmarks.gap.static.physics import Hidden
 from calib.arrays import Array
-from calib.checkup.decision import Decision, decide
-from calib.checkup.design import checkup_plan
-from calib.checkup.expectation import expectation_of
+from calib.checkup import Decision, checkup_plan, decide, expectation_of
 from calib.points.points import Points, make_points
 
 SORTS = {  # what happens to joint j, and the right decision

@@ -26,7 +26,7 @@ from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import EffectTable, Scenario, Start, load_scenario
-from procedures.mock.arm import wired_to
+from procedures.mock import wired_to
 
 Points = NDArray[np.float64]
 PERIOD_S = 0.002

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import Array, norms
-from calib.boards.rigid import best_motion
+from calib.boards import best_motion
 from calib.distances.calibrate import DistancePlan, DistancesFound, calibrate_with_distances
 from calib.points.points import Points, make_points
 from control.kinematics.kinematics import Kinematics

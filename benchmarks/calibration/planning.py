@@ -34,8 +34,7 @@ from control.motion.waypoints import Waypoints
 from control.server.client import ArmClient
 from hil_mocks.scenario import EffectTable, Scenario, load_scenario
 from procedures.gap.mock import record_on_mock
-from procedures.mock.bench import SteppedBench
-from procedures.mock.scenario_file import scenario_bytes
+from procedures.mock import SteppedBench, scenario_bytes
 from procedures.verify.driving import Run
 from procedures.verify.models import Model
 from procedures.verify.tracks import track_of

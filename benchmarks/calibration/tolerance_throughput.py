@@ -12,7 +12,7 @@ from time import perf_counter
 from benchmarks.table import BenchRow
 from calib.studies.chunks import ChunkStore, run_study
 from calib.studies.executor import Executor, InProcess, ProcessPool
-from calib.tolerances.file import parse_tolerances, tolerances_text
+from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.tolerances.study import CHUNK, Design, design_of, study_task
 from control.model.description import load_arm
 

@@ -18,7 +18,7 @@ from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.errors import LinkError
 from hil_mocks.rig import SteppedRig
-from procedures.mock.arm import wired_to
+from procedures.mock import wired_to
 from procedures.on_boards import on_boards
 
 CYCLES = 400

@@ -28,7 +28,7 @@ from control.server.in_process import InProcessChannel
 from control.server.scheduling import FIFO_PRIORITY
 from firmware_iface.clock import Clock
 from hil_mocks.rig import SteppedRig
-from procedures.mock.arm import wired_to
+from procedures.mock import wired_to
 
 PERIOD_S = 0.002
 ROUNDS = 7

@@ -24,7 +24,7 @@ from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import EffectTable, EveryJoint, Scenario, Start, TrueDh, load_scenario
-from procedures.mock.arm import wired_to
+from procedures.mock import wired_to
 
 PERIOD_S = 0.002
 SPEED_m_s, TILT_rad = 0.15, 0.2

@@ -20,7 +20,7 @@ from control.server.in_process import InProcessChannel
 from firmware_iface.clock import Clock
 from hil_mocks.rig import MockArm, SteppedRig
 from hil_mocks.scenario import load_scenario
-from procedures.mock.bench import SteppedBench
+from procedures.mock import SteppedBench
 
 PERIOD_S = 0.002  # of the loop on reference boards
 

@@ -22,7 +22,7 @@ from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from hil_mocks.rig import MockArm, SteppedRig
-from procedures.mock.arm import wired_to
+from procedures.mock import wired_to
 
 PERIOD_S = 0.002
 SEEDS = (12, 1, 2)  # the demo's first

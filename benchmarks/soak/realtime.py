@@ -4,7 +4,7 @@ python -m benchmarks.soak.realtime [--minutes 60] [--busy 2]
 
 The arm moves to and fro between two poses for the whole time. In between its process is paused (SIGSTOP) for 20 to 100 ms,
 which must trip nothing. Whatever ends a motion is counted, acknowledged, and the arm goes on. The mock boards share the
-machine, so they have the patience of procedures.mock.arm.
+machine, so they have the patience of procedures.mock.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from control.model.description import load_arm
 from control.recording.parts import parts_from
 from control.recording.reading import Recording
 from control.server.client import ArmClient
-from procedures.mock.bench import RealTimeBench
+from procedures.mock import RealTimeBench
 
 POSES = ((-0.6, -0.6, 0.2), (0.6, -0.6, 0.2))
 SPEED = 0.4

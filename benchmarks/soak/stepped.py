@@ -21,8 +21,7 @@ from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
 from calib.session.dialogue import GO
 from calib.session.folder import SessionFolder
-from calib.session.moves.clear_paths import ClearPaths
-from calib.session.moves.geometry import ArmGeometry
+from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, board_targets, fingerprint
 from calib.session.residual_watch import ResidualWatch
 from procedures.drills.stage import Stage, stage

@@ -15,7 +15,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, cross_matrix
 from calib.arm_problem.observations import Observations
 from calib.arrays import Array, frozen
-from calib.boards.rigid import best_motion
+from calib.boards import best_motion
 
 ROUNDS, SETTLED_m = 30, 1e-6  # of tool and frames together
 WEAK = 1e-2  # share of the best determined direction of the tool below which the nominal value is kept

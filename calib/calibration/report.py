@@ -1,17 +1,167 @@
-"""report.html of a calibration: the verdict, its evidence, and what the points determine."""
+"""The result of a calibration as a page, as text for a terminal, and as entries of calibration.json.
+
+In: what `calibrate` found and the held-out comparison. Out: the verdict, its evidence, what the points
+determine, what to do next.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
+from calib.arm_problem.frames import Frame, rotation_vector
 from calib.arrays import frozen
 from calib.calibration.calibrate import Calibrated
+from calib.identify.estimates import Estimate
+from calib.identify.outliers import Outlier
 from calib.inputs import InputFile
 from calib.report.page import Section, bullets, paragraph, table
 from calib.report.report_data import ReportData
-from calib.report.report_sections import frames_section
+from calib.report.report_sections import NO_EFFECT, frames_section, of_the_arm
 from calib.validation.holdout import HeldOut
+from calib.validation.statistics import mean_half_width
 from calib.validation.verify import Comparison, compare
+
+# The result of a calibration as text for a terminal, and as entries of calibration.json.
+
+
+UNIT = {"m": ("mm", 1e3, 3), "rad": ("deg", math.degrees(1.0), 4)}
+
+
+def summary_text(made: Calibrated) -> str:
+    """The verdict first, then the evidence."""
+    found = made.found
+    lines = [
+        *made.verdict.in_words(),
+        "",
+        f"{len(made.points)} points, {found.objective}: mean error {1e3 * found.mean_before_m:.3f} mm before,"
+        f" {1e3 * found.mean_after_m:.3f} mm after, at the points of the fit.",
+        *(made.held.in_words() if made.held is not None else ()),
+        *([found.accuracy.in_words()] if found.accuracy is not None else []),
+        *([found.orientation.in_words()] if found.orientation is not None else []),
+    ]
+    suspicious = made.suspects.in_words()
+    if suspicious:
+        lines += [
+            "",
+            "Suspicious, but used (exclude with --without SETUP:POINT):",
+            *suspicious,
+        ]
+    lines += ["", *found.in_words(), "", parameter_text(made)]
+    return "\n".join(lines) + "\n"
+
+
+def parameter_text(made: Calibrated) -> str:
+    """One line per parameter; then the identified poses of boards."""
+    rows = estimate_lines(of_the_arm(made.found))
+    free = [frame for frame in made.found.solution.frames if frame.is_free]
+    if free:
+        rows += [
+            "",
+            f"{'frame':<20}{'x [mm]':>10}{'y [mm]':>10}{'z [mm]':>10}   rotation about x, y, z [deg]",
+        ]
+        rows += [_frame_line(frame) for frame in free]
+    return "\n".join(rows)
+
+
+def estimate_lines(estimates: Sequence[Estimate]) -> list[str]:
+    """A table with a header and one line per parameter."""
+    header = f"{'parameter':<20}{'unit':<9}{'nominal':>12}{'identified':>12}{'deviation':>12}{'sd':>10}"
+    return [header, *map(_parameter_line, estimates)]
+
+
+def _parameter_line(one: Estimate) -> str:
+    parameter = one.parameter
+    unit, factor, digits = UNIT.get(parameter.unit, (parameter.unit or "-", 1.0, 6))
+    is_open = one.undetermined_share > NO_EFFECT
+    sd = "" if math.isnan(one.sd) or is_open else f"{factor * one.sd:.{digits}f}"
+    remark = "at its bound" if one.is_at_bound else "" if one.is_determined else "not determined alone"
+    nominal = f"{factor * parameter.nominal:.{digits}f}" if parameter.has_bound else "unknown"
+    deviation = f"{factor * one.deviation:+z.{digits}f}" if parameter.has_bound else ""
+    return (
+        f"{parameter.name:<20}{unit:<9}{nominal:>12}{factor * one.value:>z12.{digits}f}{deviation:>12}{sd:>10}"
+        f"  {'no effect here' if is_open else remark}"
+    ).rstrip()
+
+
+def _frame_line(frame: Frame) -> str:
+    x, y, z = (1e3 * frame.origin_m).tolist()
+    turns = ", ".join(f"{angle:.3f}" for angle in np.degrees(rotation_vector(frame.rotation)))
+    return f"{frame.name:<20}{x:>10.3f}{y:>10.3f}{z:>10.3f}   {turns}"
+
+
+def judgement_json(made: Calibrated) -> dict[str, object]:
+    """Entries of calibration.json besides the identification."""
+    return {
+        "verdict": {
+            "grade": made.verdict.grade,
+            "sentences": list(made.verdict.sentences),
+            "next_steps": list(made.verdict.next_steps),
+        },
+        "noise_floor": None
+        if made.floor is None
+        else {"axis_m": made.floor.axis_m, "mean_m": made.floor.mean_m, "source": made.floor.source},
+        "held_out": None if made.held is None else _held(made.held),
+        "outliers": [_outlier(one) for one in made.suspects.outliers],
+        "shifted_setups": [one.setup for one in made.suspects.setups],
+        "suspicious": list(made.suspects.in_words()),
+        "accuracy": _accuracy(made),
+        "warnings": list(made.warnings),
+    }
+
+
+def _accuracy(made: Calibrated) -> dict[str, object] | None:
+    accuracy = made.found.accuracy
+    if accuracy is None:
+        return None
+    return {
+        "limit_m": accuracy.limit_m,
+        "mean_m": accuracy.mean_m,
+        "least_m": accuracy.least_m,
+        "is_met": accuracy.is_met,
+    }
+
+
+def _held(held: HeldOut) -> dict[str, object]:
+    return {
+        "by": held.by,
+        "mean_before_m": float(held.before_m.mean()),
+        "mean_after_m": float(held.after_m.mean()),
+        "mean_after_half_width_m": _known(mean_half_width(held.after_m)),
+        "improvement_percent": held.improvement_percent,
+        "folds": [
+            {
+                "left_out": fold.name,
+                "points": len(fold.rows),
+                "measure": fold.measure,
+                "mean_before_m": fold.mean_before_m,
+                "mean_after_m": fold.mean_after_m,
+                "rms_after_m": fold.rms_after_m,
+                "max_after_m": fold.max_after_m,
+            }
+            for fold in held.folds
+        ],
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _outlier(one: Outlier) -> dict[str, object]:
+    return {
+        "pose": one.row + 1,
+        "setup": one.setup,
+        "point": one.point,
+        "distance_m": one.distance_m,
+        "score": one.score,
+        "words": one.words,
+    }
+
+
+# report.html of a calibration: the verdict, its evidence, and what the points determine.
 
 
 def calibration_report(

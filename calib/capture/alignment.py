@@ -18,7 +18,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import cross_matrix, rotation_of
 from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
 from calib.arrays import Array, norms
-from calib.boards.rigid import best_motion
+from calib.boards import best_motion
 from calib.capture.motion import Motion
 from calib.capture.tracks import Body, CaptureError, Mask
 from control.model.arm import Arm

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import frozen, norms
-from calib.boards.markers import Markers
+from calib.boards import Markers
 from calib.capture.tracks import Body, Capture, CaptureError, placed_m, relative
 from control.model.arm import Arm
 from control.model.table import board_cavities, table_of

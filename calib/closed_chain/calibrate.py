@@ -11,12 +11,11 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, rotation_of
 from calib.arm_problem.parameters import Bounds
 from calib.arrays import Array, frozen, norms
-from calib.boards.rigid import best_motion
+from calib.boards import best_motion
 from calib.closed_chain.contacts import Contacts
 from calib.closed_chain.pair_problem import BASE, PairProblem, names_of
-from calib.design.criteria import criterion_of
-from calib.design.exchange import Group, select
-from calib.design.information import Experiment
+from calib.design.information import Experiment, criterion_of
+from calib.design.planning import Group, select
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import Determinability, determinability
 from calib.identify.estimates import Estimate, uncertainty

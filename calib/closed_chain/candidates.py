@@ -12,8 +12,15 @@ from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.contacts import Contacts
 from calib.closed_chain.room import Room
-from calib.design.candidates import FREE_HEIGHT_M
-from calib.design.reach import Mask, body_points, is_above_floor, joint_box, postures, spread_poses
+from calib.design.candidates import (
+    FREE_HEIGHT_M,
+    Mask,
+    body_points,
+    is_above_floor,
+    joint_box,
+    postures,
+    spread_poses,
+)
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 

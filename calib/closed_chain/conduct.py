@@ -19,7 +19,7 @@ from calib.session.conversation import Conversation, Talk
 from calib.session.dialogue import Jog, Message, Question, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.jog import jogged
-from calib.session.moves.ports import Geometry, JogPort
+from calib.session.moves import Geometry, JogPort
 from calib.session.plan import Seating, SessionPlan, Target
 from calib.session.standstill import wait_for_rest
 from calib.session.take import SessionSettings, take

@@ -1,14 +1,17 @@
 """Design of experiments: which points, tilts and free poses to record next, and the gain of each."""
 
-from calib.design.boards import OTHER_TILTS
-from calib.design.candidates import View
-from calib.design.criteria import CRITERIA
-from calib.design.files import plan_json, write_plan
-from calib.design.information import Uncertainty
-from calib.design.observability import Indices, indices_of
-from calib.design.plan import Alternative, Plan, PlannedPose, Request
-from calib.design.planning import plan_poses
-from calib.design.words import in_words
+from calib.design.candidates import OTHER_TILTS, View
+from calib.design.information import CRITERIA, Indices, Uncertainty, indices_of
+from calib.design.planning import (
+    Alternative,
+    Plan,
+    PlannedPose,
+    Request,
+    in_words,
+    plan_json,
+    plan_poses,
+    write_plan,
+)
 
 __all__ = [
     "CRITERIA",

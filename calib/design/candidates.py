@@ -1,29 +1,287 @@
-"""Candidate poses: cavities of the board in each setup, and free poses visible to a camera."""
+"""Candidate poses: cavities of the board in each setup, and free poses within the limits, clear of floor and
+board, seen by a camera.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arrays import Array
-from calib.design.boards import PlacedBoard
-from calib.design.reach import (
-    TOUCH_M,
-    Mask,
-    Rows,
-    body_points,
-    heights_over_board,
-    is_above_floor,
-    joint_box,
-    postures,
-    spread_poses,
-)
+from calib.arm_problem.frames import Frame
+from calib.arrays import Array, frozen
+from calib.boards import best_motion
+from calib.errors import CalibrationError
 from calib.points.points import Points, make_points
-from control.model.arm import Arm
+from control.kinematics.chain import link_transforms
+from control.model.arm import Arm, Table
+from control.model.table import SETUPS, board_cavities, board_rotation
+
+# Reachable poses of an arm: within its limits, clear of floor and board, with the tip at a given position.
+
+
+Mask = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.intp]
+LIMIT_MARGIN_RAD = 0.05  # an uncalibrated arm turns a little further than planned
+TOUCH_M = 0.0005  # depth of a tip in a cavity
+BOARD_EDGE_M = 0.03  # the board reaches this far beyond its outermost cavity
+STEPS_LIMIT = 60
+LONGEST_STEP_RAD = 0.4
+DAMPING = 1e-4  # of J J', [m^2/rad^2]
+SAME_POSTURE_RAD = 1e-3
+
+
+def joint_box(arm: Arm, margin_rad: float = LIMIT_MARGIN_RAD) -> tuple[Array, Array]:
+    """Lower and upper joint angles (n,) to plan within; a joint without limits gets one whole turn."""
+    limits = np.array(arm.limits_rad)
+    lower = np.where(np.isfinite(limits[:, 0]), limits[:, 0], -np.pi)
+    upper = np.where(np.isfinite(limits[:, 1]), limits[:, 1], np.pi)
+    margin = np.minimum(margin_rad, 0.25 * (upper - lower))
+    return lower + margin, upper - margin
+
+
+def spread_poses(box: tuple[Array, Array], count: int, edge_share: float = 0.0) -> Array:
+    """Poses (count, n) spread evenly over the box by Halton's sequence (deterministic).
+
+    In the second half, each angle is moved to the nearer end of its range with probability `edge_share`: informative poses
+    are often there.
+    """
+    lower, upper = box
+    places = np.column_stack([_radical_inverse(count, base) for base in _primes(len(lower))])
+    if edge_share > 0.0:
+        draw = np.random.default_rng(0).random(places.shape) < edge_share
+        draw[: count // 2] = False
+        places = np.where(draw, np.round(places), places)
+    return np.asarray(lower + places * (upper - lower))
+
+
+def _radical_inverse(count: int, base: int) -> Array:
+    """Halton's sequence in one base: the digits of 1 .. count mirrored at the point."""
+    left, inverse, share = np.arange(1, count + 1), np.zeros(count), 1.0 / base
+    while left.any():
+        inverse += share * (left % base)
+        left, share = left // base, share / base
+    return inverse
+
+
+def _primes(count: int) -> list[int]:
+    found: list[int] = []
+    number = 2
+    while len(found) < count:
+        if all(number % prime for prime in found):
+            found.append(number)
+        number += 1
+    return found
+
+
+def postures(
+    model: ArmModel, targets_m: Array, starts_rad: Array, box: tuple[Array, Array]
+) -> tuple[Array, Rows]:
+    """Poses with the tip at the targets (c, 3): (q (p, n), which target each belongs to (p,)).
+
+    By damped least squares from every start (s, n) within the box; equal postures are returned once.
+    """
+    q = np.tile(starts_rad, (len(targets_m), 1))
+    which = np.repeat(np.arange(len(targets_m)), len(starts_rad))
+    goal = targets_m[which]
+    for _ in range(STEPS_LIMIT):
+        slopes = model.slopes(model.nominal_dh, q)
+        miss = goal - slopes.tips
+        if np.max(np.abs(miss), initial=0.0) < 1e-9:
+            break
+        by_q = slopes.by_dh[:, :, list(model.theta_places)]
+        damping = 1e-12 + DAMPING * np.minimum(1.0, 1e2 * np.einsum("mi,mi->m", miss, miss))
+        square = np.einsum("mik,mjk->mij", by_q, by_q) + damping[:, None, None] * np.eye(3)
+        step = np.einsum("mik,mi->mk", by_q, np.linalg.solve(square, miss[:, :, None])[:, :, 0])
+        step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(1e-12, np.abs(step).max(axis=1, keepdims=True)))
+        q = np.clip(q + step, *box)
+    is_there = np.linalg.norm(goal - model.tips(model.nominal_dh, q), axis=1) < 1e-7
+    return _different(q[is_there], which[is_there])
+
+
+def _different(q: Array, which: Rows) -> tuple[Array, Rows]:
+    """Remove duplicate postures."""
+    keys = np.column_stack((which, np.round(q / SAME_POSTURE_RAD)))
+    _, first = np.unique(keys, axis=0, return_index=True)
+    first.sort()
+    return q[first], which[first]
+
+
+def body_points(arm: Arm, q_rad: Array) -> Array:
+    """Points along the arm from the first joint's frame to the tip, (m, p, 3), base frame; the last is the tip."""
+    frames = link_transforms(arm.dh, q_rad, arm.joints, arm.dh_convention)
+    tips = frames[:, -1, :3, 3] + frames[:, -1, :3, :3] @ np.array(arm.tool.position_m)
+    corners = np.concatenate((frames[:, 1:, :3, 3], tips[:, None]), axis=1)
+    between = [
+        corners[:, :-1] + share * (corners[:, 1:] - corners[:, :-1]) for share in (0.0, 0.25, 0.5, 0.75)
+    ]
+    return np.concatenate((*between, tips[:, None]), axis=1)
+
+
+def is_above_floor(arm: Arm, points_m: Array) -> Mask:
+    """Mask (m, p) of the points (m, p, 3) above the floor of the arm's limits."""
+    return np.asarray(points_m[:, :, 2] >= arm.limits.floor_z_m + arm.limits.floor_clearance_m - TOUCH_M)
+
+
+def heights_over_board(points_m: Array, board: PlacedBoard) -> tuple[Array, Mask]:
+    """Height of points (m, p, 3) above a board's plane, and which of them are over the board, both (m, p)."""
+    local = (points_m - board.origin_m) @ board.rotation
+    is_over = np.hypot(local[:, :, 0], local[:, :, 1]) <= board.reach_m + BOARD_EDGE_M
+    return local[:, :, 2], is_over & board.has_plane
+
+
+# Poses of the calibration board in each setup, for planning.
+
+
+OTHER_TILTS = ("roll-", "pitch-", "roll+pitch")  # the opposite tilts, and both tilts at once
+FLAT = 5e-3  # spread of cavities across their best line, as a share of that along it
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedBoard:
+    """The board of one setup: base_R_board (3, 3), origin_m (3,), cavities [m] in its own frame.
+
+    `is_known`: the pose is known (or measured) and not identified. `has_plane`: the board's plane is
+    approximately known; False if only collinear cavities were recorded.
+    """
+
+    setup: str
+    rotation: Array
+    origin_m: Array
+    cavities_m: Mapping[str, tuple[float, float, float]]
+    is_known: bool
+    has_plane: bool = True
+
+    @property
+    def names(self) -> list[str]:
+        """The cavities' names."""
+        return list(self.cavities_m)
+
+    @property
+    def positions_m(self) -> Array:
+        """The cavities in the base frame, (c, 3)."""
+        local = np.array(list(self.cavities_m.values())).reshape(-1, 3)
+        return np.asarray(local @ self.rotation.T + self.origin_m)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the outermost cavity from the board's origin, in its plane."""
+        return max((math.hypot(x, y) for x, y, _ in self.cavities_m.values()), default=0.0)
+
+    @property
+    def frame(self) -> Frame:
+        """The frame for the identification."""
+        return Frame(f"table_{self.setup}", frozen(self.rotation), frozen(self.origin_m))
+
+
+def usual_setups(arm: Arm, points: Points | None, measured: Mapping[str, Frame]) -> list[str]:
+    """The default setups to plan for: the table's own, measured ones, and those of the points."""
+    if arm.table is None:
+        return []
+    own = ["normal"] if arm.table.origin_m is not None else []
+    own += ["roll"] if own and arm.table.roll_tilt_rad else []
+    own += ["pitch"] if own and arm.table.pitch_tilt_rad else []
+    seated = (
+        []
+        if points is None
+        else [s for s, p in zip(points.setup, points.point, strict=True) if p in _all(arm)]
+    )
+    return list(dict.fromkeys([*own, *measured, *(setup for setup in seated if setup != "free")]))
+
+
+def placed_boards(
+    arm: Arm, setups: Sequence[str], points: Points | None, measured: Mapping[str, Frame]
+) -> dict[str, PlacedBoard]:
+    """The board in each of the setups. CalibrationError for a setup with an unknown board pose.
+
+    Measured poses take precedence over the arm's [table], and that over an estimate from the setup's points.
+    """
+    if setups and arm.table is None:
+        raise CalibrationError(
+            f"setup {setups[0]}: arm {arm.name} has no [table]; add one, or plan free poses only (--only free)"
+        )
+    return {setup: _placed(arm, setup, points, measured) for setup in setups}
+
+
+def boards_in_the_way(
+    arm: Arm, taken: Points | None, measured: Mapping[str, Frame], planned: Mapping[str, PlacedBoard]
+) -> tuple[PlacedBoard, ...]:
+    """Possible poses of the board while free poses are recorded: in every setup with a known pose."""
+    found = dict(planned)
+    for setup in usual_setups(arm, taken, measured):
+        with contextlib.suppress(CalibrationError):
+            found.setdefault(setup, _placed(arm, setup, taken, measured))
+    return tuple(found.values())
+
+
+def _placed(arm: Arm, setup: str, points: Points | None, measured: Mapping[str, Frame]) -> PlacedBoard:
+    table = arm.table or Table()
+    if setup in measured:
+        return PlacedBoard(
+            setup, measured[setup].rotation, measured[setup].origin_m, _all(arm), is_known=True
+        )
+    fitted = None if table.known_pose else _fitted(arm, setup, points)
+    if fitted is not None:
+        return fitted
+    if setup not in (*SETUPS, *OTHER_TILTS):
+        raise CalibrationError(
+            f"setup: expected some of {', '.join((*SETUPS, *OTHER_TILTS))}, or a setup with a measured board or with"
+            f' recorded points; got "{setup}"'
+        )
+    if table.origin_m is None:
+        raise CalibrationError(
+            f"setup {setup}: the board's position is unknown: record three cavities and give them with --points,"
+            " register the board, or write its approximate position as origin_m in [table]"
+        )
+    return PlacedBoard(
+        setup, tilted(table, setup), np.array(table.origin_m), _all(arm), is_known=table.known_pose
+    )
+
+
+def tilted(table: Table, setup: str) -> Array:
+    """base_R_board (3, 3) of one of the table's setups or of OTHER_TILTS."""
+    if setup in SETUPS:
+        return np.array(board_rotation(table, setup))
+    roll = {"roll-": -1.0, "roll+pitch": 1.0}.get(setup, 0.0) * table.roll_tilt_rad
+    pitch = {"pitch-": -1.0, "roll+pitch": 1.0}.get(setup, 0.0) * table.pitch_tilt_rad
+    c, s = math.cos(roll), math.sin(roll)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    c, s = math.cos(pitch), math.sin(pitch)
+    return np.asarray(np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ about_x)
+
+
+def _fitted(arm: Arm, setup: str, points: Points | None) -> PlacedBoard | None:
+    """The board placed by the nominal arm's tips in its cavities; if they are collinear, only those cavities."""
+    known = _all(arm)
+    rows = (
+        []
+        if points is None
+        else [k for k, s in enumerate(points.setup) if s == setup and points.point[k] in known]
+    )
+    if points is None or not rows:
+        return None
+    model = ArmModel(arm)
+    local = np.array([known[points.point[k]] for k in rows])
+    stands = best_motion(local, model.tips(model.nominal_dh, points.q_rad[rows]))
+    spread = np.linalg.svd(local - local.mean(axis=0), compute_uv=False)
+    seen = {points.point[k] for k in rows}
+    is_whole = len(spread) > 1 and spread[1] > FLAT * spread[0] > 0.0
+    cavities = {name: place for name, place in known.items() if is_whole or name in seen}
+    return PlacedBoard(setup, stands.rotation, stands.shift_m, cavities, is_known=False, has_plane=is_whole)
+
+
+def _all(arm: Arm) -> dict[str, tuple[float, float, float]]:
+    return {} if arm.table is None else board_cavities(arm.table)
+
+
+# Candidate poses: cavities of the board in each setup, and free poses visible to a camera.
+
 
 FREE = "free"
 FREE_POSES_COUNT = 4000  # number drawn, before poses with collisions are removed

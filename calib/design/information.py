@@ -1,15 +1,11 @@
-"""Information of each pose on the parameters, and the uncertainty after measuring some of them.
-
-Linear theory at the nominal arm: a pose with Jacobian J (3, k), in scaled unknowns and standard deviations of the
-noise, adds J'J to the information M. M begins with 1 per unknown, a weak prior: each deviation is somewhere within its
-bound. Unknown poses of boards and base are also identified, but are nuisance parameters:
-only the information left for the arm after eliminating them counts (the Schur complement; Ds-optimality, Atkinson and
-Donev, Optimum Experimental Designs, 1992).
+"""What a pose is worth: information on the parameters, the uncertainty after measuring some, criteria and
+indices of observability.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,13 +16,21 @@ from calib.arm_problem.parameters import Parameter, dh_names
 from calib.arm_problem.posed import TARGET_NAMES, PosedProblem
 from calib.arm_problem.problem import TOOL_NAMES, ArmProblem
 from calib.arrays import Array, frozen
-from calib.design.observability import Indices, indices_of
-from calib.design.reach import Mask, Rows
+from calib.design.candidates import Mask, Rows
+from calib.errors import CalibrationError
 from calib.identify.determinability import RANK_TOLERANCE
 from calib.points.points import Points
 from control.kinematics.kinematics import Kinematics
 from control.kinematics.rotation import quaternions
 from control.model.arm import Arm
+
+# Information of each pose on the parameters, and the uncertainty after measuring some of them.
+#
+# Linear theory at the nominal arm: a pose with Jacobian J (3, k), in scaled unknowns and standard
+# deviations of the noise, adds J'J to the information M. M begins with 1 per unknown, a weak prior: each
+# deviation is somewhere within its bound. Unknown poses of boards and base are also identified, but are
+# nuisance parameters: only the information left for the arm after eliminating them counts (the Schur
+# complement; Ds-optimality, Atkinson and Donev, Optimum Experimental Designs, 1992).
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,3 +231,129 @@ def _least_known(experiment: Experiment, covariance: Array) -> tuple[str, float,
     k = int(np.argmax(sd))
     parameter = experiment.parameters[k]
     return parameter.name, float(sd[k] * parameter.scale), parameter.unit
+
+
+# The value of a pose: the gain in information by one of seven criteria.
+#
+# With G = J C, C = M^-1 and A = 1 + J C J' of a pose's three rows J, the matrix determinant lemma and the
+# Woodbury identity give the effect of adding it without another inverse: log det M rises by log det A, C
+# falls by G' A^-1 G.
+
+
+CRITERIA = ("D", "O1", "O2", "O3", "O4", "O5", "tip")
+SHORTLIST = 600  # shortlist for O2 to O5, each of which needs an eigenvalue problem per candidate
+Criterion = Callable[[Experiment, Array, Array], Array]  # (experiment, M, rows (c, 3, k)) -> scores (c,)
+
+
+def criterion_of(name: str) -> Criterion:
+    """Function that scores the addition of each pose (larger is better); CalibrationError for an unknown name.
+
+    D: log det of the information on the arm; O1 of a given number of poses is a function of it, and selects the same.
+    tip: minus the tip's mean square error over the workspace (I- or V-optimality). O2 to O5: the index afterwards.
+    """
+    if name in ("D", "O1"):
+        return _log_det
+    if name == "tip":
+        return _tip
+    if name in _INDEX:
+        return lambda experiment, information, rows: _index(experiment, information, rows, _INDEX[name])
+    raise CalibrationError(f'criterion: expected one of {", ".join(CRITERIA)}, got "{name}"')
+
+
+def _log_det(experiment: Experiment, information: Array, rows: Array) -> Array:
+    """Gain of log det of the arm's information: that of everything minus that of the board poses."""
+    r = experiment.rank
+    gain = _log_det_of_update(information, rows)
+    if rows.shape[2] > r:
+        gain -= _log_det_of_update(information[r:, r:], rows[:, :, r:])
+    return gain
+
+
+def _log_det_of_update(information: Array, rows: Array) -> Array:
+    """Log det A of each pose, by the determinant lemma."""
+    return np.asarray(np.linalg.slogdet(_growth(rows @ np.linalg.inv(information), rows))[1])
+
+
+def _growth(lever: Array, rows: Array) -> Array:
+    """A = 1 + J C J' of each pose, (c, 3, 3), from G = J C."""
+    return np.asarray(np.eye(rows.shape[1]) + lever @ rows.transpose(0, 2, 1))
+
+
+def _tip(experiment: Experiment, information: Array, rows: Array) -> Array:
+    """Reduction of the tip's mean square error over the workspace [m^2]."""
+    lever = rows @ np.linalg.inv(information)
+    own = lever[:, :, : experiment.rank]
+    fall = own @ experiment.workspace_weight @ own.transpose(0, 2, 1)
+    return np.asarray(np.trace(np.linalg.solve(_growth(lever, rows), fall), axis1=1, axis2=2))
+
+
+def _index(experiment: Experiment, information: Array, rows: Array, index: Callable[[Array], Array]) -> Array:
+    """An observability index after each pose; minus infinity for those off the shortlist."""
+    covariance = np.linalg.inv(information)
+    lever = rows @ covariance
+    worth = np.einsum("cik,cik->c", lever, lever)
+    listed = np.argsort(-worth, kind="stable")[:SHORTLIST]
+    own = lever[listed][:, :, : experiment.rank] @ experiment.visible
+    before = experiment.visible.T @ covariance[: experiment.rank, : experiment.rank] @ experiment.visible
+    fall = own.transpose(0, 2, 1) @ np.linalg.solve(_growth(lever[listed], rows[listed]), own)
+    variances = np.maximum(np.linalg.eigvalsh(before - fall), 1e-300)
+    scores = np.full(len(rows), -np.inf)
+    scores[listed] = index(1.0 / np.sqrt(variances))
+    return scores
+
+
+# singular values (c, v), largest first, to an index (c,)
+_INDEX: dict[str, Callable[[Array], Array]] = {
+    "O2": lambda s: s[:, -1] / s[:, 0],
+    "O3": lambda s: s[:, -1],
+    "O4": lambda s: s[:, -1] ** 2 / s[:, 0],
+    "O5": lambda s: 1.0 / np.sum(1.0 / s, axis=1),
+}
+
+
+# Observability indices: how well a set of poses determines the parameters; larger is better.
+#
+# They are functions of the singular values s1 >= ... >= sr of the identification Jacobian of m poses:
+#
+#     O1 = (s1 s2 ... sr)^(1/r) / sqrt(m)    Borm and Menq, Int. J. Robotics Research 10 (1991): all of them together
+#     O2 = sr / s1                           Driels and Pathre, J. Robotic Systems 7 (1990): one over the condition number
+#     O3 = sr                                Nahvi, Hollerbach and Hayward, IEEE ICRA 1994: the least certain combination
+#     O4 = sr^2 / s1                         Nahvi and Hollerbach, IEEE ICRA 1996: the noise amplification index
+#     O5 = 1 / (1/s1 + ... + 1/sr)           Sun and Hollerbach, IEEE ICRA 2008: the mean of all uncertainties
+#
+# Here the Jacobian is in scaled unknowns (a parameter divided by its bound) and in standard deviations of
+# the noise: the indices have no unit. 1/sr is the standard deviation of the least certain combination, as a
+# share of the bound. Only combinations that some pose of the arm could determine count
+# (`calib.design.information`); one of those that these poses do not determine makes all five zero.
+
+
+NAMES = ("O1", "O2", "O3", "O4", "O5")
+
+
+@dataclass(frozen=True, slots=True)
+class Indices:
+    """O1 to O5, without unit."""
+
+    o1: float
+    o2: float
+    o3: float
+    o4: float
+    o5: float
+
+    def as_dict(self) -> dict[str, float]:
+        """By name, O1 to O5."""
+        return dict(zip(NAMES, (self.o1, self.o2, self.o3, self.o4, self.o5), strict=True))
+
+
+def indices_of(singular_values: Array, poses_count: int) -> Indices:
+    """The five indices of singular values (r,) of the Jacobian of that many poses; zeros without any pose."""
+    s = np.sort(np.asarray(singular_values, dtype=np.float64))[::-1]
+    if not len(s) or poses_count < 1 or s[-1] <= 0.0:
+        return Indices(0.0, 0.0, 0.0, 0.0, 0.0)
+    return Indices(
+        o1=float(np.exp(np.mean(np.log(s))) / np.sqrt(poses_count)),
+        o2=float(s[-1] / s[0]),
+        o3=float(s[-1]),
+        o4=float(s[-1] ** 2 / s[0]),
+        o5=float(1.0 / np.sum(1.0 / s)),
+    )

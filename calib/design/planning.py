@@ -1,35 +1,466 @@
-"""Plans the next poses: candidates, selection, gain of each pose, and alternatives."""
+"""Plans the next poses: candidates, selection by exchange, gain of each, order of visits, files and words."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from calib.arm_problem.assembly import Choice, turn_noise_rad
 from calib.arm_problem.checks import require_of_arm
-from calib.design.boards import OTHER_TILTS, PlacedBoard, boards_in_the_way, placed_boards, usual_setups
+from calib.arrays import Array
 from calib.design.candidates import (
     FREE,
+    OTHER_TILTS,
+    Mask,
+    PlacedBoard,
+    Rows,
+    View,
+    boards_in_the_way,
+    body_points,
     free_candidates,
+    heights_over_board,
+    is_above_floor,
     joined,
     named,
+    placed_boards,
     table_candidates,
+    usual_setups,
     workspace_poses,
 )
-from calib.design.criteria import criterion_of
-from calib.design.exchange import Group, select
-from calib.design.information import Experiment, experiment_of, uncertainty_of
-from calib.design.order import clear_ways, visiting_order
-from calib.design.plan import Alternative, Plan, PlannedPose, Request
-from calib.design.reach import Rows
+from calib.design.information import (
+    Criterion,
+    Experiment,
+    Uncertainty,
+    criterion_of,
+    experiment_of,
+    uncertainty_of,
+)
 from calib.errors import CalibrationError
-from calib.points.points import Points
+from calib.points.points import Points, make_points
+from calib.points.writer import replace_file, write_points
 from control.model.arm import Arm
 from control.model.table import SETUPS
+
+# A request for a plan, and the plan.
+
+
+USUAL_COUNT = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A request: `count` poses, `free_count` of them free poses (None: the criterion decides).
+
+    setups: those to plan in (None: the table's own); only: only free poses, or only cavities; noise_m:
+    standard deviation of a tip coordinate (None: the camera's); turn_noise_rad: of orientations measured beside tips (None: of
+    points taken, if they have some); view: the camera's field of view (None: all).
+    """
+
+    count: int = USUAL_COUNT
+    free_count: int | None = None
+    setups: tuple[str, ...] | None = None
+    only: Literal["free", "table"] | None = None
+    criterion: str = "D"
+    noise_m: float | None = None
+    turn_noise_rad: float | None = None
+    view: View | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPose:
+    """One pose of the plan: q_rad by the nominal arm; `visit` from 1.
+
+    gain: increase of log det when added to the previous ones of the plan; `after`: the uncertainty then.
+    """
+
+    setup: str
+    point: str
+    repeat: int
+    q_rad: tuple[float, ...]
+    visit: int
+    gain: float
+    after: Uncertainty
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """The result of the best `count` poses, or all, of one kind alone: cavities of one setup, or free poses."""
+
+    setup: str
+    count: int
+    gain: float
+    after: Uncertainty
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to record next. `poses` in order of value, `points` in visiting order."""
+
+    criterion: str
+    noise_m: float
+    poses: tuple[PlannedPose, ...]
+    points: Points
+    before: Uncertainty
+    alternatives: tuple[Alternative, ...]
+    candidates: Mapping[str, int]
+    combinations_count: int
+    is_tied: bool
+    blocked: tuple[tuple[str, str], ...]
+
+    @property
+    def after(self) -> Uncertainty:
+        """Uncertainty after the whole plan."""
+        return self.poses[-1].after
+
+
+# Selection of poses: greedy, then exchanges until none helps.
+#
+# Fedorov, Theory of Optimal Experiments, 1972; Mitchell, Technometrics 16 (1974) 203 (DETMAX, of which this
+# is the case without excursions: remove one, add the best one).
+
+
+SWEEPS_LIMIT = 20
+BETTER = 1e-9  # an exchange must gain more than this share
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Select `count` of these poses (rows of the experiment); `name` is for the error if there are too few."""
+
+    name: str
+    rows: Rows
+    count: int
+
+
+def select(
+    experiment: Experiment,
+    criterion: Criterion,
+    taken: Rows,
+    groups: Sequence[Group],
+    start: Sequence[int] | None = None,
+) -> list[int]:
+    """Rows of the best poses to add to those recorded, with the count of each group.
+
+    In order of value: each is the best of the chosen ones to add to the previous ones. `start`: a choice to
+    start the exchanges with, instead of the greedy one. CalibrationError if a group has too few.
+    """
+    for group in groups:
+        if group.count > len(group.rows):
+            raise CalibrationError(
+                f"{group.count} {group.name} were requested, but only {len(group.rows)} are available: request fewer"
+            )
+    if start is None:
+        chosen = _greedy(experiment, criterion, taken, groups)
+    else:
+        chosen = [(row, next(k for k, group in enumerate(groups) if row in group.rows)) for row in start]
+    _exchange(experiment, criterion, taken, groups, chosen)
+    rows = np.array([row for row, _ in chosen], dtype=np.intp)
+    ordered = _greedy(experiment, criterion, taken, [Group("poses", rows, len(rows))])
+    return [row for row, _ in ordered]
+
+
+def _greedy(
+    experiment: Experiment, criterion: Criterion, taken: Rows, groups: Sequence[Group]
+) -> list[tuple[int, int]]:
+    """(row, group) of each choice: the best of all groups that are not complete yet."""
+    information = experiment.information(taken)
+    left = [np.array(group.rows) for group in groups]
+    open_count = [group.count for group in groups]
+    chosen: list[tuple[int, int]] = []
+    while any(open_count):
+        places = [(k, rows) for k, rows in enumerate(left) if open_count[k]]
+        rows = np.concatenate([rows for _, rows in places])
+        owner = np.concatenate([np.full(len(rows), k) for k, rows in places])
+        best = int(np.argmax(criterion(experiment, information, experiment.rows[rows])))
+        row, group = int(rows[best]), int(owner[best])
+        chosen.append((row, group))
+        open_count[group] -= 1
+        left = [rows[rows != row] for rows in left]
+        information = information + _information_of(experiment, row)
+    return chosen
+
+
+def _exchange(
+    experiment: Experiment,
+    criterion: Criterion,
+    taken: Rows,
+    groups: Sequence[Group],
+    chosen: list[tuple[int, int]],
+) -> None:
+    """Replace each choice by the best of its group, again and again, until nothing changes."""
+    for _ in range(SWEEPS_LIMIT):
+        is_changed = False
+        for place, (row, group) in enumerate(chosen):
+            others = [other for other, _ in chosen if other != row]
+            information = experiment.information(np.array([*taken, *others], dtype=np.intp))
+            rows = groups[group].rows[~np.isin(groups[group].rows, others)]
+            scores = criterion(experiment, information, experiment.rows[rows])
+            best, own = int(np.argmax(scores)), float(scores[np.flatnonzero(rows == row)[0]])
+            if scores[best] > own + BETTER * abs(own):
+                chosen[place] = (int(rows[best]), group)
+                is_changed = True
+        if not is_changed:
+            return
+
+
+def _information_of(experiment: Experiment, row: int) -> Array:
+    """J'J of one pose."""
+    return np.asarray(experiment.rows[row].T @ experiment.rows[row])
+
+
+# Visiting order of planned poses: setups together, short paths, none through floor or board.
+
+
+WAY_SAMPLES = 16
+WAY_HEIGHT_M = (
+    0.05  # of the nominal tip above floor and boards between poses; an uncalibrated arm may be 4 cm off
+)
+DETOUR_RAD = 100.0  # penalty for a path with a collision, so that any other order is better
+
+
+def visiting_order(
+    arm: Arm, planned: Points, setups: Sequence[str], boards: Iterable[PlacedBoard]
+) -> list[int]:
+    """Indices of the planned poses in visiting order: setups in the order given, free poses last.
+
+    Within each the sum of largest joint travels is kept small: nearest neighbour, then 2-opt.
+    """
+    standing = list(boards)
+    order: list[int] = []
+    last = np.array(arm.rest.q_rad if arm.rest is not None else np.zeros(arm.joint_count))
+    for setup in [*setups, FREE]:
+        rows = [k for k, name in enumerate(planned.setup) if name == setup]
+        if not rows:
+            continue
+        q = np.vstack((last, planned.q_rad[rows]))
+        ways = np.abs(q[:, None] - q[None, :]).max(axis=2)
+        if setup == FREE:  # between cavities the session lifts the arm
+            ways = ways + DETOUR_RAD * ~clear_ways(arm, q, standing)
+        order += [rows[k - 1] for k in short_path(ways)[1:]]
+        last = planned.q_rad[order[-1]]
+    return order
+
+
+def clear_ways(arm: Arm, q_rad: Array, boards: Iterable[PlacedBoard]) -> Mask:
+    """Mask (m, m): a straight joint move between these poses (m, n) is clear of floor and boards."""
+    m = len(q_rad)
+    first, second = np.triu_indices(m, 1)
+    shares = np.linspace(0.0, 1.0, WAY_SAMPLES)[1:-1]
+    between = q_rad[first, None] + shares[:, None] * (q_rad[second] - q_rad[first])[:, None]
+    points = body_points(arm, between.reshape(-1, q_rad.shape[1]))
+    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + WAY_HEIGHT_M
+    clear = is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m)
+    for board in boards:
+        heights, is_over = heights_over_board(points, board)
+        clear &= ~(is_over & (heights < WAY_HEIGHT_M)).any(axis=1)
+    ways = np.ones((m, m), dtype=np.bool_)
+    ways[first, second] = ways[second, first] = clear.reshape(len(first), len(shares)).all(axis=1)
+    return ways
+
+
+def short_path(ways: Array) -> list[int]:
+    """A short path through all places of the matrix (m, m), from the first."""
+    path, left = [0], set(range(1, len(ways)))
+    while left:
+        nearest = min(left, key=lambda k: (ways[path[-1], k], k))
+        path.append(nearest)
+        left.remove(nearest)
+    return _untangled(path, ways)
+
+
+def _untangled(path: list[int], ways: Array) -> list[int]:
+    """2-opt with a free end: reverse a section wherever that makes the path shorter."""
+    is_changed = True
+    while is_changed:
+        is_changed = False
+        for i in range(1, len(path) - 1):
+            for j in range(i + 1, len(path)):
+                after = ways[path[i], path[j + 1]] - ways[path[j], path[j + 1]] if j + 1 < len(path) else 0.0
+                if ways[path[i - 1], path[j]] - ways[path[i - 1], path[i]] + after < -1e-9:
+                    path[i : j + 1] = path[i : j + 1][::-1]
+                    is_changed = True
+    return path
+
+
+# plan.csv for the session, plan.json for other programs.
+
+
+FORMAT = "plan/1"
+
+
+def write_plan(folder: Path, plan: Plan, arm: str) -> tuple[Path, Path]:
+    """Write plan.csv (setup, point, repeat, q1_rad ... in visiting order) and plan.json; returns their paths."""
+    table, text = folder / "plan.csv", folder / "plan.json"
+    points = plan.points
+    nowhere = np.full((len(points), 3), np.nan)  # tips are yet to be measured
+    write_points(table, make_points(points.setup, points.point, points.repeat, points.q_rad, nowhere))
+    replace_file(text, (json.dumps(plan_json(plan, arm), indent=2, allow_nan=False) + "\n").encode())
+    return table, text
+
+
+def plan_json(plan: Plan, arm: str) -> dict[str, object]:
+    """The plan for other programs: SI units; poses in order of value, `visit` is the visiting order."""
+    return {
+        "format": FORMAT,
+        "arm": arm,
+        "criterion": plan.criterion,
+        "noise_m": plan.noise_m,
+        "candidates": dict(plan.candidates),
+        "combinations": plan.combinations_count,
+        "is_tied_to_base": plan.is_tied,
+        "before": _state(plan.before),
+        "after": _state(plan.after),
+        "points": [
+            {
+                "setup": pose.setup,
+                "point": pose.point,
+                "repeat": pose.repeat,
+                "q_rad": list(pose.q_rad),
+                "visit": pose.visit,
+                "log_det_gain": pose.gain,
+                "after": _state(pose.after),
+            }
+            for pose in plan.poses
+        ],
+        "alternatives": [
+            {"setup": one.setup, "points": one.count, "log_det_gain": one.gain, "after": _state(one.after)}
+            for one in plan.alternatives
+        ],
+        "not_clear_between": [list(pair) for pair in plan.blocked],
+        "in_words": list(in_words(plan)),
+    }
+
+
+def _state(state: Uncertainty) -> dict[str, object]:
+    return {
+        "points": state.points_count,
+        "log_det": state.log_det,
+        "observability": state.indices.as_dict(),
+        "rank": state.rank,
+        "tip_m": state.tip_m,
+        "tip_worst_m": state.tip_worst_m,
+        "least_known": {
+            "name": state.least_known,
+            "sd": state.least_known_sd if math.isfinite(state.least_known_sd) else None,
+            "unit": state.least_known_unit,
+        },
+    }
+
+
+# Summary of a plan in sentences for the operator.
+
+
+NOTICEABLE = 0.03  # uncertainties that differ by less than this share count as equal
+
+
+def in_words(plan: Plan) -> tuple[str, ...]:
+    """Gain of the plan, alternatives, what stays undetermined, and notes."""
+    return (_gain(plan), *_alternatives_in_words(plan), *_open(plan), *_notes(plan))
+
+
+def length(metres: float) -> str:
+    """A length such as 0.153 mm, with three digits."""
+    return f"{1e3 * metres:#.3g}".rstrip(".") + " mm"
+
+
+def known_to(state: Uncertainty) -> str:
+    """The least certain parameter, as `theta3 to 0.042 deg`."""
+    sd = state.least_known_sd
+    if state.least_known_unit == "m":
+        return f"{state.least_known} to {length(sd)}"
+    return f"{state.least_known} to {np.degrees(sd):.2g} deg"
+
+
+def kind(setup: str, count: int) -> str:
+    """As `12 free poses` or `9 cavities on roll`."""
+    if setup == FREE:
+        return f"{count} free pose{'s' if count > 1 else ''}"
+    return f"{count} cavit{'ies' if count > 1 else 'y'} on {setup}"
+
+
+def _gain(plan: Plan) -> str:
+    before, after = plan.before, plan.after
+    start = length(before.tip_m) if before.points_count else f"{length(before.tip_m)} (bounds only)"
+    return (
+        f"These {len(plan.poses)} poses reduce the tip's uncertainty over the workspace from {start} to"
+        f" {length(after.tip_m)}, at the worst pose from {length(before.tip_worst_m)} to {length(after.tip_worst_m)}."
+        f" Least certain parameter: {known_to(before)} before, {known_to(after)} after."
+    )
+
+
+def _alternatives_in_words(plan: Plan) -> list[str]:
+    """Comparison of kinds, and of roll with pitch, by a few poses of each."""
+    few = {one.setup: one for one in sorted(plan.alternatives, key=lambda one: -one.count)}
+    ranked = sorted(few.values(), key=lambda one: one.after.tip_m)
+    sentences = []
+    if len(ranked) > 1:
+        parts = ", ".join(f"{kind(one.setup, one.count)} {length(one.after.tip_m)}" for one in ranked)
+        sentences.append(f"Uncertainty with one kind alone: {parts}.")
+    if FREE in few and set(plan.points.setup) != {FREE}:
+        sentences += _free_alone(plan, few[FREE])
+    if "roll" in few and "pitch" in few:
+        sentences.append(_compared(few["roll"], few["pitch"]))
+    return sentences
+
+
+def _free_alone(plan: Plan, free: Alternative) -> list[str]:
+    """Whether free poses alone suffice, without the board."""
+    is_enough = free.after.tip_m <= (1.0 + NOTICEABLE) * plan.after.tip_m
+    if not is_enough or free.count > len(plan.poses):
+        return []
+    return [f"{kind(FREE, free.count)} alone are as good, without the board (--only free)."]
+
+
+def _compared(one: Alternative, other: Alternative) -> str:
+    first, second = sorted((one, other), key=lambda a: a.after.tip_m)
+    if first.after.tip_m > (1.0 - NOTICEABLE) * second.after.tip_m:
+        return f"A {first.setup} tilt gains as much as a {second.setup} tilt."
+    return (
+        f"A {first.setup} tilt gains more than a {second.setup} tilt: {length(first.after.tip_m)} against"
+        f" {length(second.after.tip_m)}."
+    )
+
+
+def _open(plan: Plan) -> list[str]:
+    """What the whole plan leaves undetermined."""
+    rank, total = plan.after.rank, plan.combinations_count
+    if rank >= total:
+        return []
+    return [
+        f"These poses determine {rank} of the {total} parameter combinations that move the tip; the others keep their"
+        " bounds as uncertainty."
+    ]
+
+
+def _notes(plan: Plan) -> list[str]:
+    sentences = []
+    if not plan.is_tied:
+        sentences.append(
+            "The arm's base is not tied to a known place: the uncertainty excludes a rigid motion of the whole workspace."
+        )
+    new = [setup for setup in OTHER_TILTS if setup in plan.points.setup]
+    if new:
+        sentences.append(
+            f"The identification needs the board's pose in {', '.join(new)}: use `armwright register`, or set"
+            " known_pose = false in [table]."
+        )
+    for before, after in plan.blocked:
+        sentences.append(
+            f"Between free poses {before} and {after} a straight joint move hits the floor or the board: take a detour."
+        )
+    return sentences
+
+
+# Plans the next poses: candidates, selection, gain of each pose, and alternatives.
+
 
 WORKSPACE_POSES_COUNT = 400
 ALTERNATIVE_COUNT = 12  # number of poses by which alternatives are compared

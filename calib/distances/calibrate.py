@@ -1,4 +1,9 @@
-"""The whole calibration with lengths: where the devices stand, the arm's parameters, and readings left out."""
+"""The whole calibration with lengths: the arm's parameters, where the devices stand, and what readings left
+out say of both.
+
+In: an arm and readings. Out: a calibrated arm and calibration.json, text for a terminal, and the comparison
+of two models on other readings.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +17,35 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, POSITION_NOISE_m, problem_of, referenced
 from calib.arm_problem.expansion import Problem
 from calib.arm_problem.frames import Frame
+from calib.arm_problem.parameters import dh_names
 from calib.arm_problem.problem import ArmProblem, Solution
 from calib.arm_problem.weighted import WeightedProblem, whole_problem
 from calib.arrays import Array, frozen
-from calib.distances.devices import LEAST, Device, Vector, devices_of
-from calib.distances.problem import DistanceProblem
-from calib.distances.readings import Readings, readings_of
+from calib.calibration.report import estimate_lines
+from calib.distances.problem import (
+    BETWEEN,
+    GAUGE,
+    LEAST,
+    Device,
+    DistanceProblem,
+    Readings,
+    Vector,
+    devices_of,
+    readings_of,
+)
 from calib.errors import UnusablePointsError
-from calib.identify.estimates import Uncertainty, uncertainty
+from calib.identify.estimates import Estimate, Uncertainty, uncertainty
 from calib.identify.identification import Identification
 from calib.identify.objective import Huber, LeastSquares, Objective, value_of
 from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import Minimum, minimise
 from calib.points.points import Points
+from calib.validation.verify import Comparison, compare
 from control.model.arm import Arm
 from control.progress import Advance, silent
+
+# The whole calibration with lengths: where the devices stand, the arm's parameters, and readings left out.
+
 
 LEAST_READINGS = 6
 FOLDS = 5
@@ -222,3 +241,129 @@ def _identification(problem: DistanceProblem, tips: ArmProblem | None, best: Min
 def _as_vectors(errors_m: Array) -> Array:
     """Errors of lengths (r,) as vectors (r, 3) of the same length."""
     return np.column_stack((errors_m, np.zeros((len(errors_m), 2))))
+
+
+# The result of a calibration with lengths: text for a terminal, entries of calibration.json.
+
+
+def distances_text(made: DistancesFound) -> str:
+    """Readings left out first, then what is determined, then the arm and where the devices stand."""
+    tips = f", {made.tips} measured tips" if made.tips else ""
+    lines = [
+        _about_held(made),
+        f"{len(made.readings)} readings{tips}: mean error of a length {_mm(made.before_m)} mm with the nominal arm,"
+        f" {_mm(made.after_m)} mm after, at the readings of the fit.",
+        *_by_device(made),
+        "",
+        *made.found.in_words(),
+        "",
+        *estimate_lines(_of_the_arm(made)),
+        "",
+        *_places(made),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _about_held(made: DistancesFound) -> str:
+    if not len(made.held_m):
+        return "Too few readings to leave some out: how good the result is elsewhere is unknown."
+    return (
+        f"On readings not used (every 5th left out in turn), the mean error went from {_mm(made.before_m)} to"
+        f" {_mm(made.held_m)} mm (largest {1e3 * float(np.abs(made.held_m).max()):.3f})."
+    )
+
+
+def _by_device(made: DistancesFound) -> list[str]:
+    """A line a device if there are several; distances between two poses are one."""
+    kinds = [name.partition(":")[0] if name.startswith(BETWEEN) else name for name in made.readings.device]
+    groups = {name: np.flatnonzero(np.array(kinds) == name) for name in dict.fromkeys(kinds)}
+    if len(groups) < 2:
+        return []
+    return [f"{name}: {len(rows)} readings, {_mm(made.after_m[rows])} mm." for name, rows in groups.items()]
+
+
+def _of_the_arm(made: DistancesFound) -> list[Estimate]:
+    of_devices = {parameter.name for device in made.devices for parameter in device.parameters}
+    frames = {name for frame in made.found.solution.frames if frame.is_free for name in frame.parameter_names}
+    return [one for one in made.found.estimates if one.parameter.name not in of_devices | frames]
+
+
+def _places(made: DistancesFound) -> list[str]:
+    lines = []
+    for device, place, zero_m in zip(made.devices, made.places, made.zero_m, strict=True):
+        if device.kind == BETWEEN:
+            continue
+        is_gauge = device.kind == GAUGE
+        what = "direction" if is_gauge else "fixed point [m]"
+        numbers = ", ".join(f"{value:.5f}" for value in place)
+        zero = f", zero {zero_m:.5f} m" if zero_m else ""
+        lines.append(f"{device.name}: {what} in the base frame: [{numbers}]{zero}")
+    return lines
+
+
+def distances_json(made: DistancesFound) -> dict[str, object]:
+    """Entries of calibration.json besides the identification."""
+    return {
+        "readings": len(made.readings),
+        "held_out": None
+        if not len(made.held_m)
+        else {
+            "mean_before_m": float(np.abs(made.before_m).mean()),
+            "mean_after_m": float(np.abs(made.held_m).mean()),
+            "max_after_m": float(np.abs(made.held_m).max()),
+        },
+        "devices": {
+            device.name: {
+                "direction" if device.kind == GAUGE else "point_m": place.tolist(),
+                "zero_m": zero_m,
+            }
+            for device, place, zero_m in zip(made.devices, made.places, made.zero_m, strict=True)
+            if device.kind != BETWEEN
+        },
+    }
+
+
+def _mm(errors_m: Array) -> str:
+    return f"{1e3 * float(np.abs(errors_m).mean()):.3f}"
+
+
+# Two models of an arm on lengths that calibration did not use: measured against modelled.
+
+
+def compare_lengths(
+    nominal: Arm, calibrated: Arm, points: Points, where: Path, free_zero: bool, known_m: Mapping[str, Vector]
+) -> Comparison:
+    """Errors of lengths by two models, as vectors along each length; a device is a setup.
+
+    For each model a wire or gauge of unknown place stands where its other readings fit best. PointsFileError or
+    UnusablePointsError for readings that are unusable or too few.
+    """
+    problems = [_problem_of_others(arm, points, where, free_zero, known_m) for arm in (nominal, calibrated)]
+    errors = [_errors_m(problem, where) for problem in problems]
+    readings, model = problems[1].readings, problems[1].model
+    tips = model.tips(model.nominal_dh, readings.q_rad)[readings.pose[:, 0]]
+    return compare([_setup(name) for name in readings.device], readings.name, tips, *errors)
+
+
+def _setup(device: str) -> str:
+    """All distances between two poses are one."""
+    return BETWEEN if device.startswith(BETWEEN) else device
+
+
+def _problem_of_others(
+    arm: Arm, points: Points, where: Path, free_zero: bool, known_m: Mapping[str, Vector]
+) -> DistanceProblem:
+    """Of the devices only: the arm is as it says."""
+    model, readings = ArmModel(arm), readings_of(arm, points, where)
+    tips = model.tips(model.nominal_dh, readings.q_rad)
+    devices = devices_of(readings, tips, free_zero, known_m, to_spare=1)
+    return DistanceProblem(
+        model, readings, devices, unit_m=POSITION_NOISE_m, tool_m=model.nominal_tool_m, fixed=dh_names(len(arm.links))
+    )  # fmt: skip
+
+
+def _errors_m(problem: DistanceProblem, where: Path) -> Array:
+    """(r, 3) along each length."""
+    require_of_arm(problem.errors_m(np.zeros(len(problem.parameters))), where)
+    x = solved(problem, LeastSquares()).x if problem.parameters else np.zeros(0)
+    return problem.left_out_m(x)[:, None] * problem.along(x)

@@ -1,24 +1,345 @@
-"""Readings of lengths and, if there are any, measured tips, as one problem for the solver, in scaled unknowns.
+"""Readings of lengths as one problem for the solver: draw wires, dial gauges, ball bars, distances between
+poses.
 
-Unknowns: those of the measured tips (or DH and tool without any), then those of the devices. A length is one number: three of
-them make one row, so that all rows have three numbers. Each counts by its own noise, against that of a coordinate of a tip.
+In: points.csv with the columns `distance_of`, `distance_m` and perhaps `distance_sd_m`, and tips, if there
+are any. Out: residuals and derivatives in the arm's parameters and the devices' places, which are unknowns,
+too.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arm_problem.added_rows import WithRows, in_threes
 from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.checks import TURNS_LIMIT_rad
 from calib.arm_problem.expansion import ALL, Problem
+from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.parameters import Bounds, Parameter, dh_names, dh_parameters, require_known_names
 from calib.arm_problem.problem import TOOL_NAMES
-from calib.arrays import Array, frozen
-from calib.distances.devices import Device
-from calib.distances.readings import Readings, Rows
+from calib.arrays import Array, frozen, norms
+from calib.errors import PointsFileError, UnusablePointsError
+from calib.points.points import Points
+from control.model.arm import Arm
+
+# Readings of lengths in a points.csv: columns `distance_of`, `distance_m` and, optionally, `distance_sd_m`.
+#
+# wire:NAME distance_m from a fixed point of unknown place to the tip: a draw wire, or a ball bar of known
+# length gauge:NAME distance_m by which the tip is displaced along a fixed unknown direction, from an
+# unknown zero: a dial gauge between:NAME distance_m between the tips of the two poses of this name
+
+
+OF, LENGTH, SD = "distance_of", "distance_m", "distance_sd_m"
+WIRE, GAUGE, BETWEEN = KINDS = ("wire", "gauge", "between")
+LONGEST_m = 20.0
+Rows = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """r readings: device (kind:name) and pose of each, measured length_m (r,), sd_m (r,), NaN where not stated.
+
+    q_rad (m, n): joint angles of all poses, with the arm's known static effects. pose (r, 2): the pose; of `between` both, else
+    twice the same. name: setup:point:repeat of the (first) pose.
+    """
+
+    device: tuple[str, ...]
+    name: tuple[str, ...]
+    pose: Rows
+    q_rad: Array
+    length_m: Array
+    sd_m: Array
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.device)
+
+    def of(self, device: str) -> Rows:
+        """The readings of a device."""
+        return np.flatnonzero(np.array(self.device) == device)
+
+    def chosen(self, rows: Sequence[int] | Rows) -> Readings:
+        """Some of the readings."""
+        keep = np.asarray(rows, dtype=np.intp)
+        return Readings(
+            tuple(self.device[k] for k in keep),
+            tuple(self.name[k] for k in keep),
+            self.pose[keep],
+            self.q_rad,
+            frozen(self.length_m[keep]),
+            frozen(self.sd_m[keep]),
+        )
+
+
+def has_readings(points: Points) -> bool:
+    """Whether the file holds lengths."""
+    return any(text for text in points.extra.get(OF, ()))
+
+
+def readings_of(arm: Arm, points: Points, where: Path) -> Readings:
+    """The readings of a file. PointsFileError or UnusablePointsError names line and column."""
+    if OF not in points.extra or LENGTH not in points.extra:
+        missing = OF if OF not in points.extra else LENGTH
+        raise PointsFileError(f"{where}, line 1: required column {missing} is missing (docs/distances.md)")
+    if np.abs(points.q_rad).max() > TURNS_LIMIT_rad:
+        raise UnusablePointsError(f"{where}: the joint angles look like degrees: expected radians")
+    rows = [k for k, text in enumerate(points.extra[OF]) if text]
+    if not rows:
+        raise PointsFileError(
+            f"{where}, column {OF}: every cell is empty: expected wire:NAME, gauge:NAME or between:NAME"
+        )
+    for row in rows:
+        _require_device(where, row, points.extra[OF][row])
+    poses, firsts = _poses(where, points, rows)
+    length = [_number(where, points, row, LENGTH, required=True) for row in firsts]
+    sd = [_number(where, points, row, SD, required=False) for row in firsts]
+    names = [":".join((points.setup[k], points.point[k], str(points.repeat[k]))) for k in firsts]
+    return Readings(
+        tuple(points.extra[OF][k] for k in firsts),
+        tuple(names),
+        np.array(poses, dtype=np.intp),
+        frozen(points.q_rad + known_corrections(arm, points)),
+        frozen(length),
+        frozen(sd),
+    )
+
+
+def _require_device(where: Path, row: int, text: str) -> None:
+    kind, colon, name = text.partition(":")
+    if kind not in KINDS or not colon or not name.strip():
+        raise PointsFileError(
+            f'{where}, line {row + 2}, column {OF}: got "{text}", expected wire:NAME, gauge:NAME or between:NAME'
+        )
+
+
+def _poses(where: Path, points: Points, rows: list[int]) -> tuple[list[tuple[int, int]], list[int]]:
+    """Both poses of each reading, and the row that states it."""
+    poses, firsts, open_pairs = [], [], dict[str, int]()
+    for row in rows:
+        device = points.extra[OF][row]
+        if not device.startswith(BETWEEN):
+            poses.append((row, row))
+            firsts.append(row)
+        elif device in open_pairs:
+            first = open_pairs.pop(device)
+            _require_one_length(where, points, first, row)
+            poses.append((first, row))
+            firsts.append(first)
+        else:
+            open_pairs[device] = row
+    if open_pairs:
+        device, row = next(iter(open_pairs.items()))
+        raise PointsFileError(
+            f'{where}, line {row + 2}: "{device}" has no second pose: expected two lines with this name'
+        )
+    return poses, firsts
+
+
+def _require_one_length(where: Path, points: Points, first: int, second: int) -> None:
+    lengths = [_number(where, points, row, LENGTH, required=True) for row in (first, second)]
+    if lengths[0] != lengths[1]:
+        raise PointsFileError(
+            f"{where}, lines {first + 2} and {second + 2}, column {LENGTH}: got {lengths[0]:g} and {lengths[1]:g} m,"
+            " expected the same distance in both lines of a pair"
+        )
+
+
+def _number(where: Path, points: Points, row: int, column: str, required: bool) -> float:
+    """A finite number; a standard deviation is above 0, and NaN if it is not stated."""
+    text = points.extra[column][row].strip() if column in points.extra else ""
+    if not text and not required:
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    is_sd = column == SD
+    if not (0.0 < value <= 1.0 if is_sd else -LONGEST_m <= value <= LONGEST_m):
+        expected = "a number above 0, up to 1 m" if is_sd else f"a length within +-{LONGEST_m:g} m"
+        raise PointsFileError(f'{where}, line {row + 2}, column {column}: got "{text}", expected {expected}')
+    return value
+
+
+# The devices of readings, as unknowns: a wire's fixed point, a gauge's direction and zero.
+#
+#     wire      length = zero + |p - a|           a unknown; zero 0, or unknown
+#     gauge     length = zero + n . p             n = (n0 + t1 e1 + t2 e2) / |..|, t and zero unknown
+#     between   length = |p1 - p2|                nothing unknown
+#
+# p is the tip. Starts are closed forms at the nominal geometry (trilateration; a regression of the readings
+# on the tips).
+
+
+LEAST = {WIRE: 4, GAUGE: 4, BETWEEN: 1}  # readings; a wire with an unknown zero needs one more
+STEPS = 50
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """One device: its unknowns begin at `parameters`; place (3,): a wire's start, or a gauge's direction n0.
+
+    axes (2, 3): e1 and e2 of a gauge; zero_m: the start of its zero; is_known: whether a wire's place is stated.
+    """
+
+    name: str
+    kind: str
+    parameters: tuple[Parameter, ...]
+    place: Array
+    axes: Array
+    zero_m: float
+    is_known: bool = False
+
+    def at(self, values: Array) -> tuple[Array, float]:
+        """Fixed point of a wire or direction of a gauge, and the zero, at deviations (k,) of the parameters."""
+        if self.kind == WIRE:
+            moved, zero = (np.zeros(3), values) if self.is_known else (values[:3], values[3:])
+            return self.place + moved, self.zero_m + float(zero.sum())
+        if self.kind == GAUGE:
+            raw = self.place + values[:2] @ self.axes
+            return raw / np.linalg.norm(raw), self.zero_m + float(values[2])
+        return self.place, 0.0
+
+    def modelled(self, values: Array, first: Array, second: Array) -> tuple[Array, Array, Array, Array]:
+        """Lengths (r,), their derivatives by both tips (r, 3), and by the parameters (r, k)."""
+        place, zero_m = self.at(values)
+        if self.kind == GAUGE:
+            return self._by_gauge(values, first, place, zero_m)
+        way = first - (place if self.kind == WIRE else second)
+        length = norms(way)
+        along = way / np.maximum(length, 1e-12)[:, None]
+        own = np.zeros((len(first), len(self.parameters)))
+        if self.kind == WIRE:
+            if not self.is_known:
+                own[:, :3] = -along
+            own[:, 0 if self.is_known else 3 :] = 1.0
+        return zero_m + length, along, -along if self.kind == BETWEEN else np.zeros_like(along), own
+
+    def _by_gauge(
+        self, values: Array, tips: Array, along: Array, zero_m: float
+    ) -> tuple[Array, Array, Array, Array]:
+        size = float(np.linalg.norm(self.place + values[:2] @ self.axes))
+        turns = (self.axes - np.outer(self.axes @ along, along)) / size
+        own = np.column_stack((tips @ turns.T, np.ones(len(tips))))
+        return zero_m + tips @ along, np.tile(along, (len(tips), 1)), np.zeros_like(tips), own
+
+
+def devices_of(
+    readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int = 0
+) -> tuple[Device, ...]:
+    """All devices, at their starts by the nominal tips (m, 3). UnusablePointsError for too few readings of one.
+
+    known_m: fixed points of wires in the base frame, by the wires' names; to_spare: readings beyond those that place a device.
+    """
+    names = list(dict.fromkeys(readings.device))
+    for wire in known_m:
+        if f"{WIRE}:{wire}" not in names:
+            there = ", ".join(name.partition(":")[2] for name in names if name.startswith(WIRE)) or "none"
+            raise UnusablePointsError(f'no wire "{wire}" in the readings: expected one of {there}')
+    return tuple(_device(name, readings, tips, free_zero, known_m, to_spare) for name in names)
+
+
+def _device(
+    name: str, readings: Readings, tips: Array, free_zero: bool, known_m: Mapping[str, Vector], to_spare: int
+) -> Device:
+    rows, (kind, _, own) = readings.of(name), name.partition(":")
+    is_known = kind == WIRE and own in known_m
+    least = 1 if is_known or kind == BETWEEN else LEAST[kind] + (kind == WIRE and free_zero) + to_spare
+    if len(rows) < least:
+        raise UnusablePointsError(
+            f'"{name}": {len(rows)} readings, {least} are needed to find where it stands'
+        )
+    at, length = tips[readings.pose[rows, 0]], readings.length_m[rows]
+    axes, zero_m, place = np.zeros((0, 3)), 0.0, np.zeros(3)
+    units: tuple[tuple[str, str], ...] = (("zero", "m"),) if kind == WIRE and free_zero else ()
+    if is_known:
+        place = np.array(known_m[own])
+        zero_m = float(np.mean(length - norms(at - place))) if free_zero else 0.0
+    elif kind == WIRE:
+        place, zero_m = _fixed_point(at, length, free_zero)
+        units = (("x", "m"), ("y", "m"), ("z", "m"), *units)
+    elif kind == GAUGE:
+        place, zero_m = _direction(name, at, length)
+        axes = np.linalg.svd(place[None])[2][1:]
+        units = (("tilt1", "rad"), ("tilt2", "rad"), ("zero", "m"))
+    called = name.replace(":", "_")
+    parameters = tuple(Parameter(f"{called}_{what}", unit, 0.0, math.inf) for what, unit in units)
+    return Device(name, kind, parameters, frozen(place), frozen(axes), zero_m, is_known)
+
+
+def _direction(name: str, tips: Array, length: Array) -> tuple[Array, float]:
+    """Unit direction and zero whose readings fit the tips best."""
+    centre = tips.mean(axis=0)
+    slope, *_ = np.linalg.lstsq(tips - centre, length - length.mean(), rcond=1e-2)
+    size = float(np.linalg.norm(slope))
+    if size < 1e-9:
+        raise UnusablePointsError(
+            f'"{name}": its readings do not change with the tip: no direction follows from them'
+        )
+    direction = slope / size
+    return direction, float(np.mean(length - tips @ direction))
+
+
+def _fixed_point(tips: Array, length: Array, free_zero: bool) -> tuple[Array, float]:
+    """Where a wire's fixed point is, and its zero: trilateration, then Gauss-Newton; on both sides of the tips' plane.
+
+    2 p . a - c = p . p - l^2 with c = a . a (- zero^2) is linear in a and c; with an unknown zero also 2 l zero.
+    """
+    columns = [2.0 * tips, -np.ones((len(tips), 1))] + ([2.0 * length[:, None]] if free_zero else [])
+    linear, *_ = np.linalg.lstsq(np.hstack(columns), np.sum(tips**2, axis=1) - length**2, rcond=1e-6)
+    first, zero = linear[:3], float(-linear[4]) if free_zero else 0.0
+    centre = tips.mean(axis=0)
+    normal = np.linalg.svd(tips - centre)[2][2]
+    away = float(length.mean())
+    starts = [first, first - 2.0 * ((first - centre) @ normal) * normal]
+    starts += [centre + side * away * axis for axis in np.eye(3) for side in (1.0, -1.0)]
+    found = [_refined(tips, length, start, zero, free_zero) for start in starts]
+    _, place, zero_m = min(found, key=lambda one: one[0])
+    return place, zero_m
+
+
+def _refined(
+    tips: Array, length: Array, start: Array, zero: float, free_zero: bool
+) -> tuple[float, Array, float]:
+    """Sum of squares, place and zero after damped Gauss-Newton steps from a start."""
+    x = np.append(start, zero) if free_zero else np.array(start)
+    damping, best = 1e-3, math.inf
+
+    def residuals(at: Array) -> Array:
+        return np.asarray(length - (at[3] if free_zero else 0.0) - norms(tips - at[:3]))
+
+    error = residuals(x)
+    best = float(error @ error)
+    for _ in range(STEPS):
+        way = tips - x[:3]
+        slope = -way / np.maximum(norms(way), 1e-9)[:, None]
+        if free_zero:
+            slope = np.column_stack((slope, np.ones(len(tips))))
+        normal = slope.T @ slope
+        step = np.linalg.solve(normal + damping * np.eye(len(x)), slope.T @ error)
+        moved = residuals(x + step)
+        value = float(moved @ moved)
+        if value < best:
+            x, error, best, damping = x + step, moved, value, 0.1 * damping
+        else:
+            damping *= 10.0
+    return best, x[:3], float(x[3]) if free_zero else 0.0
+
+
+# Readings of lengths and, if there are any, measured tips, as one problem for the solver, in scaled
+# unknowns.
+#
+# Unknowns: those of the measured tips (or DH and tool without any), then those of the devices. A length is
+# one number: three of them make one row, so that all rows have three numbers. Each counts by its own noise,
+# against that of a coordinate of a tip.
+
 
 RANK = 1e-9  # of singular values
 LEAST_SHARE = 0.05  # of a reading that does not place its own device

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import Array, Mask
-from calib.design.reach import TOUCH_M, body_points
+from calib.design.candidates import TOUCH_M, body_points
 from calib.gap.plan.collision_free_box import CLEARANCE_m, ground_m
 from calib.gap.plan.poses import APPROACH_rad
 from control.kinematics.corners import Corners

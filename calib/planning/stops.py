@@ -13,9 +13,8 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, Mask
-from calib.design.candidates import STARTS_COUNT
-from calib.design.order import DETOUR_RAD, clear_ways, short_path
-from calib.design.reach import joint_box, postures, spread_poses
+from calib.design.candidates import STARTS_COUNT, joint_box, postures, spread_poses
+from calib.design.planning import DETOUR_RAD, clear_ways, short_path
 from calib.errors import CalibrationError
 from calib.planning.cost import Cost, Judge, is_surely_better, is_worth_it
 from calib.planning.path import Freedom

@@ -12,8 +12,14 @@ from calib.report.page import Cell, Section, bullets, folded, heading, pair, par
 from calib.report.path_pictures import path_picture
 from calib.report.pictures import histogram_picture, setup_picture, vector_picture
 from calib.validation.statistics import ErrorSummary, digits_mm
-from calib.validation.tracks import PARTS, TrackPair, compare_tracks
-from calib.validation.verify import Comparison, findings, improvement_percent
+from calib.validation.verify import (
+    PARTS,
+    Comparison,
+    TrackPair,
+    compare_tracks,
+    findings,
+    improvement_percent,
+)
 
 SHOWN = 24  # most points listed unfolded
 SUMMARY = ("mean [mm]", "95 % of the mean [mm]", "RMS [mm]", "max [mm]", "sd [mm]")

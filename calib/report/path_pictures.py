@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arrays import norms
 from calib.report.drawing import AFTER, BEFORE, NAMES, PLANNED, label_plane, svg
-from calib.validation.tracks import Track, TrackPair
+from calib.validation.verify import Track, TrackPair
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from calib.identify.identification import Identification
 from calib.inputs import InputFile
 from calib.report.page import Section
-from calib.validation.tracks import TrackPair
-from calib.validation.verify import Comparison
+from calib.validation.verify import Comparison, TrackPair
 from control.model.arm import Arm
 
 UNUSED = "at points that calibration did not use"

@@ -13,9 +13,15 @@ from calib.inputs import InputFile
 from calib.report.report import write_report
 from calib.report.report_data import UNUSED, ReportData
 from calib.validation.statistics import Difference, ErrorSummary, Finding
-from calib.validation.tracks import TrackPair, compare_tracks
-from calib.validation.turned import TurnComparison
-from calib.validation.verify import ALL, Comparison, SetupComparison, findings
+from calib.validation.verify import (
+    ALL,
+    Comparison,
+    SetupComparison,
+    TrackPair,
+    TurnComparison,
+    compare_tracks,
+    findings,
+)
 from control.files import write_whole
 from control.model.arm import Arm
 

@@ -4,8 +4,7 @@ plan, state: planned and recorded targets, without I/O; folder, journal: the sam
 between operator, arm and folder; sequence: the same without an operator.
 """
 
-from calib.session.moves.geometry import ArmGeometry
-from calib.session.moves.ports import ArmPort, Camera, Geometry, Sample, SeenTip, TipSeat
+from calib.session.moves import ArmGeometry, ArmPort, Camera, Geometry, Sample, SeenTip, TipSeat
 from calib.session.sequence import (
     BoardPoint,
     FreePose,

@@ -7,13 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calib.arm_problem.assembly import base_frame_of
-from calib.boards.boards import BoardPose
-from calib.boards.outlying_markers import FEWEST_TO_NAME
-from calib.boards.registration import Markers, Registration, register_boards
-from calib.design.boards import OTHER_TILTS, tilted
+from calib.boards import FEWEST_TO_NAME, BoardPose, Markers, Registration, register_boards
+from calib.design.candidates import OTHER_TILTS, tilted
 from calib.errors import RegistrationError, SessionError
 from calib.points.points import Points
-from calib.session.moves.ports import Vector
+from calib.session.moves import Vector
 from calib.session.plan import Board, SessionPlan, Target
 from control.model import table as tables
 from control.model.arm import Arm

@@ -13,9 +13,7 @@ from calib.session.dialogue import Jog, Message, Question, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.jog import jogged
 from calib.session.measured import BoardSurvey
-from calib.session.moves.clear_paths import ClearPaths, NoClearPath
-from calib.session.moves.ports import Camera, Geometry, JogPort, Vector
-from calib.session.moves.transfers import Transfers
+from calib.session.moves import Camera, ClearPaths, Geometry, JogPort, NoClearPath, Transfers, Vector
 from calib.session.plan import Target
 from calib.session.residual_watch import ResidualWatch
 from calib.session.take import SessionSettings, take

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from calib.errors import SessionError
 from calib.session.dialogue import Jog
-from calib.session.moves.ports import ArmPort, Geometry, Vector
+from calib.session.moves import ArmPort, Geometry, Vector
 
 LONGEST_m, LONGEST_rad = 0.05, 0.1  # a typing error must not cause a collision
 WINDOW_s = 0.02

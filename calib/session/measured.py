@@ -7,16 +7,14 @@ from collections.abc import Generator
 from importlib.metadata import version
 
 from calib.arrays import norms
-from calib.boards.boards import write_boards
-from calib.boards.markers import markers_text
-from calib.boards.registration import Registration
+from calib.boards import Registration, markers_text, write_boards
 from calib.errors import RegistrationError
 from calib.points.points import STREAM_FRAME, Points
 from calib.points.writer import Record, replace_file
 from calib.session.boards_known import Boards, markers_of
 from calib.session.dialogue import Command, Message, Saying
 from calib.session.folder import SessionFolder
-from calib.session.moves.ports import Vector
+from calib.session.moves import Vector
 from calib.session.plan import FREE
 from calib.session.residual_watch import ResidualWatch, TipObservation
 

@@ -15,8 +15,7 @@ import numpy as np
 from calib.arm_problem.assembly import base_frame_of
 from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array, norms
-from calib.boards.boards import BoardPose
-from calib.boards.rigid import best_motion, pose_jacobian
+from calib.boards import BoardPose, best_motion, pose_jacobian
 from control.kinematics.chain_jacobian import tips_and_dh_jacobian
 from control.model.arm import Arm
 

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from calib.points.writer import PointsWriter, Record
-from calib.session.moves.ports import ArmPort, Camera, Geometry, TipSeat, Vector
-from calib.session.moves.transfers import Transfers
+from calib.session.moves import ArmPort, Camera, Geometry, TipSeat, Transfers, Vector
 from calib.session.plan import Target
 from calib.session.take import SessionSettings, take
 from control.errors import ArmError

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 
 from calib.errors import SessionError
-from calib.session.moves.ports import ArmPort
+from calib.session.moves import ArmPort
 
 
 class StandstillWindow:

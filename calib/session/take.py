@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from calib.points.writer import Record
-from calib.session.moves.ports import ArmPort, Camera, Vector
+from calib.session.moves import ArmPort, Camera, Vector
 from calib.session.plan import Target
 from calib.session.standstill import wait_for_rest
 

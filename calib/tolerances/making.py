@@ -1,21 +1,337 @@
-"""Draws arms as they are made: every tolerance is a factor, drawn on its own or exact."""
+"""Draws arms as they are made: tolerances.toml says how exactly each part is, every tolerance is a factor of
+its own.
+
+In: tolerances.toml (docs/tolerances.md). Out: DH deviations, tools, and what joints and links do, as linear
+terms of the tip.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Final, Literal, TypeVar
 
+import msgspec
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.link_bending import beams
+from calib.arm_problem.link_bending import beams, bending_m
+from calib.arm_problem.parameters import dh_names
+from calib.arm_problem.problem import TOOL_NAMES
 from calib.arrays import Array
-from calib.tolerances.file import JointTolerances, Spread, Tolerances, spreads
-from calib.tolerances.terms import Kind, MadePoses, Term
+from calib.errors import CalibrationError
+from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import encoder_steps_rad
+from control.dynamics.static_pose import resting
+from control.files import read_text
+from control.kinematics import chain
 from control.model.arm import Arm
+from control.model.effect_laws import backlash_rad, compliance_rad
+from control.strict_toml import Fault, converted, table_as
+
+# tolerances.toml: how exactly each part of an arm is made, as distributions. Reference: docs/formats.md.
+#
+# Strict: an unknown key, a wrong type, a part that the arm does not have, or a number that is not finite is
+# one error.
+
+
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+class TolerancesFileError(CalibrationError):
+    """An invalid tolerances.toml; the message names file and key."""
+
+
+class Spread(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A distribution: anywhere within +- `within` of `mean`; normal with `sd` about `mean`; or anywhere in `from` .. `to`."""
+
+    within: NotNegative | None = None
+    sd: NotNegative | None = None
+    mean: float = 0.0
+    lowest: float | None = msgspec.field(name="from", default=None)
+    highest: float | None = msgspec.field(name="to", default=None)
+
+    def __post_init__(self) -> None:
+        """Exactly one kind of distribution."""
+        is_range = self.lowest is not None or self.highest is not None
+        if (self.within is not None) + (self.sd is not None) + is_range != 1:
+            raise ValueError("expected one of { within }, { sd } or { from, to }")
+        if is_range:
+            if self.lowest is None or self.highest is None or self.mean != 0.0:
+                raise ValueError("expected { from, to }, both and without mean")
+            if self.lowest > self.highest:
+                raise ValueError(f"expected from <= to, got {self.lowest:g} and {self.highest:g}")
+
+    @property
+    def least(self) -> float:
+        """The smallest value that it gives."""
+        if self.lowest is not None:
+            return self.lowest
+        return self.mean - (self.within if self.within is not None else math.inf if self.sd else 0.0)
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """Values (count,)."""
+        if self.sd is not None:
+            return self.mean + self.sd * rng.standard_normal(count)
+        if self.lowest is not None and self.highest is not None:
+            return rng.uniform(self.lowest, self.highest, count)
+        return self.mean + (self.within or 0.0) * rng.uniform(-1.0, 1.0, count)
+
+
+class LinkTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Deviations of a link's DH parameters from nominal, and its bending stiffness."""
+
+    d_m: Spread | None = None
+    theta_rad: Spread | None = None
+    L_m: Spread | None = None
+    alpha_rad: Spread | None = None
+    EI_Nm2: Spread | None = None
+
+
+class JointTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What is between a joint's motor, its encoder and its link."""
+
+    encoder_zero_rad: Spread | None = None
+    encoder_scale: Spread | None = None
+    encoder_eccentricity_rad: Spread | None = None
+    gear_eccentricity_rad: Spread | None = None
+    gear_waves_per_turn: Positive = 1.0  # of the gear's eccentricity, per turn of the joint
+    backlash_rad: Spread | None = None
+    stiffness_Nm_rad: Spread | None = None
+
+
+class ToolTolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Deviations of the tip in the last frame."""
+
+    x_m: Spread | None = None
+    y_m: Spread | None = None
+    z_m: Spread | None = None
+
+
+class CalibrationTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How the arm will be calibrated: number of poses, and standard deviation of one axis of the measured tip."""
+
+    poses: Annotated[int, msgspec.Meta(ge=10, le=5000)] = 60
+    noise_m: NotNegative | None = None  # absent: that of arm.toml's [camera]
+
+
+class _Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    name: str = ""
+    every_link: LinkTolerances = LinkTolerances()
+    every_joint: JointTolerances = JointTolerances()
+    link: dict[str, dict[str, object]] = {}
+    joint: dict[str, dict[str, object]] = {}
+    tool: ToolTolerances = ToolTolerances()
+    calibration: CalibrationTable = CalibrationTable()
+
+
+class Tolerances(msgspec.Struct, frozen=True):
+    """The file's content for one arm: `links` and `joints` in the arm's order, with what every one of them has."""
+
+    name: str
+    links: tuple[LinkTolerances, ...]
+    joints: tuple[JointTolerances, ...]
+    tool: ToolTolerances
+    poses: int
+    noise_m: float
+
+
+NOT_NEGATIVE = ("encoder_eccentricity_rad", "gear_eccentricity_rad", "backlash_rad")
+POSITIVE = ("stiffness_Nm_rad", "EI_Nm2")
+RANGE = "such as { from = ..., to = ... }"
+
+
+def tolerances_text(path_or_name: str) -> str:
+    """The text of a file, or of a supplied one by name. TolerancesFileError names the file."""
+    supplied = files("calib.tolerances") / f"{path_or_name}.toml"
+    try:
+        return supplied.read_text("utf-8") if supplied.is_file() else read_text(Path(path_or_name))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise TolerancesFileError(f"{path_or_name}: cannot be read: {reason}") from None
+
+
+def parse_tolerances(text: str, where: str, arm: Arm) -> Tolerances:
+    """Tolerances from TOML text; `where` names it in errors."""
+
+    def fault(what: str) -> Exception:
+        hint = ", such as { within = 2e-4 }" if "Expected a table" in what else ""
+        return TolerancesFileError(f"{where}: {what}{hint}")
+
+    document = converted(text, _Document, fault)
+    links = _of_each(document.link, document.every_link, LinkTolerances, len(arm.links), "link", fault)
+    joints = _of_each(document.joint, document.every_joint, JointTolerances, arm.joint_count, "joint", fault)
+    named: list[tuple[str, msgspec.Struct]] = [(f"link.{k}", one) for k, one in enumerate(links, 1)]
+    named += [(f"joint.{k}", one) for k, one in enumerate(joints, 1)]
+    for name, table in named:
+        _require_possible(table, name, fault)
+    if not any(spreads(table) for _, table in (*named, ("tool", document.tool))):
+        raise fault(
+            "no tolerance: expected some in [every_link], [every_joint], [link.2], [joint.1] or [tool]"
+        )
+    noise_m = _noise_m(document.calibration, arm, fault)
+    return Tolerances(document.name, links, joints, document.tool, document.calibration.poses, noise_m)
+
+
+def spreads(table: msgspec.Struct) -> list[tuple[str, Spread]]:
+    """The distributions of a table, by key."""
+    values = ((key, getattr(table, key)) for key in table.__struct_fields__)
+    return [(key, value) for key, value in values if isinstance(value, Spread)]
+
+
+def _of_each(
+    given: dict[str, dict[str, object]], every: T, kind: type[T], count: int, what: str, fault: Fault
+) -> tuple[T, ...]:
+    """The table of each link or joint: `every`, and what its own table says instead."""
+    known = [str(k) for k in range(1, count + 1)]
+    for name in given:
+        if name not in known:
+            raise fault(f"[{what}.{name}]: expected a number from 1 to {count}: the arm has {count} {what}s")
+    own = [table_as(given.get(name, {}), kind, fault, f"{what}.{name}") for name in known]
+    return tuple(
+        msgspec.structs.replace(every, **{key: getattr(one, key) for key in given.get(name, {})})
+        for name, one in zip(known, own, strict=True)
+    )
+
+
+def _require_possible(table: msgspec.Struct, name: str, fault: Fault) -> None:
+    for key, spread in spreads(table):
+        if key in NOT_NEGATIVE and spread.least < 0.0:
+            raise fault(f"[{name}] {key}: {_reaches(spread)}; expected no value below 0, {RANGE}")
+        if key in POSITIVE and spread.least <= 0.0:
+            raise fault(f"[{name}] {key}: {_reaches(spread)}; expected values above 0, {RANGE}")
+
+
+def _reaches(spread: Spread) -> str:
+    return "a normal distribution has no end" if spread.sd else f"it reaches down to {spread.least:g}"
+
+
+def _noise_m(given: CalibrationTable, arm: Arm, fault: Fault) -> float:
+    if given.noise_m is not None:
+        return given.noise_m
+    if arm.camera is not None:
+        return arm.camera.position_noise_m
+    raise fault(
+        f"[calibration] noise_m is missing, and arm {arm.name} has no [camera]: expected the standard deviation of one axis of"
+        " the measured tip in m"
+    )
+
+
+# The linear parameters of a made arm: DH deviations, the tool, and what joints and links do beside them;
+# tips of many arms.
+#
+# An arm is a vector z of parameters; all arms of a study share the terms. Joint j turns by q + sum(z_k
+# column_k(q)); links that bend add z_k shift_k(q) to the tip. The tip itself is that of the full forward
+# kinematics.
+
+
+Kind = Literal["scale", "sine", "cosine", "play", "compliance", "bending"]
+BY_MASSES: Final = ("play", "compliance", "bending")  # laws of gravity: they need masses in arm.toml
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One parameter beyond geometry: its law, and the joint or link (1-based); `waves` per turn of the joint."""
+
+    kind: Kind
+    number: int
+    waves: float = 1.0
+
+
+class MadePoses:
+    """Poses of arms that are made of the same terms; z (arms, 4 links + 3 + terms)."""
+
+    def __init__(self, arm: Arm, terms: tuple[Term, ...], at: Conditions) -> None:
+        """MissingModel if a term needs masses that the arm's file lacks."""
+        self._arm, self._model, self.at = arm, ArmModel(arm), at
+        self._dh_count = 4 * len(arm.links)
+        self.names = (*dh_names(len(arm.links)), *TOOL_NAMES)
+        self._flank, self._gravity_Nm = _gears(arm, terms, at)
+        first = len(self.names)
+        self._turning = [
+            (first + k, one.number - 1, self._column(one))
+            for k, one in enumerate(terms)
+            if one.kind != "bending"
+        ]
+        self._bending = [
+            (first + k, bending_m(arm, arm.dh, at.q_rad, at.payload_kg, one.number))
+            for k, one in enumerate(terms)
+            if one.kind == "bending"
+        ]
+        self._plays = [(first + k, one.number - 1) for k, one in enumerate(terms) if one.kind == "play"]
+
+    def tips(self, z: Array, turned_rad: Array | None = None) -> Array:
+        """Tips (3, arms, m) of arms z (arms, k); `turned_rad` (n, arms, m) is added to the joints' angles."""
+        q = [angle[None, :] for angle in self.at.q_rad.T]
+        for k, j, column in self._turning:
+            q[j] = q[j] + z[:, k, None] * column
+        if turned_rad is not None:
+            q = [angle + more for angle, more in zip(q, turned_rad, strict=True)]
+        end = self._dh_count
+        rows = (self._arm.dh.ravel() + z[:, :end]).T[:, :, None]
+        dh = [list(rows[4 * i : 4 * i + 4]) for i in range(len(self._arm.links))]
+        tool = (self._model.nominal_tool_m + z[:, end : end + 3]).T[:, :, None]
+        parts = chain.tip(chain.steps(dh, self._arm.joints, self._arm.dh_convention), q, list(tool))
+        tips = np.empty((3, len(z), len(self.at)))
+        for i, part in enumerate(parts):
+            tips[i] = part
+        for k, shift_m in self._bending:
+            tips += z[:, k, None] * shift_m.T[:, None, :]
+        return tips
+
+    def slopes(self, z: Array) -> Array:
+        """Derivatives of the tips by z at one arm z (k,): (3, m, k)."""
+        q = self.at.q_rad.copy()
+        for k, j, column in self._turning:
+            q[:, j] += z[k] * column
+        end = self._dh_count
+        dh, tool = self._arm.dh + z[:end].reshape(-1, 4), self._model.nominal_tool_m + z[end : end + 3]
+        found = self._model.slopes(dh, q, tool)
+        whole = np.zeros((len(q), 3, len(z)))
+        whole[:, :, :end], whole[:, :, end : end + 3] = found.by_dh, found.by_tool
+        for k, j, column in self._turning:
+            whole[:, :, k] = found.by_dh[:, :, self._model.theta_places[j]] * column[:, None]
+        for k, shift_m in self._bending:
+            whole[:, :, k] = shift_m
+        return np.ascontiguousarray(whole.transpose(1, 0, 2))
+
+    def loose_rad(self, z: Array, places: Array) -> Array:
+        """Angles of joints by gears at `places` (n, arms, m; -1 .. 1) of their play, where nothing presses them to a flank."""
+        turned = np.zeros(places.shape)
+        for k, j in self._plays:
+            is_loose = self._flank[:, j] == 0.0
+            if is_loose.any():
+                turned[j] = 0.5 * z[:, k, None] * places[j] * is_loose
+        return turned
+
+    def _column(self, term: Term) -> Array:
+        j = term.number - 1
+        q = self.at.q_rad[:, j]
+        if term.kind == "play":
+            return np.asarray(backlash_rad(self._flank[:, j], 1.0))
+        if term.kind == "compliance":
+            return np.asarray(compliance_rad(self._gravity_Nm[:, j], 1.0))
+        if term.kind == "scale":
+            return q
+        wave = np.sin if term.kind == "sine" else np.cos
+        return np.asarray(wave(term.waves * q))
+
+
+def _gears(arm: Arm, terms: tuple[Term, ...], at: Conditions) -> tuple[Array, Array]:
+    """Flanks (0: nothing presses the gear) and gravity torques, (m, n) each."""
+    if not any(one.kind in BY_MASSES for one in terms):
+        return np.zeros(at.q_rad.shape), np.zeros(at.q_rad.shape)
+    state = resting(arm, at.q_rad, at.direction, None, at.payload_kg)
+    return state.flank, state.gravity_Nm
+
+
+# Draws arms as they are made: every tolerance is a factor, drawn on its own or exact.
+
 
 STEPS: Final = "encoder steps"
 # Key of tolerances.toml, term, whether the term is its inverse; and the effect of arm.toml that is the same, with its parameter.
@@ -44,7 +360,7 @@ class Factor:
 
 
 class MadeArms:
-    """The arms that a design and its tolerances allow, as vectors z of terms (`calib.tolerances.terms`)."""
+    """The arms that a design and its tolerances allow, as vectors z of terms (`the terms below`)."""
 
     def __init__(self, arm: Arm, tolerances: Tolerances) -> None:
         """Links that are too short to bend have no bending."""

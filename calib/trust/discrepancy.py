@@ -24,7 +24,7 @@ from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.link_bending import beams, bending_m
 from calib.arm_problem.link_frames import link_frames
 from calib.arrays import Array
-from calib.design.reach import joint_box
+from calib.design.candidates import joint_box
 from calib.points.points import Points
 from calib.trust.flanks import Gears, even_odds
 from control.dynamics.dynamics import Dynamics

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arrays import Array
-from calib.boards.markers import REQUIRED
+from calib.boards import REQUIRED
 from calib.errors import VisionError
 from calib.points.covariance import COVARIANCE, triangles
 from calib.points.points import CAMERA_FRAME, ORIENTATION, Points, make_points

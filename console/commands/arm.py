@@ -15,9 +15,7 @@ from control.errors import ArmError
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm, save_arm
 from control.model.effects import place_of
-from procedures.arm_sheet.figures import Sheet, sheet
-from procedures.arm_sheet.missing import Missing, missing
-from procedures.arm_sheet.text import sheet_lines, warnings
+from procedures.arm_sheet import Missing, Sheet, missing, sheet, sheet_lines, warnings
 
 LEROBOT: Final = "lerobot"
 

@@ -14,8 +14,7 @@ from control.model.description import load_arm, save_arm
 from control.progress import Advance
 from procedures.demo import job
 from procedures.folders import free_folder, require_writable
-from procedures.mock.bench import Bench, RealTimeBench, SteppedBench
-from procedures.mock.scenario_file import seeded_scenario
+from procedures.mock import Bench, RealTimeBench, SteppedBench, seeded_scenario
 from procedures.on_boards import on_boards
 
 GAP_SEED = 1  # seed of the hidden effect of `demo gap`

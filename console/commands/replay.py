@@ -8,7 +8,7 @@ from console.commands.connection import connected, with_present_tool
 from console.waiting import shown
 from control.model.arm import Arm
 from control.model.description import load_arm
-from procedures.guiding.replay import Replay, guided_motion, replayed
+from procedures.guiding import Replay, guided_motion, replayed
 
 TO_START_SPEED = 0.3  # of the joints' limits, to where the motion begins
 

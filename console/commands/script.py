@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 
 from console.commands.connection import in_control
-from console.lines.grammar import Grammar, LineError
-from console.lines.replay import Outcome, parse_lines, replay
+from console.lines import Grammar, LineError, Outcome, parse_lines, replay
 from console.specs.table import COMMANDS
 from control.files import read_text
 

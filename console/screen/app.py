@@ -14,8 +14,7 @@ from textual.filter import LineFilter
 from textual.widgets import Input
 
 from console.screen.desk import Desk, Station
-from console.screen.drawing.plain import AsciiFilter, is_plain
-from console.screen.drawing.theme import THEME
+from console.screen.drawing import THEME, AsciiFilter, is_plain
 from console.screen.files import Files
 from console.screen.jogging import Jogger
 from console.screen.link import RuntimeLink

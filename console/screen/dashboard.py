@@ -3,12 +3,20 @@
 import functools
 from collections.abc import Callable, Iterator, Sequence
 
-from console.screen.drawing.event_log import clock
-from console.screen.drawing.history import History, Series
-from console.screen.drawing.panel import Panel
-from console.screen.drawing.picture import Scene, Skeleton, side_view, top_view
-from console.screen.drawing.plot import Plot, plot_rows
-from console.screen.drawing.rows import Row, row
+from console.screen.drawing import (
+    History,
+    Panel,
+    Plot,
+    Row,
+    Scene,
+    Series,
+    Skeleton,
+    clock,
+    plot_rows,
+    row,
+    side_view,
+    top_view,
+)
 from console.screen.events import Event, events_between, stale_s
 from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from console.lines.grammar import Grammar
+from console.lines import Grammar
 from console.screen.dashboard import Dashboard
 from console.screen.files import Files
 from console.screen.jogging import Jogger

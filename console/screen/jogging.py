@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from console.screen.drawing.rows import Row, row
+from console.screen.drawing import Row, row
 from console.screen.held import HeldKey
 from console.screen.operator import Operator, Target
 from control.model.arm import Arm

@@ -16,9 +16,7 @@ from textual.widgets import Input
 from console.places import PlacesError, read_places
 from console.screen.dashboard import Dashboard
 from console.screen.dialogs import AskText, Choose, Confirm, HelpDialog
-from console.screen.drawing.event_log import EventLog, clock
-from console.screen.drawing.panel import Panel
-from console.screen.drawing.rows import row
+from console.screen.drawing import EventLog, Panel, clock, row
 from console.screen.files import Files
 from console.screen.jogging import RENEW_S, Jogger, neighbour
 from console.screen.link import Message, RuntimeLink

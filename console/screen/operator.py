@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from console.lines.grammar import Grammar, Line, LineError
+from console.lines import Grammar, Line, LineError
 from console.screen.child import subcommand
 from console.screen.link import LinkLost, Message, RuntimeLink
 from control.files import open_to_append, utf_8

@@ -21,9 +21,7 @@ from textual.screen import Screen
 from textual.widgets import Input
 
 from console.screen.child import subcommand
-from console.screen.drawing.event_log import EventLog
-from console.screen.drawing.panel import Panel
-from console.screen.drawing.rows import Row, row, wrapped
+from console.screen.drawing import EventLog, Panel, Row, row, wrapped
 from console.screen.session_texts import HEADING, board_rows, legend_rows, record_text
 from console.screen.widgets import CommandBox
 from control.files import write_whole

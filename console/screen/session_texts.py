@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from console.screen.drawing.rows import Row, Span, row
+from console.screen.drawing import Row, Span, row
 
 SIGNS: Mapping[str, Span] = {
     "done": ("#", "accent"), "partly": ("+", "accent"), "now": ("O", "chosen"), "left": (".", "plain"),

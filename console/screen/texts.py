@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from console.screen.drawing.rows import Row, Span, row, width_of, wrapped
+from console.screen.drawing import Row, Span, row, width_of, wrapped
 from console.screen.events import stale_s
 from control.end_effector.bus_load import FRAME_bits, end_frames_Hz
 from control.model.arm import Arm, Drive

@@ -9,7 +9,7 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import Input, Static
 
-from console.screen.drawing.panel import Panel
+from console.screen.drawing import Panel
 from console.screen.operator import Target
 
 

@@ -66,7 +66,7 @@ def opened(given: argparse.Namespace) -> Iterator[Setting]:
     if given.encoder or given.can_interface or given.can_channel:
         raise ArmError("--mock brings its own links: omit --encoder and --can-...")
     from hil_mocks.rig import SteppedRig
-    from procedures.mock.arm import wired_to
+    from procedures.mock import wired_to
 
     built = load_arm(given.mock_arm) if given.mock_arm else draft
     with SteppedRig(built, given.scenario or "demo") as rig:

@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.design.reach import spread_poses
+from calib.design.candidates import spread_poses
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.plan.collision_free_box import collision_free_box
 from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
 from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
-from calib.validation.tracks import TrackPair
-from calib.validation.verify import Comparison
+from calib.validation.verify import Comparison, TrackPair
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
@@ -30,7 +29,7 @@ from procedures.demo.gap_hidden import Hidden
 from procedures.demo.handover import shut_down, start_again
 from procedures.gap.recording import Bench as RecordingBench
 from procedures.gap.recording import record
-from procedures.mock.bench import Bench
+from procedures.mock import Bench
 from procedures.verify.models import Model
 from procedures.verify.places import Place, ways
 from procedures.verify.survey import Programme, Survey, compared, paired

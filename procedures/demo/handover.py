@@ -7,7 +7,7 @@ from pathlib import Path
 
 from control.model.arm import Arm
 from control.server.client import ArmClient
-from procedures.mock.bench import Bench
+from procedures.mock import Bench
 from procedures.ports import HandPort
 
 

@@ -19,18 +19,17 @@ from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.report.report import write_report
 from calib.report.report_data import ReportData
-from calib.session.moves.geometry import ArmGeometry
+from calib.session.moves import ArmGeometry
 from calib.session.sequence import Stage, step_through
 from calib.session.table import board_points, with_reference_tips
-from calib.validation.tracks import TrackPair
-from calib.validation.verify import Comparison, compare
+from calib.validation.verify import Comparison, TrackPair, compare
 from control.errors import ArmError
 from control.model import table as tables
 from control.model.arm import Arm, Table
 from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.demo.handover import shut_down, start_again
-from procedures.mock.bench import Bench
+from procedures.mock import Bench
 from procedures.ports import HandPort, RuntimePort
 from procedures.verify.models import Model
 from procedures.verify.places import SETUPS, places, ways

@@ -31,7 +31,7 @@ from procedures.demo.paper_moves import Mover, Pose
 from procedures.demo.paper_page import paper_page
 from procedures.demo.paper_poses import SETUPS, Target, free_poses, other_trajectory, verification_targets
 from procedures.demo.paper_result import Replay, document
-from procedures.mock.bench import Bench
+from procedures.mock import Bench
 
 BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # share of the total time at the end of each part
 

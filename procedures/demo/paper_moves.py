@@ -13,7 +13,7 @@ from calib.session.standstill import wait_for_rest
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm, Vector3
 from control.server.client import ArmClient
-from procedures.mock.bench import Bench
+from procedures.mock import Bench
 from procedures.ports import HandPort, RuntimePort
 
 APPROACH_rad: Final = 0.06  # last approach of every joint: several times the backlash

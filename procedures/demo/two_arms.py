@@ -25,14 +25,14 @@ from calib.inputs import input_file
 from calib.session.conversation import unattended
 from calib.session.dialogue import Recorded
 from calib.session.folder import POINTS, SessionFolder
-from calib.validation.tracks import Track, TrackPair
+from calib.validation.verify import Track, TrackPair
 from control.files import write_whole
 from control.model.cell import Cell, load_cell, save_cell
 from control.model.description import load_arm
 from control.progress import Advance
 from hil_mocks.scenario import load_scenario
 from procedures.demo.two_arms_moves import circle_beside, in_order, rest
-from procedures.mock.cell_bench import CellBench, as_bolted_down
+from procedures.mock import CellBench, as_bolted_down
 from procedures.session.pair_station import MockPairHand, pair_station
 
 BAR_m = 0.1  # known distance: a bar between the tips

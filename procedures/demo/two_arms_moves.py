@@ -10,14 +10,14 @@ import numpy as np
 from calib.arrays import Array, frozen, norms
 from calib.closed_chain.candidates import Candidates
 from calib.closed_chain.room import Poses, Room
-from calib.design.order import short_path
+from calib.design.planning import short_path
 from calib.errors import CalibrationError
-from calib.validation.tracks import Track
+from calib.validation.verify import Track
 from control.kinematics.inverse import InverseKinematics
 from control.model.cell import Cell
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import Waypoints
-from procedures.mock.cell_bench import CellBench
+from procedures.mock import CellBench
 
 DETOUR_rad = 4.0  # what a way by the rest poses costs
 RADIUS_m = 0.05

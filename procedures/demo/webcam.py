@@ -16,7 +16,7 @@ import numpy as np
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array, norms
-from calib.boards.rigid import best_motion
+from calib.boards import best_motion
 from calib.calibration.calibrate import Calibrated, CalibrationPlan, calibrate
 from calib.calibration.outcome import write_calibrated_arm
 from calib.identify.identification import identify

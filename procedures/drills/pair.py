@@ -26,9 +26,9 @@ from hil_mocks.scenario import FaultTable, Start, load_scenario
 from procedures.drills.drill import LOOKED
 from procedures.drills.promise import Outcome, Promise, length_m, stood_s
 from procedures.drills.stage import REST, SETTLED_S, THINNED, UNDER_WAY_S, off_way_m, wired_as_real
-from procedures.guiding.following import PERIOD_S as FOLLOWS_S
-from procedures.guiding.following import Following
-from procedures.mock.cell_bench import CellBench
+from procedures.guiding import PERIOD_S as FOLLOWS_S
+from procedures.guiding import Following
+from procedures.mock import CellBench
 
 PAIR = "both move"  # the situation
 FROM_rad, TO_rad = (0.0, -0.4, 0.4), (0.8, -0.3, 0.6)  # of both: they stay half a metre apart

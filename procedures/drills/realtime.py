@@ -19,8 +19,7 @@ from firmware_iface.clock import MonotonicClock
 from firmware_iface.errors import ConnectionFailed, PortInUse
 from procedures.drills.promise import Outcome, Promise, length_m, stood_s
 from procedures.drills.stage import off_way_m
-from procedures.mock.arm import wired_to
-from procedures.mock.bench import RealTimeBench
+from procedures.mock import RealTimeBench, wired_to
 
 FROM_rad, TO_rad = (-1.0, -0.6, 0.2), (1.2, -0.6, 0.2)
 FAST_FROM_rad = -0.2  # joint 1 is at full speed from here on

@@ -6,7 +6,7 @@ from calib.gap.plan.plan import RecordingPlan
 from control.model.arm import Arm
 from control.progress import Advance
 from procedures.gap.recording import Bench, note_plan, record
-from procedures.mock.saved_mock import saved_mock
+from procedures.mock import saved_mock
 
 
 def record_on_mock(

@@ -21,7 +21,7 @@ from control.model.arm import Arm
 from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.gap.run_file import RunFile, write_log
-from procedures.iso9283.run_rows import RunRows
+from procedures.iso9283 import RunRows
 from procedures.ports import RuntimePort, camera_said
 
 REST_s = 0.1  # of a run after its motion

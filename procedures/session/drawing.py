@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from calib.session.moves.ports import Vector
+from calib.session.moves import Vector
 from calib.session.plan import FREE, Target
 from calib.session.state import Mark, SessionState
 

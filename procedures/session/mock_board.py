@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.design.boards import OTHER_TILTS, tilted
-from calib.session.moves.ports import Vector
+from calib.design.candidates import OTHER_TILTS, tilted
+from calib.session.moves import Vector
 from calib.session.plan import Target
 from control.model import table as tables
 from control.model.arm import Table

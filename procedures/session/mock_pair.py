@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from calib.session.folder import SessionFolder
 from control.model.cell import Cell
 from hil_mocks.scenario import load_scenario
-from procedures.mock.cell_bench import CellBench, as_bolted_down
+from procedures.mock import CellBench, as_bolted_down
 from procedures.session.mock_session import free_log, saved_scenario
 
 

@@ -15,8 +15,7 @@ from control.files import write_whole
 from control.model.arm import Arm
 from control.server.client import ArmClient
 from hil_mocks.scenario import load_scenario
-from procedures.mock.bench import SteppedBench
-from procedures.mock.scenario_file import seeded_scenario
+from procedures.mock import SteppedBench, seeded_scenario
 from procedures.ports import HandPort, MockHandSeat
 from procedures.session.mock_board import hidden_place
 

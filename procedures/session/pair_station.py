@@ -10,12 +10,12 @@ from calib.closed_chain.candidates import base_of
 from calib.closed_chain.conduct import PairHand, PairStation
 from calib.closed_chain.room import Poses, Room
 from calib.closed_chain.watch import ContactWatch
-from calib.session.moves.geometry import ArmGeometry
+from calib.session.moves import ArmGeometry
 from calib.session.plan import Target
 from control.kinematics.kinematics import Kinematics
 from control.model.cell import Cell
 from control.server.client import ArmClient
-from procedures.mock.cell_bench import CellBench
+from procedures.mock import CellBench
 from procedures.ports import HandPort, RuntimePort, move_together
 
 Names = tuple[str, str]

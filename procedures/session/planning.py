@@ -9,7 +9,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from calib.errors import SessionError
-from calib.session.moves.free_poses import chosen_free_poses, read_free_poses
+from calib.session.moves import chosen_free_poses, read_free_poses
 from calib.session.plan import (
     FREE,
     Board,

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.session.dialogue import GO, Ask, Command, Recorded, Saying
-from calib.session.moves.ports import Vector
+from calib.session.moves import Vector
 from calib.session.state import Mark, SessionState
 from procedures.session.operator import Operator
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.points.writer import Record
 from calib.session.dialogue import Ask, Question
-from calib.session.moves.ports import Vector
+from calib.session.moves import Vector
 from calib.session.plan import SessionPlan, Target
 from control.model.arm import Table
 

@@ -11,9 +11,8 @@ from types import MappingProxyType
 import numpy as np
 
 from calib.arm_problem.joint_laws import LAWS
-from calib.distances.devices import Vector
-from calib.distances.readings import has_readings
-from calib.distances.verify import compare_lengths
+from calib.distances.calibrate import compare_lengths
+from calib.distances.problem import Vector, has_readings
 from calib.errors import CalibrationError
 from calib.inputs import InputFile, input_file
 from calib.points.arm_points import points_for
@@ -21,11 +20,7 @@ from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.verification import Verification, write_verification_json, write_verification_report
 from calib.session.table import with_reference_tips
-from calib.validation.tracks import TrackPair
-from calib.validation.turned import compare_turns
-from calib.validation.used_points import Used, already_used
-from calib.validation.verify import Comparison
-from calib.validation.verify_recorded import compare_arms
+from calib.validation.verify import Comparison, TrackPair, Used, already_used, compare_arms, compare_turns
 from control.dynamics.feedforward import FED_FORWARD
 from control.dynamics.joint_side import SIDE_EFFECTS
 from control.model import table as tables

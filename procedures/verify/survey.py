@@ -10,8 +10,7 @@ from calib.points.points import Points, joined, make_points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.session.sequence import Progress
-from calib.validation.tracks import Track, TrackPair
-from calib.validation.verify import Comparison, compare_repeated
+from calib.validation.verify import Comparison, Track, TrackPair, compare_repeated
 from control.server.client import ArmClient
 from procedures.verify.driving import Run, planned, poses_at, require_clear, run, visit
 from procedures.verify.models import Model

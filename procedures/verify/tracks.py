@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import frozen
-from calib.validation.tracks import Track
+from calib.validation.verify import Track
 from control.errors import ArmError
 from control.recording.frame_decoder import row_type
 from control.recording.parts import parts_from

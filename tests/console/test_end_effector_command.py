@@ -8,7 +8,7 @@ import pytest
 from console.commands import end_effector
 from console.commands.status import described
 from console.main import main
-from console.screen.drawing.rows import Row
+from console.screen.drawing import Row
 from console.screen.texts import bus_load, end_rows
 from control.model.arm import Tool
 from control.model.end_effector import Digital

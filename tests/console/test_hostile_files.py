@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.boards.boards import read_boards
-from calib.boards.markers import read_markers
+from calib.boards import read_boards, read_markers
 from calib.errors import PointsFileError, SessionError
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle

@@ -18,7 +18,7 @@ SOURCES = [
     file
     for name in ("armwright", "calib", "console", "control", "firmware_iface", "hil_mocks", "procedures")
     for file in (ROOT / name).rglob("*.py")
-    if "screen" not in file.parts  # it has signs of its own: console.screen.drawing.plain
+    if "screen" not in file.parts  # it has signs of its own: console.screen.drawing
 ]
 
 

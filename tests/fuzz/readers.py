@@ -8,28 +8,26 @@ from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import patch
 
-from calib.ageing.history import read_history
+from calib.ageing import read_history
 from calib.arm_import import read_arm
-from calib.boards.boards import read_boards
-from calib.boards.markers import read_markers
+from calib.boards import read_boards, read_markers
 from calib.capture.c3d import read_c3d
 from calib.capture.vicon_csv import read_vicon_csv
 from calib.closed_chain.contacts import read_contacts
-from calib.distances.readings import has_readings, readings_of
+from calib.distances.problem import has_readings, readings_of
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle, read_runs
 from calib.points.arm_points import points_for
 from calib.points.reading import read_points
 from calib.session.folder import JOURNAL, POINTS, SessionFolder
-from calib.session.moves.free_poses import read_free_poses
+from calib.session.moves import read_free_poses
 from calib.session.plan import SessionPlan, board_targets
 from calib.studies.chunks import ChunkStore
-from calib.tolerances.file import parse_tolerances, tolerances_text
+from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.vision.camera_file import read_camera
 from calib.vision.opencv import read_picture
 from calib.vision.targets import read_tags
-from console.lines.grammar import Grammar
-from console.lines.replay import parse_lines
+from console.lines import Grammar, parse_lines
 from console.places import read_places
 from console.specs.table import COMMANDS
 from console.user_config import default_arm

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.design.reach import body_points, is_above_floor
+from calib.design.candidates import body_points, is_above_floor
 from control.model.description import load_arm
 
 arm, count = load_arm(sys.argv[1]), int(sys.argv[2])

@@ -31,7 +31,7 @@ from benchmarks.gap.static.rough_cases import ON_TIP, PARAMETER, Rough, several
 from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.joint_laws import LAWS
 from calib.arrays import Array, Mask
-from calib.boards.rigid import best_motion
+from calib.boards import best_motion
 from calib.calibration.outcome import calibrated_arm
 from calib.errors import CalibrationError
 from calib.gap.model_update import with_totals
@@ -40,7 +40,7 @@ from calib.gap.workflow import Recordings, find_gap_in, write_gap
 from calib.identify.identification import identify
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
-from calib.validation.verify_recorded import measuring_frame, predicted_tips
+from calib.validation.verify import measuring_frame, predicted_tips
 from control.errors import ArmError
 from control.model.arm import Arm, Effect, Tool
 from control.model.description import load_arm

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, Mask
-from calib.design.reach import body_points, joint_box, spread_poses
+from calib.design.candidates import body_points, joint_box, spread_poses
 from calib.errors import CalibrationError
 from control.dynamics.static_pose import gravity_Nm
 from control.errors import MissingModel

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.design.reach import joint_box, spread_poses
+from calib.design.candidates import joint_box, spread_poses
 from calib.gap.plan.collision_free_box import CollisionFreeBox, clear
 from control.dynamics.static_pose import gravity_Nm
 from control.errors import MissingModel

@@ -21,7 +21,7 @@ from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.floor import FINEST_m, Floor, noise_floor
 from calib.gap.poses.linear import Linear
 from calib.gap.poses.measured import Fit
-from calib.gap.poses.nameless.of_the_tip import SKEWED
+from calib.gap.poses.nameless import SKEWED
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.outlying import middle, outlying
 from calib.gap.poses.recordings import Split, split

@@ -18,7 +18,7 @@ from calib.gap.model_update import effect_of, with_totals
 from calib.gap.poses.currents import Currents
 from calib.gap.poses.linear import Linear, of_currents
 from calib.gap.poses.measured import Fit, Left, by_joints
-from calib.gap.poses.nameless.blocks import blocks_of
+from calib.gap.poses.nameless import blocks_of
 from calib.gap.poses.outlying import flank_covariance
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed

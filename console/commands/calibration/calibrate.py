@@ -6,13 +6,12 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from calib.ageing.history import geometry_of
+from calib.ageing import geometry_of
 from calib.arm_problem.assembly import Choice
 from calib.calibration.base_points import points_in_base
 from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, calibrate
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
-from calib.calibration.report import calibration_report
-from calib.calibration.text import judgement_json, summary_text
+from calib.calibration.report import calibration_report, judgement_json, summary_text
 from calib.errors import CalibrationError
 from calib.export import FORMS, export
 from calib.identify.objective import objective_named

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
-from calib.distances.calibrate import DistancePlan, calibrate_with_distances
-from calib.distances.text import distances_json, distances_text
+from calib.distances.calibrate import DistancePlan, calibrate_with_distances, distances_json, distances_text
 from calib.identify.objective import objective_named
 from calib.inputs import input_file
 from calib.points.arm_points import points_for

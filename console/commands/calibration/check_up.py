@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.checkup.decision import Decision, decide, decision_json, sentences
-from calib.checkup.design import POSES, checkup_plan
-from calib.checkup.expectation import expectation_of
+from calib.checkup import POSES, Decision, checkup_plan, decide, decision_json, expectation_of, sentences
 from calib.errors import CalibrationError
 from calib.gap.plan.plan import RecordingPlan
 from calib.points.arm_points import points_for

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.ageing.history import quantities_of
+from calib.ageing import quantities_of
 from calib.errors import CalibrationError
 from calib.gap.finding import gap_content
 from calib.gap.words import in_words
@@ -136,7 +136,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
 
 def _payload_kg(given: argparse.Namespace, arm: Arm) -> float:
     """The mass to record with. CalibrationError for one that the motors do not move at the acceleration limits."""
-    from procedures.arm_sheet.figures import sheet
+    from procedures.arm_sheet import sheet
 
     held = sheet(arm).payload if given.mock or given.payload else None
     most_kg = math.inf if held is None else held.moving_kg

@@ -7,15 +7,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
-from calib.ageing.history import (
-    FORMAT,
-    Entry,
-    Geometry,
-    Quantity,
-    append_entry,
-    measured_at,
-    require_appendable,
-)
+from calib.ageing import FORMAT, Entry, Geometry, Quantity, append_entry, measured_at, require_appendable
 from calib.errors import CalibrationError
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import Array
-from calib.boards.markers import markers_text
+from calib.boards import markers_text
 from calib.capture.alignment import Alignment, align
 from calib.capture.board_markers import board_markers
 from calib.capture.c3d import read_c3d

@@ -17,8 +17,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import require_writable
-from procedures.iso9283 import recording
-from procedures.iso9283.evaluating import evaluate_files
+from procedures.iso9283 import Bench, Planned, evaluate_files, largest_load_kg, plan, rated_speed_m_s, record
 from procedures.ports import camera_said
 
 FULL = Extent()
@@ -54,8 +53,8 @@ def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient 
     out = Path(given.out)
     cube = _cube(given, arm)
     extent = _extent(given, arm, cube)
-    rated_m_s = given.rated_speed or recording.rated_speed_m_s(arm, cube)
-    planned = recording.plan(arm, cube, extent, rated_m_s)
+    rated_m_s = given.rated_speed or rated_speed_m_s(arm, cube)
+    planned = plan(arm, cube, extent, rated_m_s)
     sys.stdout.write(_described(arm, cube, planned, rated_m_s))
     sys.stdout.flush()
     if given.plan_only:
@@ -130,7 +129,7 @@ def _extent(given: argparse.Namespace, arm: Arm, cube: TestCube) -> Extent:
     base = QUICK if given.quick else FULL
     load_kg = given.rated_load_kg or 0.0
     if given.rated_load_kg is None and given.mock:
-        load_kg = min(MOCK_LOAD_kg, MOCK_SHARE * recording.largest_load_kg(arm, cube))
+        load_kg = min(MOCK_LOAD_kg, MOCK_SHARE * largest_load_kg(arm, cube))
     programmes = tuple(given.programmes or PROGRAMMES)
     return Extent(
         given.repeats if given.repeats is not None else base.repeats,
@@ -152,18 +151,16 @@ def _cube(given: argparse.Namespace, arm: Arm) -> TestCube:
     return TestCube((x, y, z), given.cube_edge)
 
 
-def _record_mock(given: argparse.Namespace, arm: Arm, planned: recording.Planned, out: Path) -> None:
+def _record_mock(given: argparse.Namespace, arm: Arm, planned: Planned, out: Path) -> None:
     """Record on a mock arm in this process; only this needs the simulation."""
-    from procedures.iso9283.mock import record_on_mock
+    from procedures.iso9283 import record_on_mock
 
     with Bar("iso9283") as bar:
         speed = given.speed or MOCK_SPEED
         record_on_mock(arm, given.scenario, given.seed, planned, out, speed, bar.advance)
 
 
-def _record_real(
-    given: argparse.Namespace, arm: Arm, client: ArmClient, planned: recording.Planned, out: Path
-) -> None:
+def _record_real(given: argparse.Namespace, arm: Arm, client: ArmClient, planned: Planned, out: Path) -> None:
     """Record on the connected arm, which must be homed and holding, with a camera that sees the tip."""
     status = client.status()
     if status["mode"] != "HOLDING" or not status["is_homed"]:
@@ -179,8 +176,8 @@ def _record_real(
     if hang is None and any(getattr(step, "payload_kg", 0.0) for step in planned.steps):
         raise Iso9283Error("loads are attached by hand: run this in a terminal, or omit --rated-load-kg")
     with Bar("iso9283") as bar:
-        bench = recording.Bench(arm, client, Path(status["recording"]), hang, given.speed or REAL_SPEED)
-        recording.record(bench, planned, out, bar.advance)
+        bench = Bench(arm, client, Path(status["recording"]), hang, given.speed or REAL_SPEED)
+        record(bench, planned, out, bar.advance)
 
 
 def _ask_for_load(mass_kg: float) -> None:
@@ -189,7 +186,7 @@ def _ask_for_load(mass_kg: float) -> None:
     sys.stdin.readline()
 
 
-def _described(arm: Arm, cube: TestCube, planned: recording.Planned, rated_m_s: float) -> str:
+def _described(arm: Arm, cube: TestCube, planned: Planned, rated_m_s: float) -> str:
     x, y, z = cube.centre_m
     return (
         f"arm {arm.name}: test cube of {cube.edge_m:.3f} m about ({x:.3f}, {y:.3f}, {z:.3f}) m, rated path speed"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.parameters import Bounds
-from calib.boards.boards import read_boards
+from calib.boards import read_boards
 from calib.errors import CalibrationError
 from console.quantities import quantity, unit_of
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
 from calib.design import Plan, Request, Uncertainty, View, in_words, plan_json, plan_poses, write_plan
-from calib.design.observability import NAMES
-from calib.design.words import known_to
+from calib.design.information import NAMES
+from calib.design.planning import known_to
 from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points

@@ -8,8 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calib.arrays import norms
-from calib.boards.boards import write_boards
-from calib.boards.registration import Registration, read_markers, register_boards
+from calib.boards import Registration, read_markers, register_boards, write_boards
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
 

@@ -8,8 +8,7 @@ from calib.points.points import STREAM_FRAME
 from calib.session.boards_known import Boards
 from calib.session.conduct import Hand, Station, conduct
 from calib.session.folder import SessionFolder
-from calib.session.moves.clear_paths import ClearPaths
-from calib.session.moves.geometry import ArmGeometry
+from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, fingerprint
 from calib.session.residual_watch import ResidualWatch
 from calib.session.take import SessionSettings

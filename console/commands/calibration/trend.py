@@ -5,8 +5,7 @@ import json
 import sys
 from pathlib import Path
 
-from calib.ageing.history import read_history
-from calib.ageing.words import as_text, trend_json, trend_of
+from calib.ageing import as_text, read_history, trend_json, trend_of
 from console.quantities import tolerance_m
 from control.model.description import load_arm
 

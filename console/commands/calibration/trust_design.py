@@ -13,12 +13,10 @@ from calib.points.arm_points import points_for
 from calib.points.writer import replace_file
 from calib.studies.chunks import ChunkStore, run_study
 from calib.studies.opening import executor
-from calib.tolerances.file import parse_tolerances, tolerances_text
-from calib.tolerances.files import made_json, write_json, write_map
+from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.tolerances.report import tolerances_report
-from calib.tolerances.result import Made, made_of
+from calib.tolerances.result import Made, as_text, made_json, made_of, warnings_about, write_json, write_map
 from calib.tolerances.study import Design, design_of, require_near, study_task
-from calib.tolerances.words import as_text, warnings_about
 from console.commands.progress import Bar
 from console.quantities import tolerance_m
 from control.model.arm import Arm

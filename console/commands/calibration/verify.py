@@ -128,8 +128,10 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
 
 def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) -> Bench:
     """A homed, stepped mock of the nominal arm with the scenario's hidden errors; its runtime uses the calibrated arm."""
-    from procedures.mock.bench import SteppedBench  # imports MuJoCo, which takes a second
-    from procedures.mock.scenario_file import seeded_scenario
+    from procedures.mock import (
+        SteppedBench,  # imports MuJoCo, which takes a second
+        seeded_scenario,
+    )
 
     nominal = pair.nominal.arm
     text = seeded_scenario(given.scenario, None, was_homed=not nominal.can_home)

@@ -7,7 +7,7 @@ import sys
 from console.commands.cell.clients import connected_arms
 from control.errors import ArmError
 from control.model.cell import load_cell
-from procedures.guiding.following import Following, mirror_signs, require_alike
+from procedures.guiding import Following, mirror_signs, require_alike
 
 
 def run(given: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.calibration.ageing import entry_of, measured
 from benchmarks.calibration.chains import REFERENCE_DH
-from calib.ageing.history import (
+from calib.ageing import (
     Entry,
     Geometry,
     HistoryFileError,

@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.chains import board_points
-from calib.boards.boards import read_boards, write_boards
-from calib.boards.markers import Markers, markers_text, read_markers
-from calib.boards.registration import register, register_boards
+from calib.boards import (
+    Markers,
+    markers_text,
+    read_boards,
+    read_markers,
+    register,
+    register_boards,
+    write_boards,
+)
 from calib.errors import PointsFileError, RegistrationError
 
 BOARD = board_points() - np.array([0.5, 0.0, 0.0])

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.boards.markers import read_markers
+from calib.boards import read_markers
 from calib.capture.alignment import align
 from calib.capture.c3d import read_c3d
 from calib.capture.motion import Motion

@@ -11,9 +11,7 @@ from benchmarks.calibration.checkup import before, checked, visits_of
 from benchmarks.calibration.trust_coverage import session
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array
-from calib.checkup.causes import judged
-from calib.checkup.decision import BENT_m, SLIP_rad, decide, decision_json, sentences
-from calib.checkup.expectation import Expectation
+from calib.checkup import BENT_m, Expectation, SLIP_rad, decide, decision_json, judged, sentences
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
 from calib.points.writer import write_points

@@ -17,8 +17,7 @@ from calib.closed_chain.watch import ContactWatch
 from calib.errors import SessionError
 from calib.session.dialogue import GO, Ask, Command, Do, Jog, Message, Question, Recorded, Saying
 from calib.session.folder import SessionFolder
-from calib.session.moves.geometry import ArmGeometry
-from calib.session.moves.ports import Sample
+from calib.session.moves import ArmGeometry, Sample
 from calib.session.plan import Seating, Target
 from calib.session.state import Mark
 from control.model.cell import load_cell

@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 
 from benchmarks.calibration.design_trial import ARM, NOISE_m
-from calib.design.boards import placed_boards
-from calib.design.candidates import free_candidates, joined, table_candidates, workspace_poses
+from calib.design.candidates import free_candidates, joined, placed_boards, table_candidates, workspace_poses
 from calib.design.information import experiment_of
 from calib.identify import Choice
 

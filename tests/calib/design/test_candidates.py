@@ -9,17 +9,22 @@ import pytest
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, board_points
 from benchmarks.calibration.design_trial import ARM, table_points
 from calib.arm_problem.frames import Frame
-from calib.design.boards import OTHER_TILTS, placed_boards, tilted, usual_setups
 from calib.design.candidates import (
     FREE_HEIGHT_M,
+    OTHER_TILTS,
     View,
     free_candidates,
+    joint_box,
     named,
+    placed_boards,
+    postures,
+    spread_poses,
     table_candidates,
+    tilted,
+    usual_setups,
     workspace_poses,
 )
-from calib.design.order import WAY_HEIGHT_M, clear_ways, visiting_order
-from calib.design.reach import joint_box, postures, spread_poses
+from calib.design.planning import WAY_HEIGHT_M, clear_ways, visiting_order
 from calib.errors import CalibrationError
 from calib.identify import ArmModel
 from calib.points.points import make_points

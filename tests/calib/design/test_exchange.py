@@ -5,9 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from calib.design.criteria import CRITERIA, criterion_of
-from calib.design.exchange import Group, select
-from calib.design.information import uncertainty_of
+from calib.design.information import CRITERIA, criterion_of, uncertainty_of
+from calib.design.planning import Group, select
 from calib.errors import CalibrationError
 from tests.calib.design.experiments import drawn, experiment
 

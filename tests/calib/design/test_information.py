@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.design_trial import ARM, table_points
-from calib.design.criteria import CRITERIA, criterion_of
-from calib.design.information import uncertainty_of
-from calib.design.observability import NAMES
+from calib.design.information import CRITERIA, NAMES, criterion_of, uncertainty_of
 from calib.errors import CalibrationError
 from calib.identify import ArmModel, Bounds, Choice, identify, problem_of
 from calib.identify.objective import LeastSquares

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.design.observability import NAMES, indices_of
+from calib.design.information import NAMES, indices_of
 
 SINGULAR = st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=12)
 

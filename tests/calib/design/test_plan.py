@@ -20,8 +20,7 @@ from benchmarks.calibration.design_trial import (
 from calib.arm_problem.assembly import Choice
 from calib.arm_problem.frames import Frame
 from calib.design import Request, View, in_words, plan_json, plan_poses, write_plan
-from calib.design.boards import boards_in_the_way
-from calib.design.candidates import free_candidates, workspace_poses
+from calib.design.candidates import boards_in_the_way, free_candidates, workspace_poses
 from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError
 from calib.identify import LeastSquares, SumOfDistances

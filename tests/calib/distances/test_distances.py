@@ -22,10 +22,8 @@ from benchmarks.calibration.distances import (
 )
 from calib.arm_problem.assembly import Choice
 from calib.distances import calibrate as module
-from calib.distances.calibrate import DistancePlan
-from calib.distances.readings import readings_of
-from calib.distances.text import distances_text
-from calib.distances.verify import compare_lengths
+from calib.distances.calibrate import DistancePlan, compare_lengths, distances_text
+from calib.distances.problem import readings_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.points.points import Points
 from calib.points.reading import read_points

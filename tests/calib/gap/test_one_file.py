@@ -21,7 +21,7 @@ from calib.gap.series.find import examine
 from calib.gap.series.split import split
 from calib.gap.workflow import Recordings, _updated, find_gap_in, write_gap
 from calib.points.points import joined
-from calib.validation.verify_recorded import errors_of, predicted_tips
+from calib.validation.verify import errors_of, predicted_tips
 from control.model.arm import Arm, Effect, Tool
 from control.model.description import load_arm
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of

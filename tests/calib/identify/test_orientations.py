@@ -22,7 +22,7 @@ from calib.iso9283.recorded import pose_groups
 from calib.points.points import Points, make_points
 from calib.points.reading import read_points
 from calib.points.writer import write_points
-from calib.validation.turned import compare_turns
+from calib.validation.verify import compare_turns
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Camera, Link, Tool
 

@@ -20,8 +20,18 @@ from calib.report.report import report_html, write_report
 from calib.report.report_data import ReportData
 from calib.report.report_sections import parameters_section
 from calib.validation.statistics import Finding, difference, student_t
-from calib.validation.tracks import PARTS, Track, TrackPair, compare_tracks, parts_of
-from calib.validation.verify import compare, compare_repeated, comparison_text, findings, summarise
+from calib.validation.verify import (
+    PARTS,
+    Track,
+    TrackPair,
+    compare,
+    compare_repeated,
+    compare_tracks,
+    comparison_text,
+    findings,
+    parts_of,
+    summarise,
+)
 from control.errors import ArmError
 from control.model.description import load_arm
 from tests.calib.arms import identified

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH
-from calib.boards.boards import read_boards
+from calib.boards import read_boards
 from calib.points.reading import read_points
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.arms import SEVEN
-from calib.boards.boards import BoardPose
-from calib.session.moves.clear_paths import ClearPaths, EDGE_m, MARGIN_m, NoClearPath
-from calib.session.moves.geometry import ArmGeometry
+from calib.boards import BoardPose
+from calib.session.moves import ArmGeometry, ClearPaths, EDGE_m, MARGIN_m, NoClearPath
 from control.kinematics.kinematics import Kinematics
 from control.model.table import board_rotation, cavities, table_of
 from tests.calib.session.session_arm import GEOMETRY, RIGHT

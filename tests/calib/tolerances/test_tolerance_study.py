@@ -13,13 +13,17 @@ from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.points.points import Points, make_points
 from calib.studies.chunks import ChunkStore, run_study
 from calib.studies.executor import InProcess
-from calib.tolerances.calibrating import Identification
-from calib.tolerances.file import Tolerances, TolerancesFileError, parse_tolerances, tolerances_text
-from calib.tolerances.making import MadeArms
-from calib.tolerances.result import Made, costliest, made_of
-from calib.tolerances.study import Design, design_of, require_near, study_task
-from calib.tolerances.terms import MadePoses, Term
-from calib.tolerances.words import sentences, warnings_about
+from calib.tolerances.making import (
+    MadeArms,
+    MadePoses,
+    Term,
+    Tolerances,
+    TolerancesFileError,
+    parse_tolerances,
+    tolerances_text,
+)
+from calib.tolerances.result import Made, costliest, made_of, sentences, warnings_about
+from calib.tolerances.study import Design, Identification, design_of, require_near, study_task
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.tolerances.file import Spread, TolerancesFileError, parse_tolerances, tolerances_text
+from calib.tolerances.making import Spread, TolerancesFileError, parse_tolerances, tolerances_text
 from control.model.description import load_arm
 
 ARM = load_arm("right")

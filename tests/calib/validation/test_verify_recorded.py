@@ -11,8 +11,7 @@ from benchmarks.calibration.chains import board_session
 from calib.errors import CalibrationError
 from calib.points.points import Points, make_points
 from calib.validation.statistics import difference
-from calib.validation.verify import compare, comparison_text
-from calib.validation.verify_recorded import LEAST_POSES, compare_arms
+from calib.validation.verify import LEAST_POSES, compare, compare_arms, comparison_text
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Effect, Table, Tool
 from control.model.description import load_arm

@@ -13,9 +13,8 @@ import pytest
 from calib.points.points import Points, make_points
 from calib.points.writer import write_points
 from calib.report.verification import Verification, write_verification_json, write_verification_report
-from calib.validation.tracks import Track, TrackPair
-from calib.validation.used_points import SAME_POSE_rad, Used, already_used
-from calib.validation.verify import compare
+from calib.validation.verify import Track, TrackPair, Used, already_used, compare
+from calib.validation.verify import USED_POSE_rad as SAME_POSE_rad
 from control.model.arm import Arm, Calibration
 from control.model.description import load_arm, save_arm
 

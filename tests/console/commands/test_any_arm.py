@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.arms import ARMS
-from console.lines.grammar import Grammar
-from console.lines.replay import Outcome, parse_lines, replay
+from console.lines import Grammar, Outcome, parse_lines, replay
 from console.specs.table import COMMANDS
 from control.model.description import save_arm
 from tests.cell import Cell, holding_cell, scenario

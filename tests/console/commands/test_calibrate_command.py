@@ -9,7 +9,7 @@ import pytest
 
 from calib.points.points import Points
 from calib.points.reading import read_points
-from calib.validation.verify_recorded import errors_of
+from calib.validation.verify import errors_of
 from console.main import main
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics

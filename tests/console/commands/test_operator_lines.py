@@ -11,8 +11,7 @@ import pytest
 
 from benchmarks.arms import SIX
 from console.commands import script
-from console.lines.grammar import NOT_HERE, Grammar, LineError
-from console.lines.replay import Outcome, parse_lines, replay
+from console.lines import NOT_HERE, Grammar, LineError, Outcome, parse_lines, replay
 from console.main import main
 from console.places import PlacesError, find_place, read_places, save_place
 from console.specs.table import COMMANDS

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from calib.points.writer import write_points
-from console.lines.grammar import Grammar
-from console.lines.replay import parse_lines
+from console.lines import Grammar, parse_lines
 from console.main import main
 from console.specs.table import COMMANDS
 from control.model.description import load_arm

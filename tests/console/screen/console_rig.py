@@ -19,8 +19,7 @@ from textual.pilot import Pilot
 from textual.widget import Widget
 
 from console.screen.app import ConsoleApp, Files, Station
-from console.screen.drawing.event_log import EventLog
-from console.screen.drawing.panel import Panel
+from console.screen.drawing import EventLog, Panel
 from control.model.arm import Arm
 from control.server.server import Server
 from tests.cell import PERIOD_S, RIGHT, Cell

@@ -17,7 +17,7 @@ import resvg_py
 from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
-from console.screen.drawing.panel import Panel
+from console.screen.drawing import Panel
 from tests.cell import Cell, handled, holding_cell, scenario
 from tests.console.screen.console_rig import Served, console_on, press, said, shown, until
 

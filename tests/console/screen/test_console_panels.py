@@ -12,13 +12,23 @@ from typing import Any
 import pytest
 
 from console.screen.app import ConsoleApp, Files, Station
-from console.screen.drawing.history import BINS, BIN_s, History
-from console.screen.drawing.panel import Panel
-from console.screen.drawing.picture import Skeleton, side_view, top_view
-from console.screen.drawing.plain import ascii_of, is_plain
-from console.screen.drawing.plot import Plot, axis_end, plot_rows
-from console.screen.drawing.rows import text_of, width_of
-from console.screen.drawing.theme import THEME
+from console.screen.drawing import (
+    BINS,
+    THEME,
+    BIN_s,
+    History,
+    Panel,
+    Plot,
+    Skeleton,
+    ascii_of,
+    axis_end,
+    is_plain,
+    plot_rows,
+    side_view,
+    text_of,
+    top_view,
+    width_of,
+)
 from console.screen.events import events_between
 from console.screen.texts import headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from control.server.client import ArmClient
-from procedures.mock.bench import RealTimeBench
+from procedures.mock import RealTimeBench
 from tests.cell import RIGHT
 from tests.control.server.test_process import enable, patient
 

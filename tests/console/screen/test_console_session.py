@@ -12,9 +12,7 @@ import pytest
 from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
-from console.screen.drawing.event_log import EventLog
-from console.screen.drawing.panel import Panel
-from console.screen.drawing.rows import text_of
+from console.screen.drawing import EventLog, Panel, text_of
 from console.screen.session import SessionScreen
 from console.screen.session_texts import HEADING, board_rows, legend_rows, record_text
 from tests.cell import Cell, holding_cell

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from console.commands.status import described
-from console.screen.drawing.rows import text_of
+from console.screen.drawing import text_of
 from console.screen.texts import joint_rows
 from control.safety.table import Mode
 from control.server.client import ArmFaulted, RequestRefused

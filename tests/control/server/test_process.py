@@ -22,7 +22,7 @@ from control.safety.table import Mode
 from control.server.channel import RuntimeGone, SocketChannel
 from control.server.client import ArmClient, RequestRefused
 from hil_mocks.realtime import RealTimeRig
-from procedures.mock.arm import wired_to
+from procedures.mock import wired_to
 from tests.cell import RIGHT
 
 pytestmark = pytest.mark.realtime

@@ -10,9 +10,17 @@ import numpy as np
 import pytest
 
 from hil_mocks.devices.camera import CameraSetup
-from hil_mocks.devices.mocap.natnet import FIRST_ID, MEAN_ERROR_m, NatNetMock
-from hil_mocks.devices.mocap.qtm import QtmMock, RESIDUAL_mm
-from hil_mocks.devices.mocap.scene import MocapMock, SceneSetup, TARGET_turn_rad, rotation_of
+from hil_mocks.devices.mocap import (
+    FIRST_ID,
+    MEAN_ERROR_m,
+    MocapMock,
+    NatNetMock,
+    QtmMock,
+    RESIDUAL_mm,
+    SceneSetup,
+    TARGET_turn_rad,
+    rotation_of,
+)
 from tests.firmware_iface.mocap.standing import Standing
 
 PLACE, TIP_m = (1.4, -0.9, 0.2), (0.5, 0.1, 0.3)

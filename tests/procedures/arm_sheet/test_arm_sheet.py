@@ -13,9 +13,7 @@ from console.main import main
 from control.dynamics.dynamics import Dynamics
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
-from procedures.arm_sheet.figures import sheet, torque_limit_Nm
-from procedures.arm_sheet.missing import missing
-from procedures.arm_sheet.text import sheet_lines, warnings
+from procedures.arm_sheet import missing, sheet, sheet_lines, torque_limit_Nm, warnings
 from procedures.on_boards import on_boards
 from tests.cell import with_drive, with_drives
 from tests.places import ARMS

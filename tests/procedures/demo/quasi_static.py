@@ -21,7 +21,7 @@ ENCODER_NOISE_rad, CURRENT_NOISE_A = 1e-5, 0.005
 
 
 class QuasiStaticBench:
-    """`procedures.mock.bench.Bench`: DH deviations and play are hidden, nothing takes time."""
+    """`procedures.mock.Bench`: DH deviations and play are hidden, nothing takes time."""
 
     speed = 1.0
 

@@ -7,8 +7,7 @@ import numpy as np
 from benchmarks.arms import SEVEN
 from procedures.demo.gap import programme_of
 from procedures.demo.handover import shut_down, start_again
-from procedures.mock.bench import SteppedBench
-from procedures.mock.scenario_file import seeded_scenario
+from procedures.mock import SteppedBench, seeded_scenario
 from procedures.verify.models import Model
 from procedures.verify.survey import Survey
 

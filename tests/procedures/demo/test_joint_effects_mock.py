@@ -16,7 +16,7 @@ from control.dynamics.static_pose import resting
 from control.errors import MissingModel
 from control.model.description import load_arm
 from procedures.demo.paper_moves import Mover, Pose
-from procedures.mock.bench import SteppedBench
+from procedures.mock import SteppedBench
 
 ARM = load_arm("right")
 FRICTION = "".join(

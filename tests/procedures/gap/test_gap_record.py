@@ -24,10 +24,10 @@ from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.rotation import logarithms, matrices, quaternions
 from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm
-from hil_mocks.devices.mocap.scene import BASE_m, BASE_turn_rad, TARGET_turn_rad
-from hil_mocks.devices.mocap.scene import rotation_of as turn_of
+from hil_mocks.devices.mocap import BASE_m, BASE_turn_rad, TARGET_turn_rad
+from hil_mocks.devices.mocap import rotation_of as turn_of
 from procedures.gap.recording import Bench, note_plan, record
-from procedures.mock.bench import SteppedBench
+from procedures.mock import SteppedBench
 
 PLACE = tuple(quaternions(turn_of(BASE_turn_rad)[None])[0].tolist())
 STREAM = CameraStream("vicon", "tool", "base", origin_m=BASE_m, orientation=PLACE)

@@ -11,7 +11,7 @@ from control.model.cell import Placed
 from control.model.description import load_arm
 from control.safety.table import Mode
 from control.server.client import MotionStopped
-from procedures.guiding.following import Following, mirror_signs
+from procedures.guiding import Following, mirror_signs
 from tests.cell import FRICTION, scenario
 from tests.pair import PAIR, Pair, holding_pair, open_pair
 

@@ -11,7 +11,7 @@ from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.motion.joint_limits import JointLimits
 from control.safety.table import Mode
-from procedures.guiding.replay import Guided, guided_motion, replayed
+from procedures.guiding import Guided, guided_motion, replayed
 from tests.cell import RIGHT, STRETCHED, holding_cell
 from tests.recordings import write_recording
 

@@ -24,8 +24,8 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
 from control.server.client import Average
-from procedures.iso9283.recording import AVERAGE_S, Bench, plan, rated_speed_m_s, record
-from procedures.mock.bench import SteppedBench
+from procedures.iso9283 import AVERAGE_S, Bench, plan, rated_speed_m_s, record
+from procedures.mock import SteppedBench
 from tests.places import ROOT
 
 pytestmark = pytest.mark.usefixtures("nobody_below")

@@ -15,7 +15,7 @@ from calib.points.writer import Record
 from calib.session.boards_known import Boards
 from calib.session.dialogue import Ask, Command, Do, Jog, Message, Question, Recorded
 from calib.session.folder import SessionFolder
-from calib.session.moves.free_poses import chosen_free_poses, read_free_poses
+from calib.session.moves import chosen_free_poses, read_free_poses
 from calib.session.plan import SessionPlan, board_targets, free_targets
 from calib.session.residual_watch import Verdict
 from calib.session.state import Mark, SessionState

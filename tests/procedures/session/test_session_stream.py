@@ -16,7 +16,7 @@ from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
 from calib.session.dialogue import GO, Recorded
 from calib.session.folder import SessionFolder
-from calib.session.moves.free_poses import chosen_free_poses
+from calib.session.moves import chosen_free_poses
 from calib.session.plan import SessionPlan, fingerprint, free_targets
 from calib.session.residual_watch import ResidualWatch
 from console.main import main
@@ -25,8 +25,8 @@ from control.kinematics.rotation import matrices
 from control.model.arm import Effect
 from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm, save_arm
-from hil_mocks.devices.mocap.scene import BASE_m, BASE_turn_rad
-from hil_mocks.devices.mocap.scene import rotation_of as turn_of
+from hil_mocks.devices.mocap import BASE_m, BASE_turn_rad
+from hil_mocks.devices.mocap import rotation_of as turn_of
 from tests.calib.session.session_arm import ScriptedArm
 
 RIGHT = load_arm("right")

@@ -1,0 +1,820 @@
+"""What changes between calibrations: a record of them, what drifts and how fast, and when the next one is
+due.
+
+In: history.jsonl, an append-only record (docs/formats.md). Out: a straight line in time through each
+parameter, or one step that explains the record better; the day at which the tip will have drifted too far;
+the trend in sentences.
+"""
+
+from __future__ import annotations
+
+import datetime
+import fcntl
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+import numpy as np
+
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.parameters import dh_names
+from calib.arm_problem.problem import ArmProblem
+from calib.arrays import Array
+from calib.design.candidates import workspace_poses
+from calib.errors import CalibrationError
+from calib.gap.finding import EffectName, GapFinding
+from calib.identify.determinability import RANK_TOLERANCE, determinability
+from calib.identify.identification import Identification
+from control.files import append_whole, open_to_append, read_bytes
+from control.model.arm import Arm
+
+# history.jsonl: an append-only record of calibrations and gaps, a line each. Reference: docs/formats.md.
+#
+# Geometry is kept with its information matrix, since few DH parameters are determined by themselves: a
+# combination that a calibration does not determine has no information, and later says nothing about drift.
+
+
+FORMAT = "history/1"
+DIGITS = 15  # significant, of a matrix's entry: its eigenvalues differ by a factor of up to 1e8
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+class HistoryFileError(CalibrationError):
+    """An invalid history.jsonl; the message names file and line."""
+
+
+class Geometry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters with a nominal value: names, values in their units, scales, and the information matrix of value / scale."""
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    scales: tuple[Annotated[float, msgspec.Meta(gt=0.0)], ...]
+    information: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Everything has the length of the names."""
+        count = len(self.names)
+        lengths = {len(self.values), len(self.scales), len(self.information), *map(len, self.information)}
+        if not count or lengths != {count}:
+            raise ValueError(f"expected {count} values, scales, and rows and columns of information")
+
+
+class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A number with its standard deviation, null if unknown."""
+
+    value: float
+    sd: NotNegative | None = None
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One line: when measured (UTC), by which command, of which arm."""
+
+    format: str
+    measured: datetime.datetime
+    by: str
+    arm: str
+    program_version: str
+    inputs: dict[str, str] = {}
+    geometry: Geometry | None = None
+    quantities: dict[str, Quantity] = {}
+
+    @property
+    def day(self) -> float:
+        """Days since 1970."""
+        return self.measured.timestamp() / 86400.0
+
+
+def geometry_of(problem: ArmProblem, found: Identification) -> Geometry:
+    """What a calibration determined; tool, boards and other unknowns without a nominal value are projected out."""
+    known = determinability(problem.sensitivity(found.x), problem.parameters)
+    inner = known.basis.T @ known.covariance(found.noise.variance_m2) @ known.basis
+    information = known.basis @ np.linalg.inv(inner) @ known.basis.T
+    bounded = [k for k, one in enumerate(problem.parameters) if one.has_bound]
+    free = [k for k, one in enumerate(problem.parameters) if not one.has_bound]
+    own = _without(information, bounded, free)
+    return Geometry(
+        tuple(problem.parameters[k].name for k in bounded),
+        tuple(found.estimates[k].value for k in bounded),
+        tuple(problem.parameters[k].scale for k in bounded),
+        tuple(tuple(float(f"{value:.{DIGITS}g}") for value in row) for row in own),
+    )
+
+
+def _without(information: Array, kept: list[int], dropped: list[int]) -> Array:
+    """The information about `kept`, whatever the `dropped` ones are (Schur complement)."""
+    own = information[np.ix_(kept, kept)]
+    if not dropped:
+        return own
+    across = information[np.ix_(kept, dropped)]
+    return np.asarray(
+        own - across @ np.linalg.pinv(information[np.ix_(dropped, dropped)], hermitian=True) @ across.T
+    )
+
+
+def quantities_of(found: GapFinding) -> dict[str, Quantity]:
+    """The parameters of the effects that a gap named, such as `backlash2.width_rad`."""
+    return {
+        f"{one.name.effect}{one.name.joint or ''}.{parameter}": Quantity(
+            value, sd if np.isfinite(sd) else None
+        )
+        for one in found.effects
+        for parameter, (value, sd) in one.parameters.items()
+    }
+
+
+def require_appendable(path: Path, arm: str) -> None:
+    """CalibrationError where `path` is a history of another arm, or cannot be written: asked before anything is computed."""
+    if path.exists():
+        read_history(path, arm)
+    elif not path.parent.is_dir():
+        raise HistoryFileError(f"--history {path}: there is no folder {path.parent}")
+
+
+def append_entry(path: Path, entry: Entry) -> None:
+    """Append a line and wait for the disk; NotWritten if the disk is full."""
+    with open_to_append(path) as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        append_whole(file.fileno(), path, msgspec.json.encode(entry) + b"\n")
+
+
+def read_history(path: Path, arm: str) -> tuple[Entry, ...]:
+    """All entries, by date of measurement. HistoryFileError names file and line."""
+    try:
+        lines = read_bytes(path).splitlines()
+    except OSError as error:
+        raise HistoryFileError(f"{path}: cannot be read: {error.strerror}") from None
+    entries = [_entry(line, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
+    for number, entry in enumerate(entries, 1):
+        if entry.arm != arm:
+            raise HistoryFileError(f'{path}, line {number}: expected arm "{arm}", got "{entry.arm}"')
+    return tuple(sorted(entries, key=lambda one: one.measured))
+
+
+def _entry(line: bytes, where: str) -> Entry:
+    try:
+        entry = msgspec.json.decode(line, type=Entry)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise HistoryFileError(
+            f"{where}: not an entry of a history ({error}): expected a line as `calibrate --history` writes it; correct it, or"
+            " take it out"
+        ) from None
+    if entry.format != FORMAT:
+        raise HistoryFileError(f'{where}: expected format "{FORMAT}", got "{entry.format}"')
+    if entry.measured.tzinfo is None:
+        raise HistoryFileError(
+            f"{where}: measured: expected a date with its time zone, such as 2026-11-23T09:00:00Z"
+        )
+    return entry
+
+
+def measured_at(text: str | None) -> datetime.datetime:
+    """The date of --measured (UTC if it names no zone), now if there is none. CalibrationError if it is not a date."""
+    if text is None:
+        return datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    try:
+        found = datetime.datetime.fromisoformat(text)
+    except ValueError:
+        raise CalibrationError(
+            f'--measured: expected a date such as 2026-11-23 or 2026-11-23T09:00, got "{text}"'
+        ) from None
+    return found if found.tzinfo else found.replace(tzinfo=datetime.UTC)
+
+
+# A straight line in time through the geometry of several calibrations, each with its own uncertainty.
+#
+# Few DH parameters are determined by themselves, and which combinations are depends on the parameters. So
+# geometry is compared where it shows, at the tip: each calibration's tips at fixed poses over the
+# workspace, by the full kinematics, relative to the last one's. Their coordinates c are along what
+# parameters can change there (left singular vectors of the tips' derivatives), so that |c|^2 / poses is the
+# mean square at the tip. Then c(t) = start + rate t, by generalised least squares; a step on a given day is
+# fitted in the same way, with its change in the place of the rate.
+
+
+POSES: Final = 150
+DRAWN: Final = 5  # poses over the joints' ranges for each one that is used
+KNOWN: Final = 1e-10  # of the largest eigenvalue of an information matrix, below which nothing is known
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """Coordinates (r,) [m sqrt(poses)]: start at the last calibration, and rate [1/day], or a step's change;
+    covariance (2 r, 2 r) of both.
+
+    scatter: how much more the calibrations scatter than they say, at least 1; freedom: degrees of freedom of that, 0 of two
+    calibrations; chi_squared: of their scatter. toward (r, n): one radian of each joint's zero, halfway; NaN: not in the record.
+    unseen: combinations of geometry that show at the tip and that the calibrations do not tell the drift of.
+    """
+
+    poses_count: int
+    days: float
+    count: int
+    start: Array
+    rate: Array
+    covariance: Array
+    scatter: float
+    freedom: int
+    chi_squared: float
+    toward: Array
+    zeros_rad: Array
+    unseen: int
+
+    @property
+    def information(self) -> Array:
+        """About the rate, whatever the start is, (r, r)."""
+        size = len(self.rate)
+        return np.asarray(np.linalg.pinv(self.covariance[size:, size:], rcond=KNOWN, hermitian=True))
+
+
+def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -> Line | None:
+    """Through all entries that have a geometry, or a step that the entries from that day on are behind; None with fewer than two
+    days.
+    """
+    used = [(one.day, one.geometry) for one in entries if one.geometry is not None]
+    if len({day for day, _ in used}) < 2:
+        return None
+    view = _View(arm, used[0][1], used[-1][1])
+    days = np.array([day for day, _ in used]) - used[-1][0]
+    seen = [view.seen(one) for _, one in used]
+    span = float(-days.min())
+    if step_day is None:
+        passed, unit = days / span, span
+    else:
+        passed, unit = np.array([0.0 if day >= step_day else -1.0 for day, _ in used]), 1.0
+    return _fitted(view, (passed, unit, span), [value for value, _ in seen], [info for _, info in seen])
+
+
+class _View:
+    """The coordinates of what geometry does at the tip, about the last calibration's."""
+
+    def __init__(self, arm: Arm, first: Geometry, last: Geometry) -> None:
+        self._arm, self._model = arm, ArmModel(arm)
+        self._every = dh_names(len(arm.links))
+        self._q = workspace_poses(arm, (), DRAWN * POSES)[:POSES]
+        self.count = len(self._q)
+        self._dh = self._table(last)
+        slopes = self._model.slopes(self._dh, self._q)
+        self._tips = slopes.tips
+        places = [self._every.index(name) for name in last.names if name in self._every]
+        scales = np.array(
+            [scale for name, scale in zip(last.names, last.scales, strict=True) if name in self._every]
+        )
+        by_dh = slopes.by_dh.reshape(-1, len(self._every))
+        left, singular, _ = np.linalg.svd(by_dh[:, places] * scales, full_matrices=False)
+        self._basis = left[:, singular > RANK_TOLERANCE * singular[0]]
+        thetas = list(self._model.theta_places)
+        # Halfway between the first and the last, where a tangent is the chord of a large change.
+        midway = self._model.slopes(0.5 * (self._table(first) + self._dh), self._q).by_dh
+        self.toward = self._basis.T @ midway.reshape(-1, len(self._every))[:, thetas]
+        self.toward[:, [self._every[place] not in last.names for place in thetas]] = np.nan
+        self.zeros_rad = self._dh.ravel()[thetas]
+
+    def seen(self, one: Geometry) -> tuple[Array, Array]:
+        """A calibration's coordinates (r,) and their information (r, r)."""
+        dh = self._table(one)
+        slopes = self._model.slopes(dh, self._q)
+        rows = [k for k, name in enumerate(one.names) if name in self._every]
+        places = [self._every.index(one.names[k]) for k in rows]
+        scales = np.array([one.scales[k] for k in rows])
+        moves = self._basis.T @ slopes.by_dh.reshape(-1, len(self._every))[:, places] * scales
+        lift = np.linalg.pinv(moves, rcond=RANK_TOLERANCE)
+        information = lift.T @ _about(np.array(one.information), rows) @ lift
+        return self._basis.T @ (slopes.tips - self._tips).ravel(), information
+
+    def _table(self, one: Geometry) -> Array:
+        """The DH table (links, 4); what the record lacks is as in arm.toml."""
+        flat = self._arm.dh.ravel().copy()
+        for name, value in zip(one.names, one.values, strict=True):
+            if name in self._every:
+                flat[self._every.index(name)] = value
+        return flat.reshape(-1, 4)
+
+
+def _about(information: Array, rows: list[int]) -> Array:
+    """Information about some unknowns, whatever the others are (Schur complement)."""
+    others = [k for k in range(len(information)) if k not in rows]
+    own = information[np.ix_(rows, rows)]
+    if not others:
+        return own
+    across = information[np.ix_(rows, others)]
+    inverse = np.linalg.pinv(information[np.ix_(others, others)], rcond=KNOWN, hermitian=True)
+    return np.asarray(own - across @ inverse @ across.T)
+
+
+def _fitted(
+    view: _View, time: tuple[Array, float, float], values: list[Array], informations: list[Array]
+) -> Line:
+    """`time`: what has passed until each calibration, -1 to 0; what the rate is per, in days; and the days of the record."""
+    size, (passed, unit, span) = len(values[-1]), time
+    normal, moment = np.zeros((2 * size, 2 * size)), np.zeros(2 * size)
+    rows = [np.array([1.0, day]) for day in passed]
+    for at, value, info in zip(rows, values, informations, strict=True):
+        normal += np.kron(np.outer(at, at), info)
+        moment += np.kron(at, info @ value)
+    covariance: Array = np.asarray(np.linalg.pinv(normal, rcond=KNOWN, hermitian=True), dtype=np.float64)
+    found = (covariance @ moment).reshape(2, size)
+    left = [value - at @ found for at, value in zip(rows, values, strict=True)]
+    chi_squared = sum(float(one @ info @ one) for one, info in zip(left, informations, strict=True))
+    freedom = sum(_rank(info) for info in informations) - _rank(normal)
+    scatter = math.sqrt(max(1.0, chi_squared / freedom)) if freedom else 1.0
+    by_day = np.repeat([1.0, 1.0 / unit], size)
+    of_both: Array = covariance * np.outer(by_day, by_day) * scatter**2
+    return Line(
+        poses_count=view.count,
+        days=span,
+        count=len(values),
+        start=np.asarray(found[0]),
+        rate=np.asarray(found[1] / unit),
+        covariance=of_both,
+        scatter=scatter,
+        freedom=freedom,
+        chi_squared=chi_squared,
+        toward=view.toward,
+        zeros_rad=view.zeros_rad,
+        unseen=2 * size - _rank(normal),
+    )
+
+
+def _rank(information: Array) -> int:
+    values = np.linalg.eigvalsh(information)
+    return int((values > KNOWN * values.max()).sum())
+
+
+# One change between two calibrations, such as a slipped zero, that explains a record which a straight line
+# does not.
+
+
+LEFT_MOST: Final = (
+    0.1  # of a line's excess chi-squared: steady drift, an outlier or mere scatter leaves a step far more
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The calibrations on its two sides; changes of zeros; has_rest: other geometry changed; since: the calibrations behind it;
+    alone: the only calibration of a side, which may be a spoilt one instead.
+    """
+
+    before: Entry
+    after: Entry
+    changes: tuple[Rate, ...]
+    has_rest: bool
+    since: tuple[Entry, ...]
+    alone: Entry | None
+
+
+def step_of(arm: Arm, entries: Sequence[Entry], line: Line) -> Step | None:
+    """The step that explains the calibrations far better than their line; None if none does. Entries are sorted by date."""
+    known = [one for one in entries if one.geometry is not None]
+    places = [k for k in range(1, len(known)) if known[k].day > known[k - 1].day]
+    found = [(step, k) for k in places if (step := line_of(arm, known, known[k].day)) is not None]
+    step, place = min(found, key=lambda one: one[0].chi_squared)
+    if _excess(step) > LEFT_MOST * _excess(line):
+        return None
+    changes, has_rest = by_zeros(step, 1.0)
+    sides = known[:place], known[place:]
+    alone = next((side[0] for side in reversed(sides) if len(side) == 1), None)
+    return Step(known[place - 1], known[place], changes, has_rest, tuple(sides[1]), alone)
+
+
+def _excess(line: Line) -> float:
+    """Chi-squared beyond what the calibrations' own intervals explain."""
+    return max(0.0, line.chi_squared - line.freedom)
+
+
+def step_json(step: Step) -> dict[str, object]:
+    """For programs; SI units."""
+    return {
+        "between": [one.measured.isoformat() for one in (step.before, step.after)],
+        "changes": [
+            {"name": one.name, "change": one.change, "half_interval": one.half, "is_sure": one.drifts}
+            for one in step.changes
+        ],
+        "other_geometry": step.has_rest,
+    }
+
+
+# What drifts and how fast, with intervals: zeros of joints from calibrations, parameters of effects from
+# gaps.
+#
+# The geometry's drift (`calib.ageing.line`) is explained by rates of the joints' zeros as far as it can be;
+# the rest is tested by chi-squared. Scatter beyond the entries' own intervals widens all intervals (Birge's
+# ratio). Two entries give no such check: their intervals are those of their standard deviations alone.
+
+
+YEAR_days: Final = 365.25
+LEVEL: Final = 0.95  # of the intervals that are shown
+SURE: Final = 0.99  # of the interval that must exclude 0, since many quantities are looked at
+UNSTEADY: Final = 0.001  # probability of the scatter under the entries' own intervals, below which it is said
+LEAST: Final = 3  # entries: a straight line through two always fits
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Change in a year, or by a step, in the quantity's unit; `half` of its 95 % interval; drifts: the 99 % interval excludes 0.
+
+    value: at the last of `count` entries. Rate and half are infinite where the entries do not tell.
+    """
+
+    name: str
+    unit: str
+    value: float
+    change: float
+    half: float
+    drifts: bool
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryTrend:
+    """The line through the calibrations, the rates of the joints' zeros, and what they leave.
+
+    rest_drifts: geometry beyond the zeros changes. is_steady: the calibrations lie on the line as well as they say. odd: when
+    they do not, the one without which the others do, if there is one.
+    """
+
+    line: Line
+    zeros: tuple[Rate, ...]
+    rest_drifts: bool
+    is_steady: bool
+    odd: Entry | None
+
+
+def geometry_trend(arm: Arm, entries: Sequence[Entry]) -> GeometryTrend | None:
+    """None with calibrations of fewer than two days."""
+    line = line_of(arm, entries)
+    if line is None:
+        return None
+    is_steady = _is_steady(line)
+    zeros, rest_drifts = by_zeros(line, YEAR_days)
+    return GeometryTrend(line, zeros, rest_drifts, is_steady, None if is_steady else _odd(arm, entries))
+
+
+def by_zeros(line: Line, days: float) -> tuple[tuple[Rate, ...], bool]:
+    """The line's rate over so many `days` as changes of the joints' zeros, and whether they leave more than uncertainty."""
+    from scipy.stats import chi2
+
+    told = np.flatnonzero(np.isfinite(line.toward).all(axis=0))
+    toward, info = line.toward[:, told], line.information
+    covariance = np.linalg.pinv(toward.T @ info @ toward, rcond=KNOWN, hermitian=True)
+    speeds = covariance @ toward.T @ info @ line.rate
+    rest = line.rate - toward @ speeds
+    freedom = max(0, len(line.rate) - len(told))
+    zeros = tuple(
+        _zero(line, joint, days * float(speed), days * math.sqrt(variance))
+        for joint, speed, variance in zip(told.tolist(), speeds, np.diag(covariance), strict=True)
+    )
+    return zeros, freedom > 0 and float(chi2.sf(float(rest @ info @ rest), freedom)) < 1.0 - SURE
+
+
+def _is_steady(line: Line) -> bool:
+    from scipy.stats import chi2
+
+    return not line.freedom or float(chi2.sf(line.chi_squared, line.freedom)) >= UNSTEADY
+
+
+def _odd(arm: Arm, entries: Sequence[Entry]) -> Entry | None:
+    """The only calibration without which LEAST or more others lie on a line."""
+    found = []
+    for one in (one for one in entries if one.geometry is not None):
+        line = line_of(arm, [other for other in entries if other is not one])
+        if line is not None and line.count >= LEAST and line.freedom and _is_steady(line):
+            found.append(one)
+    return found[0] if len(found) == 1 else None
+
+
+def _zero(line: Line, joint: int, change: float, sd: float) -> Rate:
+    half, sure = (_quantile(level, line.freedom) * sd for level in (LEVEL, SURE))
+    return Rate(
+        f"joint {joint + 1}: zero",
+        "rad",
+        float(line.zeros_rad[joint]),
+        change,
+        half,
+        abs(change) > sure,
+        line.count,
+    )
+
+
+def _quantile(level: float, freedom: int) -> float:
+    """Of Student's t; of the normal distribution where nothing checks the standard deviations."""
+    from scipy.stats import norm, t
+
+    upper = 0.5 + 0.5 * level
+    return float(t.ppf(upper, freedom) if freedom else norm.ppf(upper))
+
+
+def quantity_rates(entries: Sequence[Entry]) -> tuple[Rate, ...]:
+    """Of every quantity that entries of at least two days have, by name."""
+    names = sorted({name for one in entries for name in one.quantities})
+    found = (_quantity_rate(name, [one for one in entries if name in one.quantities]) for name in names)
+    return tuple(one for one in found if one is not None)
+
+
+def _quantity_rate(name: str, entries: Sequence[Entry]) -> Rate | None:
+    """Weighted least squares; equal weights, and their scatter alone, where a standard deviation is unknown."""
+    days = np.array([one.day for one in entries]) - entries[-1].day
+    if len(set(days.tolist())) < 2:
+        return None
+    values = np.array([one.quantities[name].value for one in entries])
+    sds = np.array([one.quantities[name].sd or math.nan for one in entries])
+    is_known, freedom = bool(np.isfinite(sds).all()), len(entries) - 2
+    speed, variance, left = _straight(days, values, 1.0 / sds**2 if is_known else np.ones(len(values)))
+    scatter = left / freedom if freedom else (1.0 if is_known else math.inf)
+    sd = math.sqrt(variance * (max(1.0, scatter) if is_known else scatter)) * YEAR_days
+    half, sure = (_quantile(level, freedom) * sd for level in (LEVEL, SURE))
+    change = speed * YEAR_days
+    return Rate(words_of(name), "", float(values[-1]), change, half, abs(change) > sure, len(entries))
+
+
+def _straight(days: Array, values: Array, weights: Array) -> tuple[float, float, float]:
+    """Slope of the line through the values, its variance for unit weights' variance, and chi-squared."""
+    middle = float(weights @ days / weights.sum())
+    across = float(weights @ (days - middle) ** 2)
+    speed = float(weights @ ((days - middle) * values)) / across
+    left = values - float(weights @ values / weights.sum()) - speed * (days - middle)
+    return speed, 1.0 / across, float(weights @ left**2)
+
+
+def words_of(quantity: str) -> str:
+    """backlash2.width_rad: backlash on joint 2: width_rad."""
+    effect, _, parameter = quantity.partition(".")
+    kind = effect.rstrip("0123456789")
+    number = effect.removeprefix(kind)
+    return f"{EffectName(kind, int(number) if number else None)}: {parameter}"
+
+
+# When the next calibration is due: when the tip, by the trend, has drifted from what the arm's file says by
+# a tolerance.
+
+
+DRAWS: Final = 4000
+RISK: Final = 0.05  # of being later than the tolerance
+FURTHEST: Final = 3.0  # times the recorded days: a line says nothing of what comes much later
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """Days after the last calibration. `days`: until then the tip keeps the tolerance with a probability of 1 - RISK.
+
+    middle_days: in the median. furthest_days: later than that is not said; both are at most this. now_m: root mean square of
+    what the last calibration itself leaves uncertain.
+    """
+
+    tolerance_m: float
+    days: float
+    middle_days: float
+    furthest_days: float
+    now_m: float
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the tolerance is kept for as long as the record can say."""
+        return self.days >= self.furthest_days
+
+
+def due(line: Line, tolerance_m: float) -> Due | None:
+    """By the drift of the geometry, root mean square over the workspace; None with fewer than LEAST calibrations."""
+    if line.count < LEAST:
+        return None
+    start, speed = _drawn(line)
+    constant, mixed, square = (
+        np.einsum("dr,dr->d", one, other) / line.poses_count
+        for one, other in ((start, start), (start, speed), (speed, speed))
+    )
+    days = _first_day(constant, mixed, square, tolerance_m)
+    furthest = FURTHEST * line.days
+    early, middle = (min(float(np.quantile(days, share, method="lower")), furthest) for share in (RISK, 0.5))
+    return Due(tolerance_m, early, middle, furthest, math.sqrt(float(constant.mean())))
+
+
+def _drawn(line: Line) -> tuple[Array, Array]:
+    """Draws of the line's start and rate, (draws, r) each."""
+    size, rng = len(line.rate), np.random.default_rng(0)
+    values, vectors = np.linalg.eigh(line.covariance)
+    normal = rng.standard_normal((DRAWS, 2 * size)) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    if line.freedom:  # Student's t
+        normal *= np.sqrt(line.freedom / rng.chisquare(line.freedom, DRAWS))[:, None]
+    return line.start + normal[:, :size], line.rate + normal[:, size:]
+
+
+def _first_day(constant: Array, mixed: Array, square: Array, tolerance_m: float) -> Array:
+    """The first day on which constant + 2 mixed t + square t^2 reaches the tolerance's square."""
+    room = tolerance_m**2 - constant
+    with np.errstate(divide="ignore", invalid="ignore"):
+        days = (-mixed + np.sqrt(np.maximum(0.0, mixed**2 + square * room))) / square
+    return np.where(room <= 0.0, 0.0, np.where(square > 0.0, days, math.inf))
+
+
+# The trend in sentences, as text and as JSON.
+
+
+MILLI = 1e3
+CLOCKS_DIFFER = datetime.timedelta(days=1)  # of computers, and of dates that name no zone
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """All that `armwright trend` says. step: what changed at once, if that explains the record; geometry: of the calibrations
+    since then, None if they are fewer than two; due: None if not asked for, or not to be told; now: when it is said.
+    """
+
+    arm: str
+    entries: tuple[Entry, ...]
+    geometry: GeometryTrend | None
+    quantities: tuple[Rate, ...]
+    tolerance_m: float | None
+    due: Due | None
+    step: Step | None
+    now: datetime.datetime
+
+    @property
+    def rates(self) -> tuple[Rate, ...]:
+        """Of zeros and named effects."""
+        return (*(self.geometry.zeros if self.geometry else ()), *self.quantities)
+
+
+def trend_of(
+    arm: Arm, entries: Sequence[Entry], tolerance_m: float | None = None, now: datetime.datetime | None = None
+) -> Trend:
+    """The trend of an arm's history, sorted by date."""
+    geometry = geometry_trend(arm, entries)
+    step = None if geometry is None or geometry.is_steady else step_of(arm, entries, geometry.line)
+    if step is not None:
+        geometry = geometry_trend(arm, step.since)
+    when = due(geometry.line, tolerance_m) if geometry is not None and tolerance_m is not None else None
+    moment = now or datetime.datetime.now(datetime.UTC)
+    return Trend(arm.name, tuple(entries), geometry, quantity_rates(entries), tolerance_m, when, step, moment)
+
+
+def sentences(trend: Trend) -> tuple[str, ...]:
+    """What the trend says, the most useful first."""
+    return tuple(_sentences(trend))
+
+
+def _sentences(trend: Trend) -> Iterator[str]:
+    calibrations = sum(one.geometry is not None for one in trend.entries)
+    gaps = sum(bool(one.quantities) for one in trend.entries)
+    yield f"Arm {trend.arm}: {_count(calibrations, 'calibration')} and {_count(gaps, 'gap')} on record."
+    yield from _about_dates(trend)
+    if trend.step is not None:
+        yield from _about_step(trend.step)
+        calibrations = len(trend.step.since)
+    few = [what for what, count in (("calibrations", calibrations), ("gaps", gaps)) if 1 < count < LEAST]
+    if calibrations < 2 and not trend.quantities:
+        yield "Drift shows between two calibrations of different days: calibrate again with --history, some weeks later."
+        return
+    if few:
+        yield (
+            f"A line through two points always fits: with {LEAST} {' and '.join(few)} or more, the rates are checked"
+            " against their scatter."
+        )
+    drifting = [one for one in trend.rates if one.drifts]
+    for one in drifting:
+        yield f"{one.name} drifts by {_rate(one)} a year."
+    if trend.rates and not drifting:
+        yield "No drift is seen beyond what the records leave uncertain."
+    yield from _about_geometry(trend)
+    yield from _about_due(trend)
+
+
+def _count(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _about_dates(trend: Trend) -> Iterator[str]:
+    ahead = [str(one.measured.date()) for one in trend.entries if one.measured > trend.now + CLOCKS_DIFFER]
+    if ahead:
+        yield (
+            f"Dated in the future: {', '.join(ahead)} (today is {trend.now.date()}). Correct `measured` of these lines of the"
+            " history: rates and dates below count them as they are."
+        )
+
+
+def _about_step(step: Step) -> Iterator[str]:
+    changes = [f"{one.name} by {_rate(one)}" for one in step.changes if one.drifts]
+    if step.has_rest:
+        changes.append("other geometry")
+    count = _count(len(step.since), "calibration")
+    yield (
+        f"Between {step.before.measured.date()} and {step.after.measured.date()} the arm changed at once:"
+        f" {', '.join(changes)}. Look for what slipped, was hit or was exchanged. The rest is about the {count} since then."
+    )
+    if step.alone is not None:
+        yield (
+            f"Only the calibration of {step.alone.measured.date()} is on its side of that: if it was spoilt, take its line out"
+            " of the history."
+        )
+
+
+def _about_geometry(trend: Trend) -> Iterator[str]:
+    found = trend.geometry
+    if found is None:
+        return
+    if found.rest_drifts:
+        yield "Geometry changes beyond the joints' zeros: look for a loose link, a bent part, or a base that moved."
+    if found.odd is not None:
+        yield (
+            f"The calibration of {found.odd.measured.date()} contradicts the others, which lie on a line: if it was spoilt, take"
+            " its line out of the history; if the arm was changed and changed back, keep in mind when."
+        )
+    if not found.is_steady:
+        yield (
+            f"The calibrations scatter {found.line.scatter:.1f} times as much as their intervals say: the change is not steady,"
+            " or something else changes, such as the temperature. The intervals count this scatter."
+        )
+    if found.line.unseen:
+        yield "Some of the geometry is not determined by these calibrations: its drift would not be seen."
+
+
+def _about_due(trend: Trend) -> Iterator[str]:
+    if trend.tolerance_m is None:
+        return
+    limit = f"{MILLI * trend.tolerance_m:.3g} mm"
+    if trend.due is None:
+        yield (
+            f"The next date cannot be estimated for {limit} yet: that needs at least {LEAST} calibrations on different days."
+        )
+        return
+    last = [one for one in trend.entries if one.geometry is not None][-1].measured
+    if trend.due.days <= 0.0:
+        steady = trend.geometry is None or trend.geometry.is_steady
+        yield (
+            f"{'The calibrations leave' if steady else 'That scatter leaves'} {MILLI * trend.due.now_m:.2g} mm uncertain on the"
+            f" day of the last one (root mean square over the workspace): {limit} cannot be promised on any day."
+            f" {'More poses, or more calibrations, are needed.' if steady else 'Find its cause first.'}"
+        )
+    elif trend.due.is_open:
+        yield (
+            f"The tip drifts by less than {limit} for at least {trend.due.furthest_days:.0f} days after {last.date()}"
+            " (root mean square over the workspace, 95 % probability); the record is too short to say more."
+        )
+    else:
+        by = last + datetime.timedelta(days=trend.due.days)
+        middle = trend.due.middle_days
+        most = "beyond what the record can say" if middle >= trend.due.furthest_days else f"{middle:.0f} days"
+        yield (
+            f"Calibrate again by {by.date()}, {trend.due.days:.0f} days after the last: until then the tip drifts by less than"
+            f" {limit} (root mean square over the workspace) with a probability of 95 %. Median: {most}."
+            f"{' That date has passed.' if by < trend.now else ''}"
+        )
+
+
+def as_text(trend: Trend) -> str:
+    """What the command prints."""
+    rows = [f"  {one.name:<44}{_value(one):>12}{_rate(one):>36}{one.count:>9}" for one in trend.rates]
+    head = f"  {'':<44}{'last':>12}{'change in a year (95 %)':>36}{'records':>9}"
+    table = ["", head, *rows] if rows else []
+    return "\n".join([*sentences(trend), *table]) + "\n"
+
+
+def trend_json(trend: Trend) -> dict[str, object]:
+    """For programs; SI units, changes per year."""
+    found = trend.geometry
+    return {
+        "format": "trend/1",
+        "arm": trend.arm,
+        "entries": len(trend.entries),
+        "rates": [
+            {
+                "name": one.name,
+                "value": one.value,
+                "per_year": _finite(one.change),
+                "half_interval": _finite(one.half),
+                "drifts": one.drifts,
+                "records": one.count,
+            }
+            for one in trend.rates
+        ],
+        "step": step_json(trend.step) if trend.step else None,
+        "scatter": found.line.scatter if found else None,
+        "other_geometry_drifts": found.rest_drifts if found else None,
+        "tolerance_m": trend.tolerance_m,
+        "due": None
+        if trend.due is None
+        else {
+            "days": trend.due.days,
+            "median_days": trend.due.middle_days,
+            "not_said_beyond_days": trend.due.furthest_days,
+            "now_rms_m": trend.due.now_m,
+        },
+        "in_words": list(sentences(trend)),
+    }
+
+
+def _rate(one: Rate) -> str:
+    if not math.isfinite(one.half):
+        return "cannot be told"
+    scale, unit = (MILLI, " mrad") if one.unit == "rad" else (1.0, "")
+    low, high = one.change - one.half, one.change + one.half
+    return f"{scale * one.change:.3g}{unit} ({scale * low:.3g} to {scale * high:.3g})"
+
+
+def _value(one: Rate) -> str:
+    return f"{MILLI * one.value:.4g} mrad" if one.unit == "rad" else f"{one.value:.4g}"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

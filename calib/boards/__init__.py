@@ -1,1 +1,0 @@
-"""Poses of calibration boards: markers, registration, outliers."""

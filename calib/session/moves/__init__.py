@@ -1,1 +1,0 @@
-"""How a session moves the arm: its ports, clear paths, approaches, transfers."""

@@ -1,1 +1,0 @@
-"""Motions that a hand has shown: another arm follows them, or the arm repeats them."""

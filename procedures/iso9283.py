@@ -1,0 +1,397 @@
+"""Runs the test programmes of calib.iso9283 on an arm with a camera, or on its mock, and evaluates what was
+recorded.
+
+In: a test cube and an extent. Out: points.csv, log.csv and programme.json, each record on disk before the arm
+goes on; then iso9283.json and iso9283.html.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.inputs import InputFile, input_file
+from calib.iso9283.criteria.checks import Iso9283Error
+from calib.iso9283.cube import Point, TestCube
+from calib.iso9283.evaluation import evaluate
+from calib.iso9283.files import RecordFile, log_header, points_header, text
+from calib.iso9283.page import write_page
+from calib.iso9283.programme import Extent, PathRun, Step, Visit, path_programme, programme_document, steps
+from calib.iso9283.recorded import PoseGroup, Run, pose_groups, read_rectangle, read_runs
+from calib.iso9283.result import Evaluation, write_document
+from calib.iso9283.workspace import Solver, solver_of
+from calib.points.arm_points import require_recorded_of
+from calib.points.reading import read_points
+from control.errors import ArmError
+from control.files import write_whole
+from control.hardware.averaging import Average
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
+from control.motion.plan import PlannedPath, plan_path
+from control.progress import Advance
+from control.recording.frame_decoder import row_type
+from control.recording.parts import has_part, next_part
+from control.recording.reading import Recording, RowReader
+from control.server.client import ArmClient
+from procedures.arm_sheet import torque_limit_Nm
+from procedures.mock import saved_mock
+
+# Runs the test programmes on an arm and saves the measurements: points.csv, log.csv, programme.json.
+#
+# Each visit and each run is saved before the arm continues, and an interrupted recording is resumed if it
+# is started again with the same folder and programme.
+
+
+DWELL_S = 0.2  # after a move, before the average: the arm comes to rest
+AVERAGE_S = 0.2  # 20 camera frames
+FLUSH_S = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
+KEEP_EVERY = 5  # cycles of a path without a camera
+_SPEED_ROUNDS = 6
+_BETWEEN = 24  # samples between two poses: 20 mm apart for the longest moves
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """A homed and holding arm: its client, the runtime's recording, and who attaches loads."""
+
+    arm: Arm
+    client: ArmClient
+    recording: Path
+    hang: Callable[[float], None] | None
+    speed: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """The checked plan: steps with the joint angles of their poses."""
+
+    document: dict[str, object]
+    steps: tuple[Step, ...]
+    q_rad: dict[Point, tuple[float, ...]]
+    paths: dict[tuple[Point, ...], dict[float, PlannedPath]]
+
+
+def rated_speed_m_s(arm: Arm, cube: TestCube) -> float:
+    """The largest speed on the test's straight line that needs no slowing, at most the tip's limit."""
+    speed = arm.limits.tip_speed_m_s
+    line = next(path_programme(cube, 1, (1.0,), 1.0))
+    near = _solved(solver_of(arm, cube), line.points_m[0])
+    for _ in range(_SPEED_ROUNDS):
+        planned = plan_path(arm, line.points_m, [speed * share for share in line.speeds_m_s], q_near_rad=near)
+        if not planned.slowdowns:
+            break
+        speed = math.floor(100.0 * speed / max(s.factor for s in planned.slowdowns)) / 100.0
+    return speed
+
+
+def largest_load_kg(arm: Arm, cube: TestCube) -> float:
+    """The load at P1 that the loop does not take for a collision: nobody tells it of the loads of this test.
+
+    A mass m at the tip needs the torques m J'(q) g, of which a share `limits.unexplained_torque` of each joint's limit may be.
+    """
+    q_rad = _solved(solver_of(arm, cube), cube.poses()["P1"])
+    per_kg = np.abs(np.array(arm.gravity_m_s2) @ Kinematics(arm).jacobians([q_rad])[0])
+    allowed_Nm = arm.limits.unexplained_torque * np.array([torque_limit_Nm(drive) for drive in arm.drives])
+    return float((allowed_Nm / np.maximum(per_kg, 1e-9)).min())
+
+
+def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
+    """Solve every pose and plan every path; ArmError or Iso9283Error name the obstacle, and nothing moves."""
+    if extent.rated_load_kg > (most_kg := largest_load_kg(arm, cube)):
+        raise Iso9283Error(
+            f"--rated-load-kg: expected at most {most_kg:.2f} kg, got {extent.rated_load_kg:g} kg: the loop would take more"
+            " at P1 for a collision ([limits] unexplained_torque)"
+        )
+    solver = solver_of(arm, cube)
+    todo = tuple(steps(cube, extent, rated_m_s))
+    visits = [step for step in todo if isinstance(step, Visit)]
+    tips = {p for v in visits for p in (v.tip_m, v.via_m) if p is not None}
+    q_rad = {tip: _solved(solver, tip) for tip in tips}
+    _require_clear(arm, list(q_rad.values()))
+    paths: dict[tuple[Point, ...], dict[float, PlannedPath]] = {}
+    inverse, kinematics = InverseKinematics(arm), Kinematics(arm)
+    for step in todo:
+        if isinstance(step, PathRun) and step.speed_m_s not in paths.setdefault(step.points_m, {}):
+            near = _solved(solver, step.points_m[0])
+            paths[step.points_m][step.speed_m_s] = plan_path(
+                arm, step.points_m, step.speeds_m_s, q_near_rad=near, inverse=inverse, kinematics=kinematics
+            )
+    return Planned(programme_document(cube, extent, rated_m_s), todo, q_rad, paths)
+
+
+def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
+    """Run the plan; records go to `out`. Resumes an earlier recording of the same programme."""
+    out.mkdir(parents=True, exist_ok=True)
+    _note_programme(out / "programme.json", planned.document)
+    n = bench.arm.joint_count
+    with (
+        RecordFile(out / "points.csv", points_header(n)) as points,
+        RecordFile(out / "log.csv", log_header(n)) as log,
+    ):
+        recorder = _Recorder(bench, planned, points, log)
+        try:
+            for done, step in enumerate(planned.steps):
+                advance(_step_name(step), done / len(planned.steps))
+                recorder.take(step)
+        finally:
+            recorder.take_off_load()
+    advance("recorded", 1.0)
+
+
+class _Recorder:
+    """Executes the steps in order."""
+
+    def __init__(self, bench: Bench, planned: Planned, points: RecordFile, log: RecordFile) -> None:
+        self._bench, self._planned, self._points, self._log = bench, planned, points, log
+        self._rows = RunRows(bench.recording)
+        self._load_kg = 0.0
+        self._began_s: dict[str, float] = {}
+        self._visited = {(r["setup"], r["point"], r["repeat"]) for r in points.rows}
+        self._ran = {(r["programme"], r["speed_m_s"], r["cycle"]) for r in log.rows}
+        self._run = max((int(r["run"]) for r in log.rows), default=0)
+
+    def take(self, step: Step) -> None:
+        """Do one step and record it, unless that was done before."""
+        if isinstance(step, PathRun):
+            key = (step.programme, text(step.speed_m_s, 6), str(step.cycle))
+            if key not in self._ran:
+                self._travel(step)
+        elif (step.setup, step.point, str(step.repeat)) not in self._visited:
+            self._visit(step)
+
+    def take_off_load(self) -> None:
+        """Remove the load from the tip."""
+        if self._load_kg:
+            self._hang(0.0)
+
+    def _visit(self, step: Visit) -> None:
+        client, speed = self._bench.client, self._bench.speed
+        self._hang(step.payload_kg)
+        self._wait_until(step)
+        if step.via_m is not None:
+            client.move_joints(self._planned.q_rad[step.via_m], speed)
+            client.wait(DWELL_S)
+        self._rows.skip()
+        client.move_joints(self._planned.q_rad[step.tip_m], speed)
+        client.wait(DWELL_S)
+        mean = client.average(AVERAGE_S)
+        self._points.append([_points_row(step, mean)])
+        if step.recorded:
+            self._keep(step.recorded, str(step.repeat), "", step.payload_kg, every=1)
+
+    def _travel(self, step: PathRun) -> None:
+        client, path = self._bench.client, self._planned.paths[step.points_m][step.speed_m_s]
+        client.move_joints(path.q_start_rad, self._bench.speed)
+        client.wait(DWELL_S)
+        self._rows.skip()
+        client.run_path(path.to_message())
+        self._keep(step.programme, str(step.cycle), text(step.speed_m_s, 6), 0.0, every=KEEP_EVERY)
+
+    def _keep(self, programme: str, cycle: str, speed: str, payload_kg: float, every: int) -> None:
+        """Write the last run's rows to log.csv: those with a camera frame, or every `every`-th."""
+        client, n = self._bench.client, self._bench.arm.joint_count
+        client.wait(FLUSH_S)
+        rows = self._rows.of_run(int(client.status()["run"]))
+        if not len(rows):
+            raise ArmError(
+                f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk"
+            )
+        is_kept = np.isfinite(rows["x_m"]) if every > 1 else np.ones(len(rows), dtype=bool)
+        is_kept[::every] = True
+        self._run += 1
+        of_encoders = [f.format(j) for f in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1)]
+        of_joints = [name.replace("q", "joint", 1) for name in of_encoders]
+        # without gear or encoder effects, joint angles equal encoder angles, and only those are recorded
+        names = of_encoders + (of_joints if of_joints[0] in (rows.dtype.names or ()) else of_encoders)
+        start_s = float(rows["t_s"][0])
+        self._log.append(
+            [
+                str(self._run), text(float(row["t_s"]) - start_s, 6), programme, cycle, speed,
+                *(text(float(row[name])) for name in names), text(payload_kg, 6),
+                *(text(float(row[name]), 7) for name in ("x_m", "y_m", "z_m")),
+            ]
+            for row in rows[is_kept]
+        )  # fmt: skip
+
+    def _hang(self, mass_kg: float) -> None:
+        if mass_kg == self._load_kg:
+            return
+        if self._bench.hang is None:
+            raise ArmError("no operator can attach loads to the tip: omit the programme `load`")
+        self._bench.hang(mass_kg)
+        self._load_kg = mass_kg
+
+    def _wait_until(self, step: Visit) -> None:
+        """Wait until the step is due, counted from the first of its programme."""
+        if not step.setup.startswith("drift_"):
+            return
+        now_s = float(self._bench.client.status()["t_s"])
+        left_s = self._began_s.setdefault("drift", now_s) + step.not_before_s - now_s
+        if left_s > 0.0:
+            self._bench.client.wait(left_s)
+
+
+def _points_row(step: Visit, mean: Average) -> Sequence[str]:
+    tip = mean.tip_m or (float("nan"),) * 3
+    return [
+        step.setup, step.point, str(step.repeat), text(mean.t_s, 3), text(step.payload_kg, 6),
+        *map(text, mean.q_rad), *map(str, mean.direction), *(text(i, 4) for i in mean.current_A),
+        *(text(x, 7) for x in tip), *map(text, step.tip_m), *map(text, mean.q_std_rad),
+    ]  # fmt: skip
+
+
+def _step_name(step: Step) -> str:
+    if isinstance(step, PathRun):
+        return f"{step.programme} at {step.speed_m_s:.3g} m/s, cycle {step.cycle}"
+    return f"{step.setup}: {step.point}, {step.repeat}"
+
+
+def _solved(solver: Solver, tip: Point) -> tuple[float, ...]:
+    return solver(np.asarray(tip))
+
+
+def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
+    """Iso9283Error if a joint move between any two of the poses takes the tip to the floor.
+
+    From rest to rest, joint moves are straight lines in the space of the joints (control.motion.joint_move).
+    """
+    floor_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m
+    kinematics, shares = Kinematics(arm), np.linspace(0.0, 1.0, _BETWEEN)[:, None]
+    angles = np.unique(np.round(np.array(poses), 9), axis=0)
+    for k, q in enumerate(angles):
+        between = (q + shares[None] * (angles[k:, None, :] - q)).reshape(-1, arm.joint_count)
+        lowest_m = float(kinematics.tips(between)[:, 2].min())
+        if lowest_m < floor_m:
+            raise Iso9283Error(
+                f"arm {arm.name}: a joint move between test poses could take the tip to z = {lowest_m:.3f} m, below"
+                f" the floor at {floor_m:g} m: choose a higher cube (--cube-centre, --cube-edge)"
+            )
+
+
+def _note_programme(path: Path, document: dict[str, object]) -> None:
+    """Write programme.json; Iso9283Error if the folder holds the records of another programme."""
+    wanted = json.dumps(document, indent=2) + "\n"
+    if path.exists() and path.read_text(encoding="utf-8") != wanted:
+        raise Iso9283Error(
+            f"{path}: contains the records of another programme or cube: choose another folder with --out, or give"
+            " the same options to continue"
+        )
+    write_whole(path, wanted)
+
+
+# The rows of a run, taken from the runtime's recording while it is still being written.
+
+
+class RunRows:
+    """Reads the new rows of a growing recording, across its files."""
+
+    def __init__(self, recording: Path) -> None:
+        opened = self._open(recording)
+        self._row = row_type(opened.layout.names, opened.layout.packing)
+
+    def skip(self) -> None:
+        """Skip all rows so far."""
+        self._read()
+
+    def of_run(self, number: int) -> npt.NDArray[np.void]:
+        """New rows of a run, as a structured array with the recording's names; an incomplete last row is left."""
+        rows = np.frombuffer(self._read(), dtype=self._row)
+        return np.asarray(rows[rows["run"] == number])
+
+    def _open(self, path: Path) -> Recording:
+        opened = Recording.open(path)
+        self._path, self._reader = path, RowReader(opened)
+        return opened
+
+    def _read(self) -> bytes:
+        """Complete rows not read yet; a part is finished once there is a next one."""
+        read = b""
+        while True:
+            is_finished = has_part(next_part(self._path))
+            read += self._reader.new()
+            if not is_finished:
+                return read
+            self._open(next_part(self._path))
+
+
+# The test programmes on a mock arm in this process, on the stepped clock.
+
+
+def record_on_mock(
+    arm: Arm, scenario: str, seed: int | None, planned: Planned, out: Path, speed: float, advance: Advance
+) -> None:
+    """Home a mock of `arm` and run the plan; its scenario is saved in `out`, its recordings in `out`/log."""
+    advance("homing", 0.0)
+    with saved_mock(arm, scenario, seed, out, speed) as (bench, client, recording):
+        record(Bench(arm, client, recording, bench.rig.set_payload, speed), planned, out, advance)
+
+
+# Evaluates recorded files to iso9283.json and iso9283.html.
+
+
+def evaluate_files(
+    arm: Arm,
+    points: Path,
+    logs: Sequence[Path],
+    others: Sequence[Path],
+    programme: Path | None,
+    band_m: float | None,
+    out: Path,
+    notes: Sequence[str] = (),
+    is_as_given: bool = False,
+) -> tuple[Evaluation, tuple[str, ...]]:
+    """Evaluate, write iso9283.json and iso9283.html into `out`; returns the evaluation and warnings about the files."""
+    require_recorded_of(arm, points)
+    groups, point_notes, warnings = _poses(points, arm, is_as_given)
+    for log in logs:
+        if log.suffix == ".armlog":
+            raise Iso9283Error(
+                f"{log}: a recording, expected log.csv: `armwright export {log} --out DIR` makes one"
+            )
+    runs: list[Run] = [run for log in logs for run in read_runs(log, arm, is_as_given)]
+    visited = {str(other): _poses(other, arm, is_as_given)[0] for other in others}
+    corners = read_rectangle(programme) if programme is not None else None
+    found = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*point_notes, *notes))
+    inputs = [
+        input_file(points, "poses"),
+        *(input_file(log, "runs") for log in logs),
+        *(input_file(other, "poses of another arm") for other in others),
+        *([input_file(programme, "test programme")] if programme is not None else []),
+    ]
+    _write(arm, found, inputs, out)
+    return found, warnings
+
+
+def _poses(
+    path: Path, arm: Arm, is_as_given: bool
+) -> tuple[list[PoseGroup], tuple[str, ...], tuple[str, ...]]:
+    if path.suffix == ".armlog":
+        raise Iso9283Error(f"{path}: a recording, expected points.csv")
+    points, warnings = read_points(path)
+    groups, notes = pose_groups(replace(points, is_as_given=is_as_given), arm, str(path))
+    own = ("_set_m", "_set_rad", "a_rad", "b_rad", "c_rad", "_N")
+    unknown = [n for n in points.extra if not n.endswith(own) and not n.endswith("_sd_rad")]
+    return groups, notes, warnings if unknown else ()
+
+
+def _write(arm: Arm, found: Evaluation, inputs: Sequence[InputFile], out: Path) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    program = f"armwright {version('armwright')}"
+    about = {
+        "arm": arm.name,
+        "date": date,
+        "program_version": program,
+        "inputs": {entry.name: entry.sha256 for entry in inputs},
+    }
+    write_document(out / "iso9283.json", found, about)
+    write_page(out / "iso9283.html", found, arm.name, date, program, inputs)

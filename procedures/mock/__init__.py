@@ -1,1 +1,0 @@
-"""A mock arm with its runtime for any procedure, stepped in this process or in real time in others."""
