@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.weighted import whole_problem
-from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.calibration.base_points import points_in_base
+from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify import identify
 from calib.identify.objective import objective_named
