@@ -23,6 +23,8 @@ DEVICE_TYPE = Entry(0x1000, 0, "u32")
 VENDOR, PRODUCT, REVISION, SERIAL = (Entry(0x1018, sub, "u32") for sub in (1, 2, 3, 4))
 HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER = Entry(0x1016, 1, "u32"), Entry(0x1017, 0, "u16")
 ABORT_CONNECTION, QUICK_STOP_OPTION = Entry(0x6007, 0, "i16"), Entry(0x605A, 0, "i16")
+FAULT_REACTION, FOLLOWING_ERROR_WINDOW = Entry(0x605E, 0, "i16"), Entry(0x6065, 0, "u32")
+NO_WINDOW = 0xFFFF_FFFF  # of 0x6065: the drive watches no following error
 CONTROLWORD, STATUSWORD = Entry(0x6040, 0, "u16"), Entry(0x6041, 0, "u16")
 MODE = Entry(0x6060, 0, "i8")
 POSITION, TARGET_POSITION = Entry(0x6064, 0, "i32"), Entry(0x607A, 0, "i32")
@@ -37,7 +39,8 @@ _RPDO_1 = struct.Struct("<Hbi")
 _RPDO_2 = struct.Struct("<h")
 _TPDO_1 = struct.Struct("<Hih")
 _TPDO_2 = {(SUPPLY, INPUTS): struct.Struct("<II"), (INPUTS,): struct.Struct("<I")}
-SUPPLY_EVERY_s = 0.1  # where it is asked for by SDO; far below the time in which `[limits]` wants to know it
+SUPPLY_EVERY_s = 0.1  # where it is asked for by SDO
+SUPPLY_LATE_s = 0.5  # an older one says nothing of the supply now
 HOME_INPUT = 1 << 2  # of 0x60FD
 
 
@@ -88,6 +91,7 @@ class Cia402Drive:
         self.at_s = -math.inf
         """When the drive measured them: the SYNC before they came."""
         self.supply_mV: int | None = None
+        self._supply_at_s = self._inputs_at_s = -math.inf
         self._inputs = 0  # object 0x60FD
         self.errors: list[int] = []
         """Codes of emergency messages since the last acknowledged fault; 0x0000 is "no error" and not kept."""
@@ -127,6 +131,16 @@ class Cia402Drive:
         return self.at_s
 
     @property
+    def heard_at_s(self) -> float:
+        """When it measured the oldest of its values; a supply that is asked for by SDO counts as of now until it is late."""
+        mapped_at_s = min(self.at_s, self._inputs_at_s)
+        return min(mapped_at_s, self._supply_at_s + SUPPLY_LATE_s) if self._supply_by_sdo else mapped_at_s
+
+    @property
+    def _supply_by_sdo(self) -> Entry | None:
+        return None if SUPPLY in self._slow else self._maker.supply
+
+    @property
     def is_switch_on(self) -> bool:
         """Whether its home input is on."""
         return bool(self._inputs & HOME_INPUT)
@@ -152,15 +166,17 @@ class Cia402Drive:
 
     def ask_supply(self) -> None:
         """Ask for the supply from time to time, where it cannot be mapped; does not wait."""
-        entry = self._maker.supply
-        if entry is None or SUPPLY in self._slow:
+        if (entry := self._supply_by_sdo) is None:
             return
         if (answer := self._answers.pop((entry.at, entry.sub), None)) is not None and not answer.abort:
-            self.supply_mV = wire.unpacked(entry.kind, answer.data) * self._maker.supply_unit_mV
+            self._take_supply(wire.unpacked(entry.kind, answer.data), self._supply_asked_at_s)
         now_s = self._bus.clock.now_s()
         if now_s - self._supply_asked_at_s >= SUPPLY_EVERY_s and self._asked_max is None:
             self._supply_asked_at_s = now_s
             self._bus.link.send(wire.SDO_REQUEST + self.node, wire.read_request(entry))
+
+    def _take_supply(self, value: int, asked_at_s: float) -> None:
+        self.supply_mV, self._supply_at_s = value * self._maker.supply_unit_mV, asked_at_s
 
     @property
     def force_limit(self) -> Entry:
@@ -255,6 +271,8 @@ class Cia402Drive:
         except RequestRefused:
             self._slow = (INPUTS,)
             self._map(0x1801, 0x1A01, wire.TPDO_2, self._slow)
+        if (entry := self._supply_by_sdo) is not None:
+            self._take_supply(self.read(entry), self._bus.clock.now_s())
 
     def _map(self, communication: int, mapping: int, base: int, entries: tuple[Entry, ...]) -> None:
         """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid."""
@@ -307,6 +325,12 @@ class Cia402Drive:
         """Read an object. Raises BoardSilent, RequestRefused."""
         return wire.unpacked(entry.kind, self._ask(entry, wire.read_request(entry)).data)
 
+    def read_if_there(self, entry: Entry) -> int | None:
+        """Read an object; None where the drive does not have it. Raises BoardSilent."""
+        with contextlib.suppress(RequestRefused):
+            return self.read(entry)
+        return None
+
     def write(self, entry: Entry, value: int) -> None:
         """Write an object. Raises BoardSilent, RequestRefused."""
         self._ask(entry, wire.write_request(entry, value))
@@ -345,6 +369,7 @@ class Cia402Drive:
         layout = _TPDO_2[self._slow]
         if len(payload) == layout.size:
             *supply_mV, self._inputs = layout.unpack(payload)
+            self._inputs_at_s = self._bus.synced_at_s
             if supply_mV:
                 self.supply_mV = supply_mV[0]
 
@@ -363,6 +388,7 @@ class Cia402Drive:
     def _restarted(self) -> None:
         self.resets += 1
         self.state, self.at_s = None, -math.inf
+        self._supply_at_s = self._inputs_at_s = -math.inf
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         self._bus.problems.append(
             BoardReset(

@@ -42,6 +42,8 @@ class Cia402Setup:
     rated_torque_Nm: float = 0.5
     vendor: int = 0x0000_0402
     product: int = 0x0000_0001
+    fault_reaction: int = 2  # 0x605E: slow down by the quick stop ramp
+    following_error_window: int = 0xFFFF_FFFF  # 0x6065: none
 
     @property
     def is_epos4(self) -> bool:
@@ -308,8 +310,8 @@ class Cia402Mock:
             self.output = self._by_mode(step_s)
         elif self.state is State.QUICK_STOP:
             self.output = self._to_position(self._held, step_s)
-        elif self.state in (State.FAULT_REACTION, State.FAULT):
-            self.output = Output("voltage", 0.0)  # after its reaction, the power stage shorts the windings
+        elif self.state is State.FAULT_REACTION and self.objects[0x605E, 0][1]:
+            self.output = Output("voltage", 0.0)  # it slows down
         else:
             self.output = OPEN
 
@@ -357,7 +359,8 @@ def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
         (0x1018, 0): ("u8", 4), (0x1018, 1): ("u32", setup.vendor), (0x1018, 2): ("u32", setup.product),
         (0x1018, 3): ("u32", 0x0001_0000), (0x1018, 4): ("u32", setup.serial_number),
         (0x6007, 0): ("i16", 1), (0x603F, 0): ("u16", 0), (0x6040, 0): ("u16", 0), (0x6041, 0): ("u16", 0),
-        (0x605A, 0): ("i16", 2), (0x6060, 0): ("i8", 0), (0x6061, 0): ("i8", 0), (0x6064, 0): ("i32", 0),
+        (0x605A, 0): ("i16", 2), (0x605E, 0): ("i16", setup.fault_reaction), (0x6065, 0): ("u32", setup.following_error_window),
+        (0x6060, 0): ("i8", 0), (0x6061, 0): ("i8", 0), (0x6064, 0): ("i32", 0),
         (0x606C, 0): ("i32", 0), (0x6071, 0): ("i16", 0), (0x6077, 0): ("i16", 0), (0x607A, 0): ("i32", 0),
         **(_of_epos4(setup) if setup.is_epos4 else _plain(setup)),
         (0x60C2, 0): ("u8", 2), (0x60C2, 1): ("u8", 1), (0x60C2, 2): ("i8", -3),

@@ -24,16 +24,26 @@ from control.hardware.words import (
 )
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
+from control.model.limits import Limits
 from firmware_iface.can_link import open_can
 from firmware_iface.canopen.bus import CanOpenBus
-from firmware_iface.canopen.drive import Cia402Drive
+from firmware_iface.canopen.drive import FAULT_REACTION, FOLLOWING_ERROR_WINDOW, NO_WINDOW, Cia402Drive
 from firmware_iface.clock import Clock
-from firmware_iface.errors import WrongIdentity
+from firmware_iface.errors import MisuseError, WrongIdentity
 from firmware_iface.link import FrameLink
 from firmware_iface.motor.cia402 import State
 
 PROFILE = 402
 HEARTBEATS = 4  # within the drives' time-out
+# What 0x605E lets a drive do at a fault, before its power stage is off.
+_REACTIONS = {
+    None: "does not say what it does",
+    0: "frees its motor at once",
+    1: "slows down by its ramp",
+    2: "slows down by its quick stop ramp",
+    3: "slows down at its current limit",
+    4: "slows down at its voltage limit",
+}
 ALIKE = 30.0  # times: a unit mistaken in the drive or in arm.toml is a thousand
 # Error codes of CiA 402 and CiA 301 by their first digits, as the loop's faults; the rest counts as a bad encoder or sensor.
 _FAULT_OF = (
@@ -69,7 +79,7 @@ class Cia402Joint:
     def take(self, feedback: Feedback) -> None:
         """Write torque as current, supply and state."""
         drive, joint = self._drive, self._joint
-        feedback.reply_at_s[joint] = drive.at_s
+        feedback.reply_at_s[joint] = drive.heard_at_s
         if drive.state is None:
             feedback.statusword[joint] = 0
             return
@@ -182,7 +192,7 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
             arm,
             boards,
             opened,
-            lambda board, joint, drive: _open_drive(bus, board, joint, drive, period_s, watchdog_s, opened),
+            lambda board, joint, drive: _open_drive(bus, board, joint, drive, period_s, arm.limits, opened),
         )
 
 
@@ -198,8 +208,20 @@ def _require_same_motor(node: Cia402Drive, drive: Drive) -> None:
     )
 
 
+def _require_wide_window(node: Cia402Drive, drive: Drive, following_error_rad: float) -> None:
+    """MisuseError where the drive trips, and its joint drops, at an error at which the loop would still stop and hold it."""
+    window = node.read_if_there(FOLLOWING_ERROR_WINDOW)
+    needed = math.ceil(following_error_rad / abs(JointMap(drive).radians_per_count))
+    if drive.pid.mode != "position" or window is None or window >= needed:
+        return
+    raise MisuseError(
+        f"{node.where}: expected a following error window (0x6065) of {needed} increments or more ([limits]"
+        f" following_error_rad), it is {window}: with less the drive trips first, and its joint drops; {NO_WINDOW} is none"
+    )
+
+
 def _open_drive(
-    bus: CanOpenBus, described: Board, joint: int, drive: Drive, period_s: float, watchdog_s: float, opened: Opened
+    bus: CanOpenBus, described: Board, joint: int, drive: Drive, period_s: float, limits: Limits, opened: Opened
 ) -> None:  # fmt: skip
     node = Cia402Drive(bus, described.address, described.name)
     identity = node.identify()
@@ -210,14 +232,17 @@ def _open_drive(
             f"{node.where}: its motor rated torque (0x6076) is 0: set the motor's data in the drive"
         )
     _require_same_motor(node, drive)
+    _require_wide_window(node, drive, limits.following_error_rad)
+    reaction = node.read_if_there(FAULT_REACTION)
     encoder = NodeEncoder(node, joint, is_asked=True)
-    driven = Cia402Joint(node, encoder, joint, drive, period_s, watchdog_s, bus.sync)
+    driven = Cia402Joint(node, encoder, joint, drive, period_s, limits.watchdog_s, bus.sync)
     driven.configure(encoder.fresh_count)
     opened.encoders.append(encoder)
     opened.drives.append(driven)
     opened.identities.append(
         (
             node.where,
-            f"vendor 0x{identity.vendor:08X}, product 0x{identity.product:08X}, serial number {identity.serial_number}",
+            f"vendor 0x{identity.vendor:08X}, product 0x{identity.product:08X}, serial number {identity.serial_number};"
+            f" at a fault it {_REACTIONS.get(reaction, f'does as its maker says of 0x605E = {reaction}')}",
         )
     )

@@ -1,19 +1,21 @@
 """What boards themselves refuse before anything moves, and how a VESC turns to an angle."""
 
+import math
 from dataclasses import replace
 from functools import partial
 
 import pytest
 
+from control.model.joint_map import JointMap
 from control.safety.table import Mode
 from firmware_iface.canopen.drive import MAKERS
 from firmware_iface.errors import ConnectionFailed
 from firmware_iface.vesc import wire
-from hil_mocks.devices.cia402_drive import MAXON
+from hil_mocks.devices.cia402_drive import MAXON, Cia402Mock, Cia402Setup
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.vesc import VescMock, VescSetup
 from procedures.on_boards import on_boards
-from tests.cell import RIGHT, open_cell, scenario, with_drives
+from tests.cell import RIGHT, holding_cell, open_cell, scenario, with_drives
 
 ON_VESCS = on_boards(RIGHT, "vesc")
 
@@ -66,6 +68,53 @@ def test_a_drive_whose_rated_torque_and_current_contradict_the_arm_is_refused(
         open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004),
     ):
         pass
+
+
+def test_a_drive_that_trips_before_the_loop_stops_the_arm_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = on_boards(RIGHT, "cia402")
+    rad_per_count = min(abs(JointMap(drive).radians_per_count) for drive in arm.drives)
+    needed = math.ceil(arm.limits.following_error_rad / rad_per_count)
+    made = "hil_mocks.bought_can.Cia402Setup"
+    monkeypatch.setattr(made, partial(Cia402Setup, following_error_window=needed))
+    with open_cell(scenario(), arm, period_s=0.004) as cell:
+        assert cell.mode is Mode.OFF
+    monkeypatch.setattr(made, partial(Cia402Setup, following_error_window=needed - 1))
+    with (
+        pytest.raises(ConnectionFailed, match=rf"window \(0x6065\) of {needed} increments or more"),
+        open_cell(scenario(), arm, period_s=0.004),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("code", "said"), [(0, "frees its motor at once"), (2, "quick stop ramp"), (-1, "0x605E = -1")]
+)
+def test_what_a_drive_does_at_a_fault_is_told(code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil_mocks.bought_can.Cia402Setup", partial(Cia402Setup, fault_reaction=code))
+    with open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
+        told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
+        assert len(told) == 3 and all(said in identity for identity in told)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_drive_whose_supply_is_told_no_more_is_silent(joint: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plain drive's PDO, and the EPOS4's answers to SDO, end; all other values go on."""
+    take, lost = Cia402Mock.receive, False
+
+    def receive(mock: Cia402Mock, can_id: int, payload: bytes, now_s: float) -> None:
+        answered = len(mock.outgoing)
+        take(mock, can_id, payload, now_s)
+        if lost and mock.setup.node == joint:
+            gone = 0x280 if joint == 1 else 0x580
+            mock.outgoing[answered:] = [f for f in mock.outgoing[answered:] if f[0] != gone + joint]
+
+    monkeypatch.setattr(Cia402Mock, "receive", receive)
+    with holding_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
+        cell.run(2.0)
+        assert cell.mode is Mode.HOLDING
+        lost = True
+        cell.until_fault(1.0)
+        assert cell.faults == [("drive_silent", f"joint {joint}")]
 
 
 @pytest.mark.parametrize(
