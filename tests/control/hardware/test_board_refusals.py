@@ -93,7 +93,8 @@ def test_what_a_drive_does_at_a_fault_is_told(code: int, said: str, monkeypatch:
     monkeypatch.setattr("hil_mocks.bought_can.Cia402Setup", partial(Cia402Setup, fault_reaction=code))
     with open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
         told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
-        assert len(told) == 3 and all(said in identity for identity in told)
+        assert len(told) == 3
+        assert all(said in identity for identity in told)
 
 
 @pytest.mark.parametrize("joint", [1, 2])
