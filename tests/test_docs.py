@@ -33,7 +33,7 @@ TOP = "|".join(name.rstrip("/") for name in CODE)
 PATH = re.compile(rf"(?<![\w./{{}}-])((?:{TOP}|docs)/[\w./{{}},-]*)")
 DOTTED = re.compile(rf"(?<![\w./-])((?:{TOP})(?:\.[A-Za-z_]\w*)+)")
 FILE_OF_CODE = re.compile(r"(?<![\w./{}<-])((?:\w+/)*\w+\.(?:py|dbc|tcss))\b")
-FOLDER = re.compile(r"`((?:\w+/)+)`")
+FOLDER = re.compile(r"(?<![\w/{}<>-])((?:\w+/)+)(?=[\s`,;)]|$)", re.MULTILINE)
 WORDS_OF_CODE = re.compile(r'""".*?"""|#[^\n]*', re.DOTALL)
 OTHER_FILE = (".md", ".json", ".csv", ".toml", ".html")
 SETUPTOOLS = {"setup.py"}  # a name that setuptools asks for; no such file is needed

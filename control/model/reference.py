@@ -7,6 +7,7 @@ import dataclasses
 import math
 import re
 import sys
+import textwrap
 import types
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,20 +19,20 @@ from control.model.rules import Rule
 
 PAGE = Path("docs/arm_toml.md")
 REQUIRED = "required"  # as a default
+WIDTH, WIDTH_OF_VALUES = 125, 30  # of the page and of its second column, in characters
 HEAD = """# arm.toml: every key
-One file describes one arm. `armwright new` writes one with comments ([new_arm.md](new_arm.md)); `control/arms/right.toml` is a
-complete example; `armwright arm FILE` checks a file.
+One file describes one arm. `armwright new` writes one with comments ([new_arm.md](new_arm.md)), `armwright arm FILE` checks it;
+`control/arms/right.toml` is an example.
 
 - SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused;
   `as_given = true` overrides what rests on the other values of the file.
 - Unknown keys are errors. A section without required keys may be absent; a command that needs it says so.
-- Keys in bold are required. A range without a type is of a number.
+- `*`: required. In brackets: the default. A range without a type is of a number.
 - A name has 1 to 64 characters without / and \\, and does not begin with . or -. A word has 1 to 32 letters, digits, - and _,
   and begins with a letter.
 
-`make arm-reference` makes this page from the reader's own definitions. Effects: [formats.md](formats.md#effects).
+`make arm-reference` makes this page from what the reader obeys. Effects: [formats.md](formats.md#effects).
 """
-
 # Conditions as the reader words them in an error, and as a range in the table.
 RANGES = (
     (re.compile(r"a name of 1 to \d+ characters, .+"), "name"),
@@ -83,18 +84,26 @@ def reference_text() -> str:
     """The page."""
     parts = [HEAD]
     for section in sections():
-        rows = [_row(key) for key in section.keys]
         title = f"`{section.header}`" if section.header else "Top level"
-        head = f"## {title}\n{section.about}\n\n| key | value | |\n| --- | --- | --- |"
-        parts.append("\n".join((head, *rows)) + "\n")
+        parts.append("\n".join((f"## {title}", section.about, "```", *_rows(section.keys), "```")) + "\n")
     return "\n".join(parts)
 
 
-def _row(key: Key) -> str:
-    """A key in the table, in bold if it is required."""
-    name = f"**`{key.name}`**" if key.default == REQUIRED else f"`{key.name}`"
-    default = f"; default: {key.default}" if key.default not in ("", REQUIRED) else ""
-    return f"| {name} | {key.kind}{default} | {key.text} |"
+def _rows(keys: tuple[Key, ...]) -> Iterator[str]:
+    """The keys of a section in three columns: name, value and default, and what it says."""
+    names = [f"{'*' if key.default == REQUIRED else ' '}{key.name}" for key in keys]
+    defaults = [f" ({key.default})" if key.default not in ("", REQUIRED) else "" for key in keys]
+    values = [key.kind + default for key, default in zip(keys, defaults, strict=True)]
+    place = max(map(len, names)) + 2
+    indent = place + min(max(map(len, values)), WIDTH_OF_VALUES) + 2
+    for name, value, key in zip(names, values, keys, strict=True):
+        text = textwrap.wrap(key.text, WIDTH - indent)
+        begin = name.ljust(place) + value
+        if len(begin) >= indent:
+            yield begin
+            begin = ""
+        yield (begin.ljust(indent) + text[0]).rstrip()
+        yield from (" " * indent + line for line in text[1:])
 
 
 def _sections(header: str, kind: type[Any]) -> Iterator[Section]:
@@ -177,7 +186,7 @@ def _kind(hint: Any) -> str:
     bare = _bare(hint)
     origin = get_origin(bare)
     if origin is Literal:
-        return " or ".join(f'`"{choice}"`' for choice in get_args(bare))
+        return " or ".join(f'"{choice}"' for choice in get_args(bare))
     if origin is tuple:
         inner = get_args(bare)
         return "list of numbers" if inner[-1] is Ellipsis else f"{len(inner)} numbers"
@@ -193,12 +202,12 @@ def _default(field: "dataclasses.Field[Any]") -> str:
         value = field.default_factory()
     if value is dataclasses.MISSING:
         return REQUIRED
-    if value is None or value in ((), {}) or (isinstance(value, float) and math.isinf(value)):
+    if value is None or value in ((), {}, "") or (isinstance(value, float) and math.isinf(value)):
         return ""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return f'`"{value}"`'
+        return f'"{value}"'
     if isinstance(value, tuple):
         return "[" + ", ".join(f"{item:g}" for item in value) + "]"
     return f"{value:g}" if isinstance(value, float) else str(value)
