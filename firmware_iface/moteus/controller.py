@@ -21,6 +21,7 @@ ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
 TEXT_ANSWERS = 20  # of its console, until a line is there
 SETTLE_s = 0.02  # in which a fault whose cause persists comes back
+DRIVEN_FOR = 3  # commands of position mode in a row; replies of commands before them have come
 LATER_s, LATER_REPLIES = 0.05, 3  # a start that moves by so much, in so many replies, is another one
 _HALF: Final = 1 << 31  # of the counter's range
 _IDENTITY: Final = {Register.HOME_STATE, Register.FIRMWARE, *(Register.SERIAL + k for k in range(3))}
@@ -53,6 +54,8 @@ class Moteus:
         self.counted_at_s = -math.inf
         """When it was asked for the count: a reply that waited for a host that paused is of before the pause."""
         self.resets = 0
+        self._driven_for = 0  # commands in a row that were of position mode
+        self._was_obeying = self._is_ousted = False
         self._milliseconds = 0
         self._started_s = math.inf  # of its counter of milliseconds, on the host's clock; not yet known
         self._later = 0  # replies in a row by which it started later than that
@@ -78,11 +81,12 @@ class Moteus:
 
     @property
     def is_running(self) -> bool:
-        """Whether it obeyed commands at its last reply: neither stopped, nor in FAULT, nor past its time-out."""
-        return self.mode not in _NOT_RUNNING
+        """Whether it obeyed commands at its last reply: not stopped, braked by others, in FAULT or past its time-out."""
+        return self.mode not in _NOT_RUNNING and not self._is_ousted
 
     def frames(self) -> tuple[Frame, ...]:
         """The command of this cycle."""
+        self._driven_for = self._driven_for + 1 if wire.drives(self.wanted) else 0
         return (self.wanted,)
 
     def stop_now(self) -> None:
@@ -188,6 +192,7 @@ class Moteus:
     def _measured(self, found: dict[int, float], now_s: float) -> LinkError | None:
         self.count = round(found[Register.POSITION] * self.counts_per_turn)
         self.mode, self.fault = int(found[Register.MODE]), int(found[Register.FAULT])
+        self._look_for_others()
         self.current_A = found[Register.Q_CURRENT]
         self.supply_V = 0.1 * found[Register.VOLTAGE]
         self.temperature_degC = found[Register.TEMPERATURE]
@@ -200,6 +205,12 @@ class Moteus:
                 f"{self.where}: restarted by itself; its motor was free: check its supply and cable"
             )
         return None
+
+    def _look_for_others(self) -> None:
+        """Driven by each of the last commands, and yet braked: by others. A reply tells the mode before its own command."""
+        is_braked = self.mode == Mode.BRAKE
+        self._is_ousted = is_braked and (self._was_obeying or (self._is_ousted and self._driven_for > 0))
+        self._was_obeying = self.is_driving and self._driven_for >= DRIVEN_FOR
 
     def _has_restarted(self, milliseconds: int, now_s: float) -> bool:
         """Whether its counter began anew. A single reply may have waited for a host that paused; a few in a row may not."""

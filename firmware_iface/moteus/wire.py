@@ -90,6 +90,11 @@ def position(controller: int, command: Position) -> Frame:
     return _frame(controller, written + QUERY)
 
 
+def drives(frame: Frame) -> bool:
+    """Whether a frame commands position mode."""
+    return frame[1].startswith(_MODE + bytes((Mode.POSITION,)))
+
+
 def torque(torque_Nm: float, most_Nm: float, watchdog_s: float) -> Position:
     """Position mode without its gains."""
     return Position(math.nan, 0.0, torque_Nm, 0.0, most_Nm, watchdog_s)

@@ -122,7 +122,7 @@ class MoteusMock:
             self.outgoing.append((self.setup.number << 8 | can_id >> 8 & 0x7F, padded))
 
     def _answered(self, payload: bytes) -> bytes:
-        """Obey what is written, and then answer what is read."""
+        """Answer what is read, and then obey what is written: a command is taken when its frame has been read."""
         written: dict[int, float] = {}
         wanted: list[tuple[int, int, int]] = []  # type, first register, count
         texts = b""
@@ -153,9 +153,10 @@ class MoteusMock:
                 raw = struct.unpack_from(FORMATS[type_], payload, at)[0]
                 written[register] = _from_raw(register, type_, raw)
                 at += struct.calcsize(FORMATS[type_])
+        reply = b"".join(self._reply(*one) for one in wanted) + texts
         if 0x000 in written:
             self._obey(int(written[0x000]), written)
-        return b"".join(self._reply(*one) for one in wanted) + texts
+        return reply
 
     def _type(self, text: bytes) -> None:
         """Text to its console; lines are obeyed."""

@@ -30,7 +30,7 @@ from procedures.on_boards import on_boards
 
 HOLDING = ("dynamixel", "feetech", "odrive", "cia402", "moteus")
 BRAKING = ("vesc", "roboclaw")
-NOTICING = HOLDING[:-1]  # the next command drives a moteus again, whatever somebody else has sent
+HOLDING_ON = HOLDING[:-1]  # at a low supply that they bear: a moteus frees its motor
 DURING_A_CYCLE_S = 0.004  # at its end, a goal may switch a Feetech servo on again before its state is read
 FALLS_mm = 900.0  # an arm without torque, or one of whose joints has none, falls as far as it can
 HELD_mm = 3.0
@@ -92,12 +92,12 @@ class BoardsDrill(Promise):
         for name, says, codes, most_mm, act, kinds in (
             ("off-at-once", "off pressed 4 ms after enable", GOES_ON, FALLS_mm, off_at_once, HOLDING),
             ("restarted", "loop killed while it holds the arm, another started", GOES_ON, HELD_mm, restarted, HOLDING),
-            ("torque-lost", "another program switches a drive off that holds", lost, FALLS_mm, torque_lost, NOTICING),
+            ("torque-lost", "another program switches a drive off that holds", lost, FALLS_mm, torque_lost, HOLDING),
             ("torque-in-off", "another program switches a drive on while the arm is off", GOES_ON, FALLS_mm, torque_in_off,
              HOLDING),
             ("turn-off", "encoder 1 reads a turn too much", GOES_ON, FALLS_mm, a_turn_off, ("odrive",)),
             ("below-floor", "moves of an arm that stands below the floor", GOES_ON, FALLS_mm, below_floor, HOLDING[:1]),
-            ("brown-out", "the supply of one board sags to 60 %", sagged, HELD_mm, brown_out, NOTICING),
+            ("brown-out", "the supply of one board sags to 60 %", sagged, HELD_mm, brown_out, HOLDING_ON),
             ("brown-out", "the supply of one board sags to 60 %", sagged, SINKS_mm, brown_out, (*HOLDING[-1:], *BRAKING)),
             ("own-error", "one board is too hot", own, FALLS_mm, own_error, (*HOLDING, *BRAKING)),
             ("overload", "a servo is overloaded, and keeps a share of its torque", own, HELD_mm, overloaded, ("feetech",)),

@@ -59,11 +59,7 @@ def test_nothing_is_driven_before_enable_nor_after_off(on_boards: OnBoards) -> N
         assert max(volts(cell)) == 0.0
 
 
-OBEYING = (
-    "vesc",
-    "roboclaw",
-    "moteus",
-)  # their next command drives them again, whatever somebody else has sent
+OBEYING = ("vesc", "roboclaw")  # their next command drives them again, whatever somebody else has sent
 # They say that they have torque before they are told to let go; the others obey within the cycle.
 HOLDING_AT_ONCE = ("feetech", "servo", "odrive")
 DURING_A_CYCLE = (

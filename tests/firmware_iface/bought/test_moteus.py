@@ -65,6 +65,27 @@ def test_a_count_that_waited_for_a_host_that_paused_is_of_before_the_pause() -> 
     assert (cell.board.counted_at_s, cell.board.at_s) == (asked_s, cell.wired.now_s())
 
 
+@pytest.mark.parametrize("others", [wire.stop(ID), wire.brake(ID)])
+def test_one_that_others_stop_or_brake_does_not_run(others: wire.Frame) -> None:
+    cell = Cell()
+    cell.board.identify(False)
+    cell.board.wanted = wire.brake(ID)
+    cell.run(0.02)
+    cell.board.wanted = wire.position(ID, HOLD)
+    seen = []
+    for _ in range(10):
+        cell.run(0.004)
+        seen.append(cell.board.is_running)
+    assert all(seen[1:])  # its own brake a cycle before is nobody else's
+    cell.mock.receive(*others, cell.wired.now_s())
+    cell.mock.outgoing.clear()
+    seen = []
+    for _ in range(2):
+        cell.run(0.004)
+        seen.append(cell.board.is_running)
+    assert False in seen
+
+
 def test_the_first_question_commands_nothing() -> None:
     cell = Cell()
     cell.board.identify(False)

@@ -95,6 +95,8 @@ def test_the_client_reads_what_the_mock_answers_and_the_mock_obeys_it() -> None:
         )  # fmt: skip
         assert mock.output == ("current", pytest.approx(2.0))
         values = (await client.set_brake(query=True)).values
+        assert values[register.MODE] == 10  # as it was when the command came
+        values = (await client.query()).values
         assert (values[register.MODE], values[register.Q_CURRENT]) == (15, 1.5)
         await client.set_stop()
         assert (mock.mode, mock.output.kind) == (0, "open")
