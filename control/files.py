@@ -7,6 +7,7 @@ import contextlib
 import errno
 import fcntl
 import io
+import itertools
 import json
 import os
 import re
@@ -255,6 +256,61 @@ def append_whole(fd: int, path: Path, content: bytes) -> None:
         with contextlib.suppress(OSError):
             os.ftruncate(fd, begun)
         raise NotWritten.of(error, path) from error
+
+
+class KeptLines:
+    """A file of lines that this program alone appends to; a line is on the disk before `append` returns.
+
+    An end without a line end, left by a killed process, is dropped: `torn`. Lines that were acknowledged are whole, and stay.
+    `lines` are those that were there, without the header.
+    """
+
+    def __init__(self, path: Path, error: type[Exception], header: str = "") -> None:
+        """Open the file, or make it with its header. `error`: another program has it open, or its columns are others."""
+        self.path, self._error = path, error
+        self._file = self._opened()
+        try:
+            content = read_bytes(path)
+            end = content.rfind(b"\n") + 1
+            lines, self.torn = content[:end].split(b"\n")[:-1], content[end:]
+            if header and lines:
+                self._require_columns(header, lines[0])
+            if self.torn:
+                self._file.truncate(end)
+            if header and not lines:
+                self.append(header)
+            self.lines = lines[1:] if header else lines
+        except BaseException:
+            self._file.close()
+            raise
+
+    def append(self, *lines: str) -> None:
+        """Write lines and wait for the disk."""
+        append_whole(self._file.fileno(), self.path, "".join(f"{line}\n" for line in lines).encode())
+
+    def replace(self, *lines: str) -> None:
+        """Put a file of other lines, header first, in its place. NotWritten: the old one stays in use."""
+        write_whole(self.path, "".join(f"{line}\n" for line in lines))
+        self._file.close()
+        self._file = self._opened()
+
+    def close(self) -> None:
+        """Close the file and let others open it."""
+        self._file.close()
+
+    def _opened(self) -> io.FileIO:
+        try:
+            return open_to_append(self.path, is_alone=True)
+        except BlockingIOError:
+            raise self._error(f"{self.path}: another program is recording into it") from None
+
+    def _require_columns(self, header: str, there: bytes) -> None:
+        got = there.decode(errors="replace").strip()
+        for a, b in itertools.zip_longest(header.split(","), got.split(","), fillvalue="none"):
+            if a != b:
+                raise self._error(
+                    f"{self.path}, line 1: recorded otherwise: expected column {a}, got {b}: name another file or folder"
+                )
 
 
 def require_writable(folder: Path) -> None:

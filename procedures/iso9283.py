@@ -7,6 +7,7 @@ goes on; then iso9283.json and iso9283.html.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
 import math
@@ -22,16 +23,17 @@ from calib.inputs import InputFile, input_file
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import Point, TestCube
 from calib.iso9283.evaluation import evaluate
-from calib.iso9283.files import RecordFile, log_header, points_header, text
 from calib.iso9283.page import write_page
 from calib.iso9283.programme import Extent, PathRun, Step, Visit, path_programme, programme_document, steps
-from calib.iso9283.recorded import PoseGroup, Run, pose_groups, read_rectangle, read_runs
+from calib.iso9283.recorded import SET, PoseGroup, Run, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import Evaluation, write_document
 from calib.iso9283.workspace import Solver, solver_of
 from calib.points.arm_points import require_recorded_of
-from calib.points.reading import read_points
+from calib.points.points import TIP
+from calib.points.reading import OWN_EXTRAS, read_points
+from calib.points.writer import PointsWriter, Record, cell
 from control.errors import ArmError
-from control.files import write_whole
+from control.files import KeptLines, write_whole
 from control.hardware.averaging import Average
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
@@ -134,8 +136,8 @@ def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
     _note_programme(out / "programme.json", planned.document)
     n = bench.arm.joint_count
     with (
-        RecordFile(out / "points.csv", points_header(n)) as points,
-        RecordFile(out / "log.csv", log_header(n)) as log,
+        PointsWriter(out / "points.csv", n, more=SET) as points,
+        contextlib.closing(KeptLines(out / "log.csv", Iso9283Error, ",".join(log_header(n)))) as log,
     ):
         recorder = _Recorder(bench, planned, points, log)
         try:
@@ -150,22 +152,25 @@ def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
 class _Recorder:
     """Executes the steps in order."""
 
-    def __init__(self, bench: Bench, planned: Planned, points: RecordFile, log: RecordFile) -> None:
+    def __init__(self, bench: Bench, planned: Planned, points: PointsWriter, log: KeptLines) -> None:
         self._bench, self._planned, self._points, self._log = bench, planned, points, log
         self._rows = RunRows(bench.recording)
         self._load_kg = 0.0
         self._began_s: dict[str, float] = {}
-        self._visited = {(r["setup"], r["point"], r["repeat"]) for r in points.rows}
-        self._ran = {(r["programme"], r["speed_m_s"], r["cycle"]) for r in log.rows}
-        self._run = max((int(r["run"]) for r in log.rows), default=0)
+        names = log_header(bench.arm.joint_count)
+        rows = [
+            dict(zip(names, line.decode(errors="replace").split(","), strict=False)) for line in log.lines
+        ]
+        self._ran = {(r["programme"], r["speed_m_s"], r["cycle"]) for r in rows}
+        self._run = max((int(r["run"]) for r in rows), default=0)
 
     def take(self, step: Step) -> None:
         """Do one step and record it, unless that was done before."""
         if isinstance(step, PathRun):
-            key = (step.programme, text(step.speed_m_s, 6), str(step.cycle))
+            key = (step.programme, cell(step.speed_m_s, 6), str(step.cycle))
             if key not in self._ran:
                 self._travel(step)
-        elif (step.setup, step.point, str(step.repeat)) not in self._visited:
+        elif (step.setup, step.point, step.repeat) not in self._points.recorded:
             self._visit(step)
 
     def take_off_load(self) -> None:
@@ -184,7 +189,7 @@ class _Recorder:
         client.move_joints(self._planned.q_rad[step.tip_m], speed)
         client.wait(DWELL_S)
         mean = client.average(AVERAGE_S)
-        self._points.append([_points_row(step, mean)])
+        self._points.append(_record_of(step, mean))
         if step.recorded:
             self._keep(step.recorded, str(step.repeat), "", step.payload_kg, every=1)
 
@@ -194,7 +199,7 @@ class _Recorder:
         client.wait(DWELL_S)
         self._rows.skip()
         client.run_path(path.to_message())
-        self._keep(step.programme, str(step.cycle), text(step.speed_m_s, 6), 0.0, every=KEEP_EVERY)
+        self._keep(step.programme, str(step.cycle), cell(step.speed_m_s, 6), 0.0, every=KEEP_EVERY)
 
     def _keep(self, programme: str, cycle: str, speed: str, payload_kg: float, every: int) -> None:
         """Write the last run's rows to log.csv: those with a camera frame, or every `every`-th."""
@@ -214,13 +219,22 @@ class _Recorder:
         names = of_encoders + (of_joints if of_joints[0] in (rows.dtype.names or ()) else of_encoders)
         start_s = float(rows["t_s"][0])
         self._log.append(
-            [
-                str(self._run), text(float(row["t_s"]) - start_s, 6), programme, cycle, speed,
-                *(text(float(row[name])) for name in names), text(payload_kg, 6),
-                *(text(float(row[name]), 7) for name in ("x_m", "y_m", "z_m")),
-            ]
-            for row in rows[is_kept]
-        )  # fmt: skip
+            *(
+                ",".join(
+                    [
+                        str(self._run),
+                        cell(float(row["t_s"]) - start_s, 6),
+                        programme,
+                        cycle,
+                        speed,
+                        *(cell(float(row[name]), 9) for name in names),
+                        cell(payload_kg, 6),
+                        *(cell(float(row[name]), 7) for name in TIP),
+                    ]
+                )
+                for row in rows[is_kept]
+            )
+        )
 
     def _hang(self, mass_kg: float) -> None:
         if mass_kg == self._load_kg:
@@ -240,13 +254,27 @@ class _Recorder:
             self._bench.client.wait(left_s)
 
 
-def _points_row(step: Visit, mean: Average) -> Sequence[str]:
-    tip = mean.tip_m or (float("nan"),) * 3
-    return [
-        step.setup, step.point, str(step.repeat), text(mean.t_s, 3), text(step.payload_kg, 6),
-        *map(text, mean.q_rad), *map(str, mean.direction), *(text(i, 4) for i in mean.current_A),
-        *(text(x, 7) for x in tip), *map(text, step.tip_m), *map(text, mean.q_std_rad),
-    ]  # fmt: skip
+def log_header(n: int) -> list[str]:
+    """Columns of log.csv: those of the interchange format, and the programme of a run."""
+    forms = ("q{}_rad", "q{}_set_rad", "joint{}_rad", "joint{}_set_rad")
+    joints = [form.format(j) for form in forms for j in range(1, n + 1)]
+    return ["run", "t_s", "programme", "cycle", "speed_m_s", *joints, "payload_kg", *TIP]
+
+
+def _record_of(step: Visit, mean: Average) -> Record:
+    return Record(
+        step.setup,
+        step.point,
+        step.repeat,
+        mean.q_rad,
+        mean.q_std_rad,
+        mean.direction,
+        mean.current_A,
+        mean.t_s,
+        step.payload_kg,
+        mean.tip_m,
+        more={name: cell(value, 9) for name, value in zip(SET, step.tip_m, strict=True)},
+    )
 
 
 def _step_name(step: Step) -> str:
@@ -378,8 +406,8 @@ def _poses(
         raise Iso9283Error(f"{path}: a recording, expected points.csv")
     points, warnings = read_points(path)
     groups, notes = pose_groups(replace(points, is_as_given=is_as_given), arm, str(path))
-    own = ("_set_m", "_set_rad", "a_rad", "b_rad", "c_rad", "_N")
-    unknown = [n for n in points.extra if not n.endswith(own) and not n.endswith("_sd_rad")]
+    own = ("_set_rad", "a_rad", "b_rad", "c_rad", "_N")
+    unknown = [n for n in points.extra if not n.endswith(own) and not OWN_EXTRAS.fullmatch(n)]
     return groups, notes, warnings if unknown else ()
 
 

@@ -201,9 +201,9 @@ class _Conductor(Conversation):
     def _record(self, target: Target) -> Talk:
         """Measure both arms, check, save; then report."""
         record = self._taken(target)
-        verdict = self._station.watch.judge(record.q_rad, record.distance_m)
+        verdict = self._station.watch.judge(record.q_rad, target.distance_m)
         kept = self._folder.record(record)
-        self._station.watch.add(kept.key, kept.q_rad, kept.distance_m)
+        self._station.watch.add(kept.key, kept.q_rad, target.distance_m)
         yield Recorded(kept, verdict)
 
     def _taken(self, target: Target) -> Record:
@@ -219,7 +219,7 @@ class _Conductor(Conversation):
             direction=one.direction + two.direction,
             current_A=one.current_A + two.current_A,
             temperature_C=one.temperature_C + two.temperature_C,
-            distance_m=target.distance_m,
+            more={DISTANCE: f"{target.distance_m:g}"},
         )
 
     def _jog(self, jog: Jog) -> None:

@@ -17,8 +17,7 @@ from calib.arm_problem.checks import require_columns_meant, require_of_arm
 from calib.arm_problem.frames import mean_rotation
 from calib.arrays import Array, frozen
 from calib.iso9283.criteria.checks import Iso9283Error
-from calib.iso9283.files import SET, TIP
-from calib.points.points import Points, make_points
+from calib.points.points import TIP, Points, make_points
 from calib.points.reading import require_commas
 from control.files import parsed_json, read_text
 from control.kinematics.kinematics import Kinematics
@@ -26,6 +25,7 @@ from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
 from control.tables import SAMPLES_MOST, opened_rows
 
+SET = ("x_set_m", "y_set_m", "z_set_m")
 ANGLES, ANGLES_SET, FORCE = (
     ("a_rad", "b_rad", "c_rad"),
     ("a_set_rad", "b_set_rad", "c_set_rad"),

@@ -21,7 +21,7 @@ from control.kinematics.rotation import checked_quaternion
 from control.tables import opened_rows
 
 OWN_EXTRAS = re.compile(
-    r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_(of|m|sd_m)"
+    r"q\d+_sd_rad|temperature\d+_C|approach|take|frame|distance_(of|m|sd_m)|[xyz]_set_m"
 )  # added by our own sessions; kept like any other column, without a warning
 LARGEST = 1e18  # of any value; beyond it squares overflow, and no unit of any column gets near
 POINTS_MOST = 1_000_000  # poses, which take 0.7 GB to calibrate; calibrations have hundreds

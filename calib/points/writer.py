@@ -7,8 +7,8 @@ import gzip
 import io
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -18,7 +18,7 @@ from calib.errors import SessionError
 from calib.points.covariance import COVARIANCE
 from calib.points.points import ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points
 from calib.points.reading import read_points
-from control.files import append_whole, open_to_append, read_bytes, write_whole
+from control.files import KeptLines, write_whole
 
 Key = tuple[str, str, int]
 POSE_COLUMNS = (*ORIENTATION, "frame")
@@ -31,7 +31,7 @@ class Record:
 
     temperature_C of the drives, empty if not measured; approach: number of the side, from 1; take: 2 and more
     if earlier records of this pose were withdrawn. orientation: of the measured target, in the tip's frame.
-    distance_m: between the tips of two arms in contact.
+    more: texts of further columns, by name.
     """
 
     setup: str
@@ -48,7 +48,7 @@ class Record:
     approach: int = 1
     take: int = 1
     orientation: tuple[float, float, float, float] | None = None
-    distance_m: float = 0.0
+    more: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def key(self) -> Key:
@@ -65,57 +65,56 @@ def write_points(path: Path, points: Points) -> None:
         "repeat": [str(r) for r in points.repeat],
     }
     if np.isfinite(points.t_s).any():
-        columns["t_s"] = [_text(v, 3) for v in points.t_s]
+        columns["t_s"] = [cell(v, 3) for v in points.t_s]
     if np.isfinite(points.payload_kg).any():
-        columns["payload_kg"] = [_text(v, 6) for v in points.payload_kg]
-    columns |= {f"q{j + 1}_rad": [_text(v, 12) for v in points.q_rad[:, j]] for j in q}
+        columns["payload_kg"] = [cell(v, 6) for v in points.payload_kg]
+    columns |= {f"q{j + 1}_rad": [cell(v, 12) for v in points.q_rad[:, j]] for j in q}
     if points.direction.any():
-        columns |= {f"dir{j + 1}": [_text(v, 0) for v in points.direction[:, j]] for j in range(n)}
+        columns |= {f"dir{j + 1}": [cell(v, 0) for v in points.direction[:, j]] for j in range(n)}
     if np.isfinite(points.current_A).any():
-        columns |= {f"i{j + 1}_A": [_text(v, 6) for v in points.current_A[:, j]] for j in q}
+        columns |= {f"i{j + 1}_A": [cell(v, 6) for v in points.current_A[:, j]] for j in q}
     if np.isfinite(points.tip_m).any():
-        columns |= {name: [_text(v, 9) for v in points.tip_m[:, k]] for k, name in enumerate(TIP)}
+        columns |= {name: [cell(v, 9) for v in points.tip_m[:, k]] for k, name in enumerate(TIP)}
     if np.isfinite(points.orientation).any():
         quaternion = points.orientation.T
-        columns |= {name: [_text(v, 9) for v in quaternion[k]] for k, name in enumerate(ORIENTATION)}
+        columns |= {name: [cell(v, 9) for v in quaternion[k]] for k, name in enumerate(ORIENTATION)}
     for k, name in enumerate(COVARIANCE):
         if np.isfinite(points.covariance[:, k]).any():
             columns[name] = ["" if math.isnan(v) else f"{v:.6e}" for v in points.covariance[:, k]]
     columns |= points.extra
     lines = [_line(list(columns)), *(_line(row) for row in zip(*columns.values(), strict=True))]
-    replace_file(path, "".join(lines).encode())
+    replace_file(path, "".join(f"{line}\n" for line in lines).encode())
 
 
 class PointsWriter:
-    """Appends records to a .csv; each is on the disk before `append` returns.
+    """Appends records to a .csv; each is on the disk before `append` returns (`KeptLines`).
 
-    An existing file is continued, and so are its times, where a runtime was started anew. An incomplete last line, left by a
-    killed process, is dropped; see `warnings`. SessionError if the file is of another arm or was not written by a session.
+    An existing file is continued, and so are its times, where a runtime was started anew. `warnings`: of a dropped incomplete
+    line. SessionError if the file is of another arm or was not written by a session.
     """
 
-    def __init__(
-        self, path: Path, joint_count: int, pose_frame: str = "", has_distance: bool = False
-    ) -> None:
+    def __init__(self, path: Path, joint_count: int, pose_frame: str = "", more: Sequence[str] = ()) -> None:
         """Open or create the file. pose_frame: "base" or "stream", the frame of full poses; empty: tips without orientations.
 
-        has_distance: of two arms in contact.
+        more: columns that come last, of `Record.more`.
         """
         if path.name.endswith(".gz"):
             raise SessionError(f"{path}: a session writes plain .csv, not .gz; name another file")
-        self._path, self._joint_count, self._pose_frame = path, joint_count, pose_frame
-        self._has_distance = has_distance
-        more = (*(POSE_COLUMNS if pose_frame else ()), *((DISTANCE,) if has_distance else ()))
-        columns = [*_header(joint_count), *more]
+        self._joint_count, self._pose_frame, self._more = joint_count, pose_frame, tuple(more)
+        columns = [*_header(joint_count), *(POSE_COLUMNS if pose_frame else ()), *more]
         self._header, self._take = _line(columns), columns.index("take")
         path.parent.mkdir(parents=True, exist_ok=True)
         self._last_s, self._ahead_s = (
             -math.inf,
             0.0,
-        )  # of the file's times: their end, and how far ahead of the arm's clock they go on
-        self._file = self._opened()
+        )  # of the file's times: their end, and how far ahead of the arm's clock
+        self._file = KeptLines(path, SessionError, self._header)
         self._paused_s = max(0.0, time.time() - path.stat().st_mtime)
+        torn = self._file.torn.decode(errors="replace")
+        self.warnings = (
+            (f'{path}: the last line is incomplete and is dropped: "{torn[:60]}"',) if torn else ()
+        )
         try:
-            self.warnings: tuple[str, ...] = self._mend()
             self._lines: dict[Key, str] = self._read()
         except BaseException:
             self._file.close()
@@ -137,20 +136,18 @@ class PointsWriter:
     def append(self, record: Record) -> None:
         """Write one record and wait for the disk."""
         if record.key in self._lines:
-            raise SessionError(f"{self._path}: {' '.join(map(str, record.key))} is recorded already")
+            raise SessionError(f"{self._file.path}: {' '.join(map(str, record.key))} is recorded already")
         if record.t_s + self._ahead_s < self._last_s:
             self._ahead_s = self._last_s + self._paused_s - record.t_s
         self._last_s = record.t_s + self._ahead_s
         line = _line(self._row(replace(record, t_s=self._last_s)))
-        append_whole(self._file.fileno(), self._path, line.encode())
-        self._lines[record.key] = line.rstrip("\n")
+        self._file.append(line)
+        self._lines[record.key] = line
 
     def withdraw(self, key: Key) -> None:
         """Remove a record; the file is replaced atomically. The caller must save the line first."""
         left = {other: line for other, line in self._lines.items() if other != key}
-        replace_file(self._path, "".join([self._header, *(f"{line}\n" for line in left.values())]).encode())
-        self._file.close()  # the old file; where the new one could not be written, it stays in use
-        self._file = self._opened()
+        self._file.replace(self._header, *left.values())
         self._lines = left
 
     def close(self) -> None:
@@ -167,42 +164,19 @@ class PointsWriter:
         """Close the file."""
         self.close()
 
-    def _opened(self) -> io.FileIO:
-        try:
-            return open_to_append(self._path, is_alone=True)
-        except BlockingIOError:
-            raise SessionError(f"{self._path}: another program is recording into it") from None
-
-    def _mend(self) -> tuple[str, ...]:
-        """Repair the file: drop an incomplete end, write the header if there is none."""
-        content = read_bytes(self._path)
-        whole = content[: content.rfind(b"\n") + 1]
-        warnings: tuple[str, ...] = ()
-        if len(whole) < len(content):
-            torn = content[len(whole) :].decode(errors="replace")
-            warnings = (f'{self._path}: the last line is incomplete and is dropped: "{torn[:60]}"',)
-        first = (whole or self._header.encode()).split(b"\n", 1)[0].decode(errors="replace").strip()
-        if first != self._header.strip():
-            raise SessionError(
-                f"{self._path}: not a session's header for {self._joint_count} joints; name another file"
-            )
-        if whole != content:
-            self._file.truncate(len(whole))
-        if not whole:
-            append_whole(self._file.fileno(), self._path, self._header.encode())
-        return warnings
-
     def _read(self) -> dict[Key, str]:
         """The lines of the records in the file, by key. PointsFileError for an invalid one."""
-        lines = self._path.read_text(encoding="utf-8", errors="replace").split("\n")[1:-1]
+        lines = [line.decode(errors="replace") for line in self._file.lines]
         if not lines:
             return {}
-        points, _ = read_points(self._path, self._joint_count)  # which refuses what is not UTF-8
+        points, _ = read_points(self._file.path, self._joint_count)  # which refuses what is not UTF-8
         if np.isfinite(points.t_s).any():
             self._last_s = float(np.nanmax(points.t_s))
         keys = list(zip(points.setup, points.point, points.repeat, strict=True))
         if len(keys) != len(lines) or len(set(keys)) < len(keys):
-            raise SessionError(f"{self._path}: a point appears twice, or a line is empty: undo manual edits")
+            raise SessionError(
+                f"{self._file.path}: a point appears twice, or a line is empty: undo manual edits"
+            )
         return dict(zip(keys, lines, strict=True))
 
     def _row(self, record: Record) -> list[str]:
@@ -214,22 +188,22 @@ class PointsWriter:
             record.setup,
             record.point,
             str(record.repeat),
-            _text(record.t_s, 3),
-            _text(record.payload_kg, 6),
-            *(_text(q, 9) for q in record.q_rad),
+            cell(record.t_s, 3),
+            cell(record.payload_kg, 6),
+            *(cell(q, 9) for q in record.q_rad),
             *(str(d) for d in record.direction),
-            *(_text(i, 4) for i in record.current_A),
-            *(_text(x, 7) for x in record.tip_m or (math.nan,) * 3),
-            *(_text(sd, 9) for sd in record.q_sd_rad),
-            *(_text(t, 1) for t in record.temperature_C or (math.nan,) * self._joint_count),
+            *(cell(i, 4) for i in record.current_A),
+            *(cell(x, 7) for x in record.tip_m or (math.nan,) * 3),
+            *(cell(sd, 9) for sd in record.q_sd_rad),
+            *(cell(t, 1) for t in record.temperature_C or (math.nan,) * self._joint_count),
             str(record.approach),
             str(record.take),
             *(self._pose(record) if self._pose_frame else ()),
-            *((f"{record.distance_m:g}",) if self._has_distance else ()),
+            *(record.more[name] for name in self._more),
         ]
 
     def _pose(self, record: Record) -> tuple[str, ...]:
-        quaternion = (_text(value, 9) for value in record.orientation or (math.nan,) * 4)
+        quaternion = (cell(value, 9) for value in record.orientation or (math.nan,) * 4)
         return (*quaternion, STREAM_FRAME if self._pose_frame == STREAM_FRAME else "")
 
 
@@ -252,7 +226,7 @@ def _header(n: int) -> list[str]:
     ]
 
 
-def _text(value: float, decimals: int) -> str:
+def cell(value: float, decimals: int) -> str:
     """Fixed decimals, empty for NaN."""
     return "" if math.isnan(value) else f"{value:.{decimals}f}"
 
@@ -260,7 +234,7 @@ def _text(value: float, decimals: int) -> str:
 def _line(values: Sequence[str]) -> str:
     """One line of comma-separated text, quoted where a name needs it."""
     line = io.StringIO()
-    csv.writer(line, lineterminator="\n").writerow(values)
+    csv.writer(line, lineterminator="").writerow(values)
     return line.getvalue()
 
 

@@ -21,7 +21,7 @@ from typing import Self
 from calib.errors import SessionError
 from calib.points.points import Points
 from calib.points.reading import read_points
-from calib.points.writer import Key, PointsWriter, Record, replace_file
+from calib.points.writer import DISTANCE, Key, PointsWriter, Record, replace_file
 from calib.session.journal import Entry, Journal
 from calib.session.plan import SessionPlan, from_json, require_same, to_json
 from calib.session.state import Event, Mark, SessionState
@@ -51,7 +51,10 @@ class SessionFolder:
             if not self.is_resumed:
                 replace_file(folder / PLAN, to_json(self.plan, self.started).encode())
             self._writer = PointsWriter(
-                folder / POINTS, self.plan.joint_count, self.plan.pose_frame, self.plan.board == "contact"
+                folder / POINTS,
+                self.plan.joint_count,
+                self.plan.pose_frame,
+                (DISTANCE,) if self.plan.board == "contact" else (),
             )
         except BaseException:
             self._journal.close()
@@ -134,7 +137,7 @@ class SessionFolder:
         self.close()
 
     def _note(self, event: str, **details: object) -> None:
-        self._journal.append({"at": _now(), "event": event, **details})
+        self._journal.note({"at": _now(), "event": event, **details})
 
     def _restored(self) -> SessionState:
         """The state from the files, after completing withdrawals interrupted by a kill."""

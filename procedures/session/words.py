@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.points.writer import Record
+from calib.points.writer import DISTANCE, Record
 from calib.session.dialogue import Ask, Question
 from calib.session.moves import Vector
 from calib.session.plan import SessionPlan, Target
@@ -85,4 +85,5 @@ class ContactWords:
 
     def check(self, record: Record) -> str:
         """What to look at when a record departs from the others."""
-        return f"that both tips were in contact{f', {1e3 * record.distance_m:g} mm apart' if record.distance_m else ''}"
+        distance_m = float(record.more[DISTANCE])
+        return f"that both tips were in contact{f', {1e3 * distance_m:g} mm apart' if distance_m else ''}"

@@ -14,6 +14,7 @@ import pytest
 
 from control.files import (
     APART,
+    KeptLines,
     NotWritten,
     append_whole,
     changing,
@@ -233,3 +234,39 @@ def test_a_place_that_is_none_is_refused(tmp_path: Path, place: str) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(NotWritten, match=os.fspath(tmp_path)):
         require_writable(tmp_path / place)
+
+
+def kept(path: Path, *lines: str, header: str = "a,b") -> list[bytes]:
+    """The lines that were there, after appending others."""
+    with contextlib.closing(KeptLines(path, ValueError, header)) as file:
+        file.append(*lines)
+        return file.lines
+
+
+def test_lines_are_kept_and_an_end_torn_at_any_byte_is_dropped(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    assert kept(path, "1,2", "3,4") == []
+    content, whole = path.read_bytes(), len(b"a,b\n1,2\n")
+    for end in range(whole, len(content)):
+        path.write_bytes(content[:end])
+        with contextlib.closing(KeptLines(path, ValueError, "a,b")) as file:
+            assert (file.lines, file.torn) == ([b"1,2"], content[whole:end])
+        assert path.read_bytes() == content[:whole]
+    kept(path, "7,8")
+    assert path.read_bytes() == b"a,b\n1,2\n7,8\n"
+
+
+def test_a_file_of_other_columns_or_in_use_is_refused_and_stays_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"a,c\n1,2\n3,")
+    with pytest.raises(ValueError, match="line 1: recorded otherwise: expected column b, got c"):
+        kept(path)
+    assert path.read_bytes() == b"a,c\n1,2\n3,"
+    with contextlib.closing(KeptLines(path, ValueError)) as file:
+        with pytest.raises(ValueError, match="another program is recording into it"):
+            kept(path)
+        file.replace("5,6")
+        file.append("7,8")
+        with pytest.raises(ValueError, match="another program is recording into it"):
+            kept(path)
+    assert path.read_bytes() == b"5,6\n7,8\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,13 +14,13 @@ from calib.errors import UnusablePointsError
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.evaluation import evaluate
-from calib.iso9283.files import RecordFile
 from calib.iso9283.page import summary_text, write_page
-from calib.iso9283.recorded import Run, pose_groups, read_rectangle, read_runs
+from calib.iso9283.recorded import SET, Run, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import CRITERIA, Criterion, Evaluation, document
 from calib.iso9283.workspace import solver_of
 from calib.points.points import Points, make_points
 from calib.points.reading import read_points
+from calib.points.writer import PointsWriter, Record
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -315,38 +314,14 @@ def test_json_and_page_hold_every_criterion_and_no_outside_resource(arm: Arm, tm
     assert "Static compliance" in summary_text(result.criteria)
 
 
-def test_a_torn_last_line_is_dropped_and_the_rest_is_kept(tmp_path: Path) -> None:
-    path = tmp_path / "points.csv"
-    with RecordFile(path, ["a", "b"]) as file:
-        file.append([["1", "2"], ["3", "4"]])
-    path.write_bytes(path.read_bytes() + b"5,")
-    with RecordFile(path, ["a", "b"]) as file:
-        assert file.rows == [{"a": "1", "b": "2"}, {"a": "3", "b": "4"}]
-        file.append([["7", "8"]])
-    assert list(csv.reader(path.read_text().splitlines())) == [["a", "b"], ["1", "2"], ["3", "4"], ["7", "8"]]
-    with pytest.raises(Iso9283Error, match="columns differ"):
-        RecordFile(path, ["a", "c"])
-
-
 def test_columns_of_a_recording_are_read_back_as_points(arm: Arm, tmp_path: Path) -> None:
-    from calib.iso9283.files import points_header, text
-
-    path = tmp_path / "points.csv"
-    with RecordFile(path, points_header(3)) as file:
-        q, tip, wanted = (0.1, -0.2, 0.3), (0.4, 0.1, 0.2), (0.41, 0.1, 0.2)
-        numbers = [
-            *map(text, q),
-            "1",
-            "-1",
-            "0",
-            "0.1",
-            "0.2",
-            "0.3",
-            *map(text, (*tip, *wanted)),
-            *map(text, (1e-5,) * 3),
-        ]
-        file.append([["pose", "P1", "1", "0.5", "0", *numbers]])
-    points, _ = read_points(path)
+    path, tip, wanted = tmp_path / "points.csv", (0.4, 0.1, 0.2), (0.41, 0.1, 0.2)
+    more = {name: f"{value:.9f}" for name, value in zip(SET, wanted, strict=True)}
+    with PointsWriter(path, 3, more=SET) as writer:
+        q, sides, amperes = (0.1, -0.2, 0.3), (1, -1, 0), (0.1, 0.2, 0.3)
+        writer.append(Record("pose", "P1", 1, q, (1e-5,) * 3, sides, amperes, 0.5, 0.0, tip, more=more))
+    points, warnings = read_points(path)
+    assert not warnings
     groups, _ = pose_groups(points, arm, str(path))
     assert groups[0].commanded_m == pytest.approx(wanted)
     assert groups[0].attained_m[0] == pytest.approx(tip)

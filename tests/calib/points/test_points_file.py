@@ -222,7 +222,7 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
 def test_a_file_of_another_arm_is_not_continued(tmp_path: Path) -> None:
     with PointsWriter(tmp_path / "points.csv", 3):
         pass
-    with pytest.raises(SessionError, match="2 joints"):
+    with pytest.raises(SessionError, match="expected column dir1, got q3_rad"):
         PointsWriter(tmp_path / "points.csv", 2)
     with pytest.raises(SessionError, match="writes plain"):
         PointsWriter(tmp_path / "points.csv.gz", 2)

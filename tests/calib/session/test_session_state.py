@@ -182,7 +182,10 @@ def test_another_arm_or_plan_is_refused_with_what_differs(tmp_path: Path) -> Non
 
 
 def test_two_sessions_cannot_share_a_folder(tmp_path: Path) -> None:
-    with SessionFolder(tmp_path, PLAN), pytest.raises(SessionError, match="another session is running"):
+    with (
+        SessionFolder(tmp_path, PLAN),
+        pytest.raises(SessionError, match="another program is recording into it"),
+    ):
         SessionFolder(tmp_path, PLAN)
     with SessionFolder(tmp_path):
         pass
