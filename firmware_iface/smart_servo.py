@@ -47,6 +47,8 @@ class SmartServo(ABC):
         self.goal: int | None = None
         """The goal position of the next cycle; None: it gets none, as every servo whose torque is not on."""
         self.current_A = 0.0
+        """Not a number where it measures none: then `load`, the share of the supply that is on its motor, and its speed."""
+        self.load = self.speed_rad_s = math.nan
         self.supply_V = math.nan
         self.temperature_degC = 0.0
         self.at_s = -math.inf
@@ -106,12 +108,17 @@ class SmartServo(ABC):
     def require_force_limit(self) -> None:
         """Raise WrongIdentity if the servo is set up to keep none."""
 
+    @property
+    def _force_at(self) -> int:
+        """Where its limit of the force is written."""
+        return self.FORCE
+
     @abstractmethod
     def limit_force(self, current_A: float, share: float) -> None:
         """At most so much current, or `share` of the duty; does not wait."""
 
     def _force_written(self, value: int, confirm: Callable[[], None]) -> ServoQuestion:
-        return self._writing(self.FORCE, lambda: value.to_bytes(2, "little"), confirm)
+        return self._writing(self._force_at, lambda: value.to_bytes(2, "little"), confirm)
 
     def _read(self, address: int, count: int) -> bytes:
         return self._converse(lambda: self.WIRE.read(self.number, address, count), count, f"READ {address}")

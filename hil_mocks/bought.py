@@ -13,7 +13,7 @@ from control.model.description import Arm
 from hil_mocks.bought_can import KINDS, SWITCHED, CanBoards, Driven, Seen
 from hil_mocks.devices import dynamixel
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
-from hil_mocks.devices.dynamixel_table import CURRENT_BASED, POSITION
+from hil_mocks.devices.dynamixel_table import CURRENT_BASED, EXTENDED, POSITION
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 from hil_mocks.devices.motor_inputs import BRAKE, Output
 from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
@@ -29,9 +29,17 @@ class PacketLine(Protocol):
     def receive(self, received: bytes, now_s: float) -> None: ...
 
 
+# Model number and unit of the current by the name in arm.toml; the XL430 has none. Where no servo is named: an XM430.
+DYNAMIXELS = {"XL330-M288": (1200, 0.001), "XL430-W250": (1060, 0.0), "XM540-W270": (1120, 0.00269)}
+XM430 = (1020, 0.00269)
+
+
 def _dynamixel(number: int, drive: Drive, read_turns: Callable[[], float], grips: bool) -> DynamixelMock:
-    mode = CURRENT_BASED if grips else POSITION
-    setup = ServoSetup(number, _volts_per_rad_s(drive), mode=mode, supply_V=drive.supply_V)
+    model, unit_A = DYNAMIXELS.get(drive.servo, XM430)
+    gripping = CURRENT_BASED if unit_A else EXTENDED
+    setup = ServoSetup(
+        number, _volts_per_rad_s(drive), model, unit_A, gripping if grips else POSITION, drive.supply_V
+    )
     return DynamixelMock(setup, read_turns)
 
 
@@ -68,6 +76,7 @@ class Servos:
         made = SERVO_KINDS[kind]
         described = {board.name: board for board in arm.boards if board.kind == kind}
         self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in described]
+        self.servos = [drive.servos for drive in arm.drives]
         boards = [described[arm.drives[j].board] for j in self.joints]
         self.names = [f"{made.prefix}{board.address}" for board in boards]
         self.ports = list(dict.fromkeys(board.port for board in boards))
@@ -93,8 +102,8 @@ class Servos:
         """Advance the servos."""
         outputs: list[Driven] = []
         for j, mock in zip(self.joints, self.mocks, strict=True):
-            mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
-            outputs.append((j, mock.output, mock.limit_A))
+            mock.tick(now_s, seen.currents_A[j] / self.servos[j], seen.supply_V[j])
+            outputs.append((j, mock.output, mock.limit_A * self.servos[j]))
         return outputs
 
     def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:

@@ -193,8 +193,11 @@ def _payload(arm: Arm, q: Array, empty: Array, laden: Array | None) -> Payload |
     held = np.maximum(most.min(axis=1), 0.0)
     accelerations = np.nan_to_num([drive.joint_acceleration_limit_rad_s2 for drive in arm.drives], posinf=0.0)
     light, heavy = (np.abs(Dynamics(arm, kg).mass_matrices(q)) @ accelerations for kg in (0.0, 1.0))
+    needed_per_kg = np.maximum(
+        np.abs(per_kg) + heavy - light, 0.0
+    )  # 0: the mass takes from the coupling of joints
     with np.errstate(divide="ignore"):
-        moved = (limits - np.abs(empty) - light) / (np.abs(per_kg) + heavy - light)
+        moved = (limits - np.abs(empty) - light) / needed_per_kg
     return Payload(float(held.min()), float(np.median(held)), max(0.0, float(moved.min())))
 
 

@@ -294,7 +294,7 @@ class Arm:
             rotor_inertia_kg_m2=gripper.rotor_inertia_kg_m2, current_limit_A=gripper.current_limit_A,
             joint_speed_limit_rad_s=gripper.speed_limit_m_s * 2.0 * math.pi / gripper.travel_per_turn_m,
             encoder_direction=gripper.motor_direction, motor_direction=gripper.motor_direction, board=gripper.board,
-            board_channel=gripper.board_channel,
+            board_channel=gripper.board_channel, servo=gripper.servo,
         )  # fmt: skip
         return (*self.drives, own)
 

@@ -12,6 +12,7 @@ from control.model.joint_map import JointMap
 from control.model.maps import check_map
 from control.model.plausible import check_plausible
 from control.model.reader import Rejected
+from control.model.servos import SERVOS
 
 LONGEST_JOG_SILENCE_S = 0.5
 DIGITAL_MOST = 32
@@ -215,6 +216,9 @@ def _check_drive_board(arm: Arm, drive: Drive, path: tuple[str | int, ...]) -> N
     if drive.pid.mode not in kind.modes:
         expected = f"what its board can do: {' or '.join(kind.modes)}"
         raise Rejected((*path, "pid", "mode"), expected, drive.pid.mode)
+    if drive.servo and KINDS[SERVOS[drive.servo].kind] is not kind:
+        expected = f'the servo of a board of kind "{SERVOS[drive.servo].kind}", as a {drive.servo} is'
+        raise Rejected((*path, "board"), expected, drive.board)
     if drive.encoder_board < 0 and kind.counts_per_turn not in (0, drive.encoder_counts_per_rev):
         expected = f"{kind.counts_per_turn}: what the board sends a turn of its encoder, whatever the encoder"
         raise Rejected((*path, "encoder_counts_per_rev"), expected, str(drive.encoder_counts_per_rev))

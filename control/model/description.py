@@ -39,6 +39,7 @@ from control.model.arm import (
 from control.model.arm_checks import check_arm
 from control.model.end_effector import Gripper, read_tools
 from control.model.reader import Rejected, keys_of, read_table, show
+from control.model.servos import with_servo_values, without_servo_values
 from control.model.toml_lines import Path as KeyPath
 from control.model.toml_lines import key_lines, nearest_line
 
@@ -107,7 +108,7 @@ def parse_arm(text: str, path: Path) -> Arm:
     except tomllib.TOMLDecodeError as error:
         raise _syntax_error(error, text, path) from None
     try:
-        document, tools = read_tools(document)
+        document, tools = read_tools(with_servo_values(document))
         arm = read_table(Arm, document)
         if tools:
             arm = dataclasses.replace(arm, tool=tools[0], spare_tools=tools[1:])
@@ -138,7 +139,7 @@ def save_arm(arm: Arm, path: str | Path) -> None:
 
 def arm_text(arm: Arm) -> str:
     """Return the arm as the text of an arm.toml, with exact numbers."""
-    table = _table_of(arm)
+    table = without_servo_values(_table_of(arm))
     if arm.spare_tools:
         table["tool"] = [_table_of(tool) for tool in arm.tools]
     text = tomli_w.dumps(table)

@@ -90,6 +90,13 @@ class Drive:
         str, "name of the [[board]] that drives it; else a motor board of docs/motor_board.md"
     ] = ""
     board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
+    servo: Annotated[
+        str,
+        "a smart servo of docs/arms.md: gives gear_ratio to supply_V and current_limit_A, where they are not said",
+    ] = ""
+    servos: Annotated[
+        int, ONE_OR_MORE, "that turn the joint together: a shadow has the board's address as its secondary id"
+    ] = 1
     board_holds: Annotated[
         bool,
         "the motor board's own encoder counts up with positive voltage; false: without the loop the"

@@ -66,6 +66,9 @@ class Gripper:
     motor_node: Annotated[int, NODE, "CAN node of its motor board; or `board`", "none"] = -1
     board: Annotated[str, "name of the [[board]] that drives it"] = ""
     board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
+    servo: Annotated[
+        str, "as in [[drive]]; it does not give current_limit_A, which a held object needs lower"
+    ] = ""
     encoder_counts_per_rev: Annotated[
         int, ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
     ] = 0

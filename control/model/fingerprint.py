@@ -23,7 +23,7 @@ NOT_COMPARED: Final = frozenset(
         "link.joint_name", "link.link_name",
         "camera.udp_port", "camera.position_noise_m", "camera.orientation_noise_rad", "camera.stream.host", "camera.stream.port",
         "drive.encoder_board", "drive.encoder_channel", "drive.motor_node", "drive.motor_serial_number", "drive.board",
-        "drive.board_channel", "drive.board_holds", "drive.home", "drive.pid.kp", "drive.pid.ki", "drive.pid.kd",
+        "drive.board_channel", "drive.servo", "drive.board_holds", "drive.home", "drive.pid.kp", "drive.pid.ki", "drive.pid.kd",
         "drive.pid.derivative_filter_s",
         "limits.stale_s", "limits.watchdog_s", "limits.following_error_rad", "limits.following_error_per_speed_s",
         "limits.jog_silence_s", "limits.speed_contradiction_rad_s", "limits.unexplained_torque", "limits.supply_low",

@@ -15,7 +15,7 @@ from firmware_iface.smart_servo import ServoWire, SmartServo
 
 REBOOT_s = 0.5
 STORED_SPAN = (0, 69)  # address and length: model to status return level
-RETURN_DELAY, TORQUE_ENABLE, GOAL_POSITION, PROFILE, GOAL_CURRENT = 9, 64, 116, 108, 102
+RETURN_DELAY, TORQUE_ENABLE, GOAL_PWM, GOAL_POSITION, PROFILE, GOAL_CURRENT = 9, 64, 100, 116, 108, 102
 # Address and length: torque to bus watchdog; current to temperature.
 STATE_SPAN, VALUES_SPAN = (64, 35), (126, 21)
 HARDWARE_ERROR, BUS_WATCHDOG = 70, 98
@@ -29,18 +29,23 @@ WITHIN_LIMITS: Final = (
     3  # the mode that keeps its position limits; its homing offset is at most a quarter of a turn
 )
 REVERSED: Final = 0x01  # bit of the drive mode: its positions have the other sense
-WITH_FORCE: Final = 5
+EXTENDED, WITH_FORCE = 4, 5
 POSITION_MODES: Final = {
     WITHIN_LIMITS: "position",
-    4: "extended position",
+    EXTENDED: "extended position",
     WITH_FORCE: "current-based position",
 }
-# Unit of the present current by model number (e-Manual); models without a current are not here.
+# Unit of the present current by model number (e-Manual).
 XL330: Final = (1190, 1200)  # -M077, -M288
 CURRENT_UNIT_A: Final = {
     **dict.fromkeys(XL330, 0.001),
     1020: 0.00269, 1030: 0.00269, 1120: 0.00269, 1130: 0.00269,  # XM430-W350, -W210, XM540-W270, -W150
 }  # fmt: skip
+# Models that measure no current: at its place they have the load, the share of the supply that is on the motor, in 0.1 %.
+WITH_LOAD: Final = (1060,)  # XL430-W250
+LOAD_UNIT: Final = 0.001
+FULL_PWM: Final = 885
+SPEED_UNIT_rad_s: Final = 0.229 * 2.0 * math.pi / 60.0
 # Model; firmware; return delay, drive mode, operating mode; homing offset; position limits; shutdown; status return level
 _STORED = struct.Struct("<H4xB2xBBB8xi24xii7xB4xB")
 _VALUES = struct.Struct("<hiiiiHB")  # current, velocity, position, two of a trajectory, voltage, temperature
@@ -91,12 +96,13 @@ class DynamixelServo(SmartServo):
         self.model, firmware, delay, drive_mode, mode, offset, most, least, self.frees_at, level = (
             _STORED.unpack(self._read(*STORED_SPAN))
         )
-        if self.model not in CURRENT_UNIT_A:
-            known = ", ".join(map(str, CURRENT_UNIT_A))
+        if self.model not in (*CURRENT_UNIT_A, *WITH_LOAD):
+            known = ", ".join(map(str, sorted((*CURRENT_UNIT_A, *WITH_LOAD))))
             raise WrongIdentity(
-                f"{self.where}: expected a model that measures its current (model numbers {known}), it is model {self.model}"
+                f"{self.where}: expected a model that measures its current or its load (model numbers {known}), it is model"
+                f" {self.model}"
             )
-        self._current_unit_A = CURRENT_UNIT_A[self.model]
+        self._current_unit_A = CURRENT_UNIT_A.get(self.model, math.nan)
         self._mode = mode
         for is_right, expected, found, remedy in (
             (
@@ -112,6 +118,7 @@ class DynamixelServo(SmartServo):
                 )
         self.return_delay_s = delay * DELAY_STEP_s
         notes = [f"model {self.model}", f"firmware {firmware}", f"{POSITION_MODES[mode]} mode"]
+        notes += ["current reckoned from its load"] if self.has_load else []
         if mode == WITHIN_LIMITS:
             offset = min(max(offset, -COUNTS_PER_TURN // 4), COUNTS_PER_TURN // 4)
             self.reached = range(least, most + 1)
@@ -133,16 +140,27 @@ class DynamixelServo(SmartServo):
         self.read_state()
 
     def require_force_limit(self) -> None:
-        """Raise WrongIdentity unless its operating mode keeps a goal current."""
-        if self._mode != WITH_FORCE:
+        """Raise WrongIdentity unless its operating mode keeps a goal current, or a duty, over several turns."""
+        needed = EXTENDED if self.has_load else WITH_FORCE
+        if self._mode != needed:
             raise WrongIdentity(
-                f"{self.where}: expected operating mode {WITH_FORCE} ({POSITION_MODES[WITH_FORCE]}) for a gripper, it is"
+                f"{self.where}: expected operating mode {needed} ({POSITION_MODES[needed]}) for a gripper, it is"
                 f" {self._mode}: set it with Dynamixel Wizard"
             )
 
     def limit_force(self, current_A: float, share: float) -> None:
-        """At most this goal current; `share` of the duty is not used."""
-        self._force.keep(max(round(current_A / self._current_unit_A), 1))
+        """At most this goal current, or this `share` of the duty where there is none."""
+        units = share * FULL_PWM if self.has_load else current_A / self._current_unit_A
+        self._force.keep(max(round(units), 1))
+
+    @property
+    def _force_at(self) -> int:
+        return GOAL_PWM if self.has_load else self.FORCE
+
+    @property
+    def has_load(self) -> bool:
+        """Whether it measures no current."""
+        return self.model in WITH_LOAD
 
     def read_state(self) -> None:
         """Torque, errors, and all values as they are now."""
@@ -160,8 +178,10 @@ class DynamixelServo(SmartServo):
     # ---- answers
 
     def _take_values(self, data: bytes, sent_at_s: float) -> None:
-        current, _, self.position, _, _, tenths_V, self.temperature_degC = _VALUES.unpack(data[1:])
+        current, speed, self.position, _, _, tenths_V, self.temperature_degC = _VALUES.unpack(data[1:])
         self.current_A, self.supply_V = current * self._current_unit_A, tenths_V * 0.1
+        if self.has_load:
+            self.load, self.speed_rad_s = current * LOAD_UNIT, speed * SPEED_UNIT_rad_s
         self.at_s = sent_at_s
 
     def _take_state(self, data: bytes, _: float) -> None:

@@ -19,8 +19,10 @@ from hil_mocks.devices.dynamixel_table import (
     CURRENT_BASED,
     CURRENT_LIMIT,
     ERROR_STATUS,
+    FULL_PWM,
     GOAL,
     GOAL_CURRENT,
+    GOAL_PWM,
     LENGTH_ERROR,
     MAX_VOLTAGE,
     MIN_VOLTAGE,
@@ -104,7 +106,7 @@ class ServoSetup:
     number: int
     volts_per_rad_s: float
     model: int = 1020
-    current_unit_A: float = 0.00269
+    current_unit_A: float = 0.00269  # 0: it has its load at that place
     mode: int = POSITION  # CURRENT_BASED keeps the goal current
     supply_V: float = NOMINAL_V
 
@@ -247,7 +249,7 @@ class DynamixelMock:
         motor = self._motor
         motor.measure(now_s)
         struct.pack_into(
-            "<hiiiiHB", self.table, VALUES, min(max(round(current_A / self.setup.current_unit_A), -32767), 32767),
+            "<hiiiiHB", self.table, VALUES, self._effort(current_A, supply_V),
             round(motor.speed_turns_s * 60.0 / 0.229), self.position, 0, 0, round(supply_V * 10), 35,
         )  # fmt: skip
         least, most = (control_table.value(self.table, address) for address in (MIN_VOLTAGE, MAX_VOLTAGE))
@@ -260,7 +262,15 @@ class DynamixelMock:
         if self.table[TORQUE] and 0 < watchdog < 0x80 and now_s - self._heard_s > 0.02 * watchdog:
             self.table[WATCHDOG] = WATCHDOG_EXPIRED
             motor.goal_turns = motor.turns
-        self.output = motor.controlled(supply_V) if self.table[TORQUE] else OPEN
+        share = control_table.value(self.table, GOAL_PWM) / FULL_PWM
+        self.output = motor.controlled(supply_V * abs(share)) if self.table[TORQUE] else OPEN
+
+    def _effort(self, current_A: float, supply_V: float) -> int:
+        """The current in the model's unit; without a sensor of it, what the output is of the supply, in 0.1 %."""
+        if self.setup.current_unit_A:
+            return min(max(round(current_A / self.setup.current_unit_A), -32767), 32767)
+        volts = self.output.value if self.output.kind == "voltage" else 0.0
+        return min(max(round(1000.0 * volts / supply_V), -1000), 1000) if supply_V > 0.0 else 0
 
 
 class DynamixelLineMock:

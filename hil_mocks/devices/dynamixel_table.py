@@ -10,7 +10,8 @@ RETURN_DELAY, MODE, MAX_VOLTAGE, MIN_VOLTAGE, CURRENT_LIMIT = 9, 11, 32, 34, 38
 MAX_POSITION, MIN_POSITION, SHUTDOWN = 48, 52, 63
 TORQUE, RETURN_LEVEL, REGISTERED, ERROR_STATUS, WATCHDOG = 64, 68, 69, 70, 98
 GOALS, GOAL_CURRENT, GOAL, VALUES = (100, 102, 104, 116), 102, 116, 126
-POSITION, CURRENT_BASED = 3, 5  # operating modes
+GOAL_PWM, FULL_PWM = 100, 885
+POSITION, EXTENDED, CURRENT_BASED = 3, 4, 5  # operating modes
 WATCHDOG_EXPIRED = 0xFF
 _TURNS_RANGE = 1_048_575  # of a goal position, but in the mode of one turn
 
@@ -34,7 +35,7 @@ ITEMS = {
     TORQUE: Item(1, 0, 1), 65: Item(1, 0, 1), RETURN_LEVEL: Item(1, 0, 2, 2),
     76: _GAIN._replace(initial=1920), 78: _GAIN._replace(initial=100), 80: _GAIN, 82: _GAIN,
     84: _GAIN._replace(initial=800), 88: _GAIN, 90: _GAIN, WATCHDOG: Item(1, 0, 127),
-    100: Item(2, -885, 885, 885), GOAL_CURRENT: Item(2, -1193, 1193, 1193), 104: Item(4, -1023, 1023),
+    GOAL_PWM: Item(2, -FULL_PWM, FULL_PWM, FULL_PWM), GOAL_CURRENT: Item(2, -1193, 1193, 1193), 104: Item(4, -1023, 1023),
     108: Item(4, 0, 32_767), 112: Item(4, 0, 32_767), GOAL: Item(4, -_TURNS_RANGE, _TURNS_RANGE),
 }  # fmt: skip
 

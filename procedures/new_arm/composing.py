@@ -13,7 +13,7 @@ from control.kinematics.corners import Corners
 from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
 from control.model.board_kinds import KINDS
 from procedures.new_arm.answers import Answers, Parts
-from procedures.new_arm.motors import SERVOS, Load, WITHOUT_LIMIT_rad, drives, loads, range_of, servo_of
+from procedures.new_arm.motors import SERVOS, Load, WITHOUT_LIMIT_rad, drives, loads, range_of
 from procedures.new_arm.rest import rest_pose
 from procedures.new_arm.stretched import is_level
 from procedures.on_boards import on_boards, serial_lines
@@ -147,7 +147,7 @@ def _placed(arm: Arm, parts: Parts) -> list[str]:
     notes = []
     for kind in dict.fromkeys(kind for kind in parts.boards if kind in SERVOS):
         of_kind = [drive for drive, board in zip(arm.drives, parts.boards, strict=True) if board == kind]
-        names = ", ".join(f"joint {drive.joint} {servo_of(kind, drive).name}" for drive in of_kind)
+        names = ", ".join(f"joint {drive.joint} {drive.servo}" for drive in of_kind)
         notes.append(
             f"{kind}, by the data sheets: {names}; replace them by yours. Rotor inertias are not known (armwright arm names them)"
         )

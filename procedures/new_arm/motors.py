@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.arm_import.tree import TreeJoint
 from control.dynamics.dynamics import Dynamics
+from control.model import servos
 from control.model.arm import Arm, Drive, Home
 from control.model.board_kinds import KINDS
 from procedures.new_arm.answers import Parts
@@ -73,29 +74,28 @@ MOTORS: Final = (
     Motor(0.0302, 0.299, 8.2e-5, 1.42e-5, 24.0, 8.0),  # the reference arm's
     Motor(0.1, 0.12, 1.5e-4, 1.2e-4, 48.0, 20.0),
 )
-RPM: Final = 2.0 * math.pi / 60.0
 
 
-def _servo(name: str, stall_Nm: float, stall_A: float, supply_V: float, free_rpm: float) -> Motor:
+def _servo(name: str) -> Motor:
     """A servo by its data sheet, which tells neither inductance nor rotor inertia."""
-    return Motor(stall_Nm / stall_A, supply_V / stall_A, 0.0, 0.0, supply_V, stall_A, RPM * free_rpm, name)
+    servo = servos.SERVOS[name]
+    return Motor(
+        servo.torque_constant_Nm_A,
+        servo.resistance_ohm,
+        0.0,
+        0.0,
+        servo.supply_V,
+        servo.stall_A,
+        servo.free_rad_s,
+        name,
+    )
 
 
+# To choose from, the smallest first. One line has one supply, but for the XL330, which a step-down feeds.
 SERVOS: Final = {
-    # ROBOTIS e-Manual: stall torque and current, no-load speed at the recommended voltage
-    "dynamixel": (
-        _servo("XL330-M288", 0.52, 1.47, 5.0, 103.0),
-        _servo("XM430-W350", 4.1, 2.3, 12.0, 46.0),
-        _servo("XM540-W270", 10.6, 4.4, 12.0, 30.0),
-    ),
-    # Feetech's data sheet of the STS3215-C018: 30 kg cm, 45 rpm, 2.7 A at 12 V
-    "feetech": (_servo("STS3215", 2.94, 2.7, 12.0, 45.0),),
+    "dynamixel": tuple(map(_servo, ("XL330-M288", "XM430-W350", "XM540-W270"))),
+    "feetech": (_servo("STS3215-12V"),),
 }
-
-
-def servo_of(kind: str, drive: Drive) -> Motor:
-    """Which servo of a kind a drive has."""
-    return next(servo for servo in SERVOS[kind] if servo.torque_constant_Nm_A == drive.torque_constant_Nm_A)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,10 +149,10 @@ def drives(
 def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: float) -> Drive:
     given = None if parts.gear_ratios is None else parts.gear_ratios[number - 1]
     kind = parts.boards[number - 1]
-    servos = SERVOS.get(kind, ())  # whose gear is inside
-    gears = (1.0,) if servos else (given,) if given else GEARS
+    with_gear = SERVOS.get(kind, ())
+    gears = (1.0,) if with_gear else (given,) if given else GEARS
     highest_V = math.inf if kind == REFERENCE else KINDS[kind].highest_supply_V
-    motors = servos or tuple(motor for motor in MOTORS if motor.supply_V <= highest_V)
+    motors = with_gear or tuple(motor for motor in MOTORS if motor.supply_V <= highest_V)
     motor, gear = _chosen(joint, load, motors, gears)
     current_A = motor.current_A
     if math.isfinite(joint.torque_Nm) and joint.torque_Nm < motor.torque_Nm(gear):
@@ -163,7 +163,7 @@ def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: fl
     acceleration = _acceleration(motor, gear, current_A, load, joint)
     lower, upper = range_of(joint, kind)
     zero_count = 0
-    if servos:
+    if with_gear:
         acceleration = min(acceleration, SERVO_ACCELERATION_rad_s2)
         speed = speed if math.isfinite(joint.speed_rad_s) else min(speed, SERVO_SPEED_rad_s)
         per_rad = KINDS[kind].counts_per_turn / (2.0 * math.pi)
@@ -184,6 +184,7 @@ def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: fl
         joint_acceleration_limit_rad_s2=_rounded(acceleration),
         joint_jerk_limit_rad_s3=_rounded(JERK_PER_ACCELERATION_1_s * acceleration),
         zero_count=zero_count,
+        servo=motor.name,
         home=_home(rest_rad, gear, (lower, upper), speed) if parts.has_home_switches else None,
     )
 

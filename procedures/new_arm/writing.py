@@ -110,6 +110,8 @@ def _keys_of_drive(drive: Drive) -> list[str]:
     """Those of its own table that its board leaves open."""
     left_out = {"pid", "home"} | (ON_REFERENCE if drive.board else ON_BOUGHT)
     left_out |= set() if drive.zero_count else {"zero_count"}
+    left_out |= set() if drive.servo else {"servo"}
+    left_out |= set() if drive.servos > 1 else {"servos"}
     return [key for key in keys_of(Drive) if key not in left_out]
 
 

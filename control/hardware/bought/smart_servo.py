@@ -103,6 +103,7 @@ class ServoDrive:
         self._servo, self._encoder, self._joint = servo, encoder, joint
         self._map = JointMap(drive)
         self._sign = float(drive.encoder_direction)  # a servo's current has the sense of its count
+        self._drive = drive
         self._duty_per_A = drive.resistance_ohm / drive.supply_V
         self._watchdog_s = watchdog_s
         self._fault_of = fault_of
@@ -122,12 +123,21 @@ class ServoDrive:
             return
         self._faults |= sum(bit for mask, bit in self._fault_of if servo.hardware_error & mask)
         self._faults |= WATCHDOG if servo.is_watchdog_expired else 0
-        feedback.current_A[joint] = self._sign * servo.current_A
+        feedback.current_A[joint] = self._sign * self._current_A()
         feedback.supply_V[joint] = servo.supply_V
         feedback.temperature_C[joint] = servo.temperature_degC
         feedback.drive_faults[joint] = self._faults
         state = OPERATION_ENABLED if self.is_any_enabled() else SWITCH_ON_DISABLED
         feedback.statusword[joint] = FAULT if self._faults else state
+
+    def _current_A(self) -> float:
+        """Of all servos of the joint: as measured, else i = (load U - k speed) / R, by the values of arm.toml [A]."""
+        servo, drive = self._servo, self._drive
+        if math.isnan(servo.load):
+            return servo.current_A * drive.servos
+        return (
+            servo.load * servo.supply_V - drive.torque_constant_Nm_A * servo.speed_rad_s
+        ) / drive.resistance_ohm
 
     def write(
         self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],

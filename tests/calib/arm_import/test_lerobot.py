@@ -165,7 +165,7 @@ def test_the_commands_take_it_over_and_give_it_back(
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--like", "so99"], '"right" or "so101", got an unknown name'),
+        (["--like", "so99"], '"so101" or "widowx250", got an unknown name'),
         (["--like", "so101", "--joints", "3"], "copies a whole arm: leave --joints out"),
         (["--like", "so101", "--ports", "a", "b"], "expected 1, as so101 has"),
         (["--like", "so101", "--name", r"a\1"], "name: expected a name of 1 to 64 characters"),

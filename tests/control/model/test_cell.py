@@ -58,7 +58,7 @@ def test_a_base_that_is_turned_and_moved_takes_points_there_and_back(tmp_path: P
         ('"right"', '"right"\norientation = [1.0, 1.0, 0.0, 0.0]', 6, "expected a unit quaternion"),
         ('"right"', '"right"\norientation = [0.0, 1.0, 0.0, 0.0]', 6, "expected gravity as of arm 'left'"),
         ('"right"', '"right"\norigin_m = [0.0, -250.0, 0.0]', 6, "this looks like millimetres: write [0, -0.25, 0]"),
-        ('"right"', '"rigth"', None, 'expected a path to an arm.toml, or "left" or "right" or "so101"'),
+        ('"right"', '"rigth"', None, 'expected a path to an arm.toml, or "koch" or "left" or "right" or "so100" or'),
         ("[[arm]]", "[arm]", 2, "expected"),
     ],
 )  # fmt: skip

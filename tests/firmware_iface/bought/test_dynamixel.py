@@ -1,5 +1,6 @@
 """Dynamixel protocol 2.0: the packets of the e-Manual, and a line that is late, echoes or is silent."""
 
+import math
 import re
 import struct
 from pathlib import Path
@@ -28,12 +29,15 @@ def test_packets_are_those_of_the_manual() -> None:
     assert status == (1, 0, struct.pack("<HB", 1030, 38), 14)
 
 
+UNITS_A = {1060: 0.0}  # an XL430 measures no current
+
+
 class Cable:
     """A line with a mock servo; its clock is that of the servo. `echoes`: the adapter hears itself."""
 
     def __init__(self, model: int = 1020, echoes: bool = False) -> None:
         self.link, self._far = byte_pair("/dev/ttyU2D2", 1_000_000)
-        self.servo = DynamixelMock(ServoSetup(3, 1.0, model), lambda: 0.25)
+        self.servo = DynamixelMock(ServoSetup(3, 1.0, model, UNITS_A.get(model, 0.00269)), lambda: 0.25)
         self.other = DynamixelMock(ServoSetup(4, 1.0, model), lambda: 0.5)
         self.mock = DynamixelLineMock([self.servo, self.other], 1_000_000)
         self.is_cut = False
@@ -70,9 +74,9 @@ def test_a_servo_says_who_and_where_it_is(echoes: bool) -> None:
     assert cable.servo.table[98] == 10
 
 
-def test_models_without_a_current_other_modes_and_bad_ids_are_refused() -> None:
-    cable = Cable(model=1060)
-    with pytest.raises(WrongIdentity, match="measures its current"):
+def test_unknown_models_other_modes_and_bad_ids_are_refused() -> None:
+    cable = Cable(model=350)
+    with pytest.raises(WrongIdentity, match="measures its current or its load"):
         DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
     cable = Cable()
     cable.servo.table[11] = 1
@@ -80,6 +84,29 @@ def test_models_without_a_current_other_modes_and_bad_ids_are_refused() -> None:
         DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
     with pytest.raises(MisuseError, match="0 to 252"):
         DynamixelServo(DynamixelLine(cable.link, cable), 254, "elbow")
+
+
+def test_a_model_without_a_current_tells_its_load_and_speed_and_limits_its_duty() -> None:
+    cable = Cable(model=1060)
+    line = DynamixelLine(cable.link, cable)
+    servo = DynamixelServo(line, 3, "elbow")
+    assert "current reckoned from its load" in servo.identify()
+    with pytest.raises(
+        WrongIdentity, match=r"expected operating mode 4 \(extended position\) for a gripper, it is 3"
+    ):
+        servo.require_force_limit()
+    servo.set_up(0.2)
+    servo.post_torque(True)
+    servo.limit_force(0.5, 0.25)
+    cycles(cable, line, 5)
+    servo.goal = 1100  # 76 counts from where it is held
+    cycles(cable, line, 5)
+    assert struct.unpack_from("<h", cable.servo.table, 100)[0] == round(0.25 * 885)
+    servo.read_state()
+    assert math.isnan(servo.current_A)
+    assert servo.load == pytest.approx(cable.servo.output.value / 12.0, abs=0.001)
+    assert servo.load > 0.01
+    assert servo.speed_rad_s == pytest.approx(0.0, abs=0.03)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,132 @@
+"""The arms that people own: `new --like` makes each of them, it is well and moves on the mock; servos by their data sheets."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from console.main import main
+from control.errors import ArmFileError
+from control.kinematics.corners import Corners
+from control.model.description import arm_names, arm_text, load_arm, parse_arm, save_arm
+from control.model.servos import SERVOS
+from hil_mocks.rig import SteppedRig
+from hil_mocks.scenario import load_scenario
+from procedures.arm_sheet import sheet, warnings
+from procedures.doctor.boards import open_boards
+from procedures.doctor.finding import Level, as_text, worst
+from procedures.doctor.judging import judge
+from procedures.doctor.sampling import sample
+from tests.cell import open_cell, wired_to
+
+OWNED = tuple(name for name in arm_names() if load_arm(name).boards)
+SEEN_rad = 0.01  # six counts of a servo
+
+
+def test_every_servo_arm_that_is_known_is_tried_here() -> None:
+    assert set(OWNED) >= {"koch", "so100", "so101", "widowx250"}
+
+
+@pytest.mark.parametrize("name", OWNED)
+def test_a_known_arm_is_well_moves_and_is_let_go_on_the_mock(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    assert main(["new", "--like", name, "--out", str(file)]) == 0
+    arm = load_arm(file)
+    assert arm.rest is not None
+    figures = sheet(arm)
+    assert list(warnings(figures)) == []
+    assert figures.payload is not None
+    assert 0.0 < figures.payload.moving_kg < figures.payload.everywhere_kg
+    period_s = 1.0 / arm.usual_rate_Hz
+    with open_cell(load_scenario("demo"), arm=arm, period_s=period_s) as cell:
+        cell.client.enable()
+        target = [angle + 0.2 for angle in arm.rest.q_rad]
+        cell.run(cell.start_move(target) + 0.8)
+        assert cell.faults == []
+        assert np.abs(np.array(cell.rig.joint_rad()) - target).max() < SEEN_rad
+        cell.client.off()
+        cell.until(lambda: not any(cell.torques()), 1.0)
+
+
+@pytest.mark.parametrize("name", OWNED)
+def test_the_doctor_finds_a_known_arm_well(name: str) -> None:
+    arm = load_arm(name)
+    period_s = 1.0 / arm.usual_rate_Hz
+    with SteppedRig(arm, load_scenario("ideal")) as rig:
+        wired = wired_to(arm, rig)
+        boards = open_boards(wired, rig.clock, period_s)
+        findings = [*boards.findings, *judge(sample(boards, rig.clock, period_s, 0.2), wired)]
+        boards.close()
+    assert worst(findings) is Level.OK, as_text(findings)
+
+
+@pytest.mark.parametrize("name", OWNED)
+def test_a_known_arm_rests_above_the_floor_and_its_range_is_within_a_turn_of_its_servos(name: str) -> None:
+    arm = load_arm(name)
+    assert arm.rest is not None
+    assert min(float(corner[2, 0]) for corner in Corners(arm).batch(np.array([arm.rest.q_rad]))) >= 0.0
+    for drive in arm.drives:
+        servo = SERVOS[drive.servo]
+        assert drive.joint_upper_rad - drive.joint_lower_rad < 2.0 * math.pi
+        assert servo.kind == {board.name: board.kind for board in arm.boards}[drive.board]
+        assert drive.joint_speed_limit_rad_s < (servo.free_rad_s or math.inf)
+
+
+def test_a_servo_gives_the_values_of_its_data_sheet_and_the_file_may_say_others(tmp_path: Path) -> None:
+    arm = load_arm("koch")
+    shoulder, elbow = arm.drives[1], arm.drives[2]
+    assert (shoulder.supply_V, elbow.supply_V) == (12.0, 5.0)
+    assert shoulder.torque_constant_Nm_A * shoulder.current_limit_A == pytest.approx(1.5)  # N m, stalled
+    assert shoulder.supply_V / shoulder.resistance_ohm == pytest.approx(1.4)  # A, stalled
+    measured = dataclasses.replace(elbow, torque_constant_Nm_A=0.31)
+    drives = (*arm.drives[:2], measured, *arm.drives[3:])
+    save_arm(dataclasses.replace(arm, drives=drives), tmp_path / "mine.toml")
+    assert load_arm(tmp_path / "mine.toml").drives == drives
+    text = arm_text(arm)
+    assert text.count("torque_constant_Nm_A") == text.count("resistance_ohm") == 0
+    assert parse_arm(text.replace("XL330-M288", "XM430-W350"), Path("other.toml")).drives[2].supply_V == 12.0
+
+
+def test_two_servos_of_a_joint_are_one_motor_of_their_summed_current() -> None:
+    one, two = load_arm("widowx250").drives[:2]
+    assert (one.servos, two.servos) == (1, 2)
+    assert two.torque_constant_Nm_A == one.torque_constant_Nm_A
+    assert two.supply_V / two.resistance_ohm == pytest.approx(2.0 * one.supply_V / one.resistance_ohm)
+    assert two.current_limit_A == 2.0 * one.current_limit_A
+
+
+@pytest.mark.parametrize("name", OWNED)
+def test_the_current_of_every_servo_holds_the_arm(name: str) -> None:
+    """Measured or reckoned, of one servo or of two: the torque of what is reported is that of the motors."""
+    arm = load_arm(name)
+    assert arm.rest is not None
+    stretched = [0.0, 0.4, 0.1, 0.1, 0.0] if name != "widowx250" else [0.0, 0.8, -0.8, 0.3, 0.0]
+    with open_cell(load_scenario("ideal"), arm=arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        cell.client.enable()
+        cell.run(cell.start_move(stretched) + 2.0)
+        told = cell.connection.hardware.feedback.current_A
+        true = cell.rig.robot.plant.bridges.currents_A()
+    assert max(map(abs, true)) > 0.1
+    for joint, drive in enumerate(arm.drives):
+        assert told[joint] == pytest.approx(true[joint], abs=0.02 * drive.current_limit_A)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('servo = "XL330-M288"', 'servo = "XL331"', 'expected "XL330-M288" or "XL430-W250" or'),
+        ('servo = "XL330-M288"', "servo = 330", "got 330"),
+        ('servo = "XL330-M288"', 'servo = "STS3215-12V"', 'the servo of a board of kind "feetech"'),
+        ('servo = "XL430-W250"', 'servo = "XL430-W250"\nservos = 0', "servos of [[drive]] 1: expected"),
+    ],
+)
+def test_a_servo_that_cannot_be_is_refused_with_its_line(old: str, new: str, said: str) -> None:
+    text = arm_text(load_arm("koch")).replace(old, new, 1)
+    with pytest.raises(ArmFileError) as refused:
+        parse_arm(text, Path("mine.toml"))
+    assert said in str(refused.value)
+    assert str(refused.value).startswith("mine.toml, line ")
