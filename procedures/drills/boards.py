@@ -39,6 +39,7 @@ STOPS_mm = 100.0  # along its path
 JOGGED_rad_s, JOGGED_S = 0.1, 0.2
 SAGGED_V = 14.4  # of 24
 FIRMWARE, OLD_FIRMWARE = 6, 36  # register of a Dynamixel, and a version without a bus watchdog
+MODE, EXTENDED_POSITION = 11, 4
 FULL_DUPLEX = "roboclaw"
 # What other programs ask the first board, and take no answer of: the position, or whether it is there.
 QUESTIONS: dict[str, bytes | tuple[int, bytes, CanFormat]] = {
@@ -95,7 +96,7 @@ class BoardsDrill(Promise):
             ("torque-lost", "another program switches a drive off that holds", lost, FALLS_mm, torque_lost, HOLDING),
             ("torque-in-off", "another program switches a drive on while the arm is off", GOES_ON, FALLS_mm, torque_in_off,
              HOLDING),
-            ("turn-off", "encoder 1 reads a turn too much", GOES_ON, FALLS_mm, a_turn_off, ("odrive",)),
+            ("turn-off", "encoder 1 reads a turn too much", GOES_ON, FALLS_mm, a_turn_off, ("dynamixel", "odrive")),
             ("below-floor", "moves of an arm that stands below the floor", GOES_ON, FALLS_mm, below_floor, HOLDING[:1]),
             ("brown-out", "the supply of one board sags to 60 %", sagged, HELD_mm, brown_out, HOLDING_ON),
             ("brown-out", "the supply of one board sags to 60 %", sagged, SINKS_mm, brown_out, (*HOLDING[-1:], *BRAKING)),
@@ -172,10 +173,14 @@ def torque_in_off(played: Stage) -> str:
 
 
 def a_turn_off(played: Stage) -> str:
-    """A joint that reads a turn too much is neither enabled nor homed. A servo tells of its turn when it is connected."""
-    first, *others = played.arm.drives
-    turn = round(first.encoder_counts_per_rev * first.gear_ratio)
-    played.arm = replace(played.arm, drives=(replace(first, zero_count=first.zero_count - turn), *others))
+    """A joint that reads a turn too much is neither enabled nor homed: a servo has counted on, an encoder was fitted a turn off."""
+    servos = [line.servos[1] for line in played.rig.robot.bought.lines if isinstance(line, DynamixelLineMock)]
+    for servo in servos:
+        servo.table[MODE], servo.turned_on = EXTENDED_POSITION, 1
+    if not servos:
+        first, *others = played.arm.drives
+        turn = round(first.encoder_counts_per_rev * first.gear_ratio)
+        played.arm = replace(played.arm, drives=(replace(first, zero_count=first.zero_count - turn), *others))
     played.restart()
     for do in ("enable", "home", "hold"):
         if played.request({"do": do})["ok"]:
