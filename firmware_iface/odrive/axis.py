@@ -11,12 +11,14 @@ from firmware_iface.errors import (
     MisuseError,
     ProtocolViolation,
     RequestRefused,
+    WrongIdentity,
 )
 from firmware_iface.node_bus import NodeBus
 from firmware_iface.odrive import wire
 from firmware_iface.odrive.wire import AxisState, Command, Control, Error, Frame
 
 STATUS_WAIT_s = 0.5  # an ODrive that sends more slowly cannot be used
+VERSION_WAIT_s = 0.01  # for an answer that only firmware 0.5 gives; no longer, as watchdogs of other axes run
 GAP_s = 0.1  # without a heartbeat: it may have restarted meanwhile
 ASK_AGAIN_s = 0.1  # for a state: the heartbeat tells of it a little later, and asking twice leaves the state
 _GOES_ON: Final = (0, 1, 2, 3)  # procedure results: well, busy, cancelled, disarmed (an error says why)
@@ -54,6 +56,7 @@ class OdriveAxis:
         self.state = 0
         self.resets = 0
         self._at_s = dict.fromkeys(_SETTINGS, -math.inf)
+        self._is_old = False
         self._wanted: AxisState | None = None
         self._control: Control | None = None  # as the axis has it
         self._input: tuple[Control, Frame] = (Control.TORQUE, wire.torque(node, 0.0))
@@ -127,13 +130,25 @@ class OdriveAxis:
     # ---- outside of the cycle
 
     def identify(self) -> None:
-        """Check that it sends what is needed. BoardSilent says what is missing.
+        """Check that it is of firmware 0.6 and sends what is needed. WrongIdentity; BoardSilent says what is missing.
 
         An error of its watchdog alone is cleared: without a host it had to expire.
         """
-        self.await_status()
+        self._is_old, end_s = False, self._bus.clock.now_s() + VERSION_WAIT_s
+        self._bus.send(wire.ask_sensorless_error(self.node))
+        try:
+            self.await_status()
+        finally:  # with 0.5, the settings of what is missing have other names
+            self._require_new_firmware(end_s)
         if self.errors == Error.WATCHDOG_TIMER_EXPIRED:
             self.clear_errors()
+
+    def _require_new_firmware(self, until_s: float) -> None:
+        if self._bus.waits(lambda: self._is_old, until_s - self._bus.clock.now_s()):
+            raise WrongIdentity(
+                f"{self.where}: expected firmware 0.6, it is 0.5, whose errors mean others: update it with odrivetool (an"
+                " ODrive v3 has no 0.6, and is not driven)"
+            )
 
     def await_status(self) -> None:
         """Wait for values that are sent from now on. BoardSilent."""
@@ -189,6 +204,8 @@ class OdriveAxis:
                 self.temperature_degC = max(
                     wire.pair(payload)
                 )  # without a motor's thermistor, NaN is the second
+            case Command.SENSORLESS_ERROR:
+                self._is_old |= wire.is_sensorless_error(payload)
             case Command.BUS:
                 self.supply_V = wire.pair(payload)[0]
         if command in self._at_s:

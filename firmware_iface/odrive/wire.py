@@ -10,6 +10,10 @@
     TEMPERATURE 0x15   FETs degC, motor degC             SET_LIMITS 0x0F           turns/s, A
     BUS 0x17           V, A                              CLEAR_ERRORS 0x18         u8 0
 
+Firmware 0.5 has messages of the same form and another meaning. It answers an empty frame of SENSORLESS_ERROR 0x05 by the same,
+u32 error and four bytes of 0, which 0.6 does not know (ODrive's own can_simple.cpp of 0.5.6). There 0x05 carries answers about
+settings: u8 0, u16 which, u8 0, the value.
+
 The errors of HEARTBEAT are those that there are, and those that ended the last operation until CLEAR_ERRORS.
 """
 
@@ -28,6 +32,7 @@ class Command(IntEnum):
     """Commands of CANSimple."""
 
     HEARTBEAT = 0x01
+    SENSORLESS_ERROR = 0x05  # of firmware 0.5
     SET_AXIS_STATE = 0x07
     ENCODER = 0x09
     SET_CONTROLLER_MODE = 0x0B
@@ -123,6 +128,16 @@ def limits(node: int, speed_turns_s: float, current_A: float) -> Frame:
 def clear_errors(node: int) -> Frame:
     """Forget errors whose cause is gone."""
     return frame_id(node, Command.CLEAR_ERRORS), b"\x00"
+
+
+def ask_sensorless_error(node: int) -> Frame:
+    """A question that firmware 0.5 answers, and no other."""
+    return frame_id(node, Command.SENSORLESS_ERROR), b""
+
+
+def is_sensorless_error(payload: bytes) -> bool:
+    """Whether an answer is one of firmware 0.5, of whose errors the first byte has all; else it is 0.6's about a setting."""
+    return len(payload) == 8 and not any(payload[1:])
 
 
 def heartbeat(payload: bytes) -> Heartbeat:

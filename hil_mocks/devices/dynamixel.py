@@ -118,7 +118,7 @@ class DynamixelMock:
         self.setup = setup
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.turned_on = 0  # whole turns that it has counted on since its supply came on; in an extended mode
-        self._read_turns = lambda: read_turns() + self.turned_on
+        self._read_turns: Callable[[], float] = lambda: read_turns() + self.turned_on
         self.table = bytearray(control_table.initial(0))
         struct.pack_into("<H", self.table, 0, setup.model)
         self.table[6], self.table[7], self.table[MODE] = 46, setup.number, setup.mode

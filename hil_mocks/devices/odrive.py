@@ -1,5 +1,6 @@
 """An ODrive axis on CAN, written from ODrive's documentation of CANSimple and its DBC (firmware 0.6).
 
+With `is_firmware_5` it answers what firmware 0.5.6 answers to an empty frame (its can_simple.cpp), and has the same messages.
 A state machine without I/O: `receive` frames with 11-bit ids, `tick` once per control period, read `output`. What is assumed of
 its settings (odrivetool) is in `OdriveSetup`. Requests by remote frames are left out: its messages come at their rates.
 """
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 from hil_mocks.devices.motor_inputs import OPEN, Frame, Output
 from hil_mocks.devices.servo_motor import ServoMotor
 
-HEARTBEAT, ESTOP, GET_ERROR, STATE, ENCODER, MODE = 0x01, 0x02, 0x03, 0x07, 0x09, 0x0B
+HEARTBEAT, ESTOP, GET_ERROR, SENSORLESS_ERROR, STATE, ENCODER, MODE = 0x01, 0x02, 0x03, 0x05, 0x07, 0x09, 0x0B
 POSITION, TORQUE, LIMITS, IQ, TEMPERATURE, REBOOT, BUS, CLEAR = 0x0C, 0x0E, 0x0F, 0x14, 0x15, 0x16, 0x17, 0x18
 IDLE, CLOSED_LOOP = 1, 8
 TORQUE_CONTROL, POSITION_CONTROL = 1, 3
@@ -38,6 +39,7 @@ class OdriveSetup:
     limit_A: float
     is_calibrated: bool = True
     watchdog_s: float = 0.1
+    is_firmware_5: bool = False
     periods_s: tuple[tuple[int, float], ...] = (
         (HEARTBEAT, 0.01), (ENCODER, 0.004), (IQ, 0.004), (BUS, 0.01), (TEMPERATURE, 0.1), (GET_ERROR, 0.1)
     )  # fmt: skip
@@ -77,6 +79,8 @@ class OdriveMock:
         command = can_id & 0x1F
         if command == STATE and len(payload) >= 4:
             self._ask(struct.unpack("<I", payload[:4])[0], now_s)
+        elif command == SENSORLESS_ERROR and not payload and self.setup.is_firmware_5:
+            self.outgoing.append((self.setup.node << 5 | command, bytes(8)))
         elif command == MODE and len(payload) == 8:
             self.control = struct.unpack("<II", payload)[0]
         elif command == POSITION and len(payload) == 8:

@@ -173,7 +173,7 @@ def torque_in_off(played: Stage) -> str:
 
 
 def a_turn_off(played: Stage) -> str:
-    """A joint that reads a turn too much is neither enabled nor homed: a servo has counted on, an encoder was fitted a turn off."""
+    """A joint that reads a turn too much is neither enabled nor homed: a servo has counted on, or arm.toml is a turn off."""
     servos = [line.servos[1] for line in played.rig.robot.bought.lines if isinstance(line, DynamixelLineMock)]
     for servo in servos:
         servo.table[MODE], servo.turned_on = EXTENDED_POSITION, 1

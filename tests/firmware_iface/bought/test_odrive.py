@@ -11,6 +11,7 @@ from firmware_iface.errors import (
     MisuseError,
     ProtocolViolation,
     RequestRefused,
+    WrongIdentity,
 )
 from firmware_iface.odrive import wire
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
@@ -52,6 +53,21 @@ def test_what_the_document_says_is_read() -> None:
     )
     assert wire.pair(golden("odrive.txt", "ENCODER 2.5 turns, -0.5 turns/s")[1]) == (2.5, -0.5)
     assert wire.pair(golden("odrive.txt", "BUS 24 V, 1 A")[1]) == (24.0, 1.0)
+
+
+@pytest.mark.parametrize("periods_s", [OdriveSetup(0, 0.05, 8.0).periods_s, ()])
+def test_firmware_0_5_is_told_by_its_answer_and_refused(periods_s: tuple[tuple[int, float], ...]) -> None:
+    cell = Cell(is_firmware_5=True, periods_s=periods_s)
+    with pytest.raises(WrongIdentity, match=r"expected firmware 0.6, it is 0.5"):
+        cell.axis.identify()
+    assert [can_id & 0x1F for can_id, payload in cell.wired.sent] == [Command.SENSORLESS_ERROR]
+
+
+def test_answers_about_settings_that_another_program_asks_for_are_no_firmware_0_5() -> None:
+    """0.6.10's DBC: TxSdo is u8, u16 which setting, u8, and the value."""
+    cell = Cell()
+    cell.wired.put(wire.frame_id(NODE, 0x05), bytes((0, 0x85, 0x01, 0)) + bytes(4))
+    cell.axis.identify()
 
 
 def test_a_torque_begins_with_its_own_value_and_the_state_is_asked_for_once() -> None:
