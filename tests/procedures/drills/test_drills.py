@@ -122,18 +122,19 @@ def test_the_distance_from_a_way_is_that_from_its_sections() -> None:
 
 def names_of(row: str) -> Iterator[str]:
     """The drills of a row: each fault in each of its situations, or names in full; `a-{b,c}` is a-b and a-c."""
-    first, second = (cell.strip() for cell in row.split("|")[1:3])
+    first, second, *_ = re.split(r"  +", row)
     second = second.replace("usual", USUAL)
     situations = second.split(", ") if set(second.split(", ")) <= SITUATIONS else None
-    for code in re.findall(r"`([^`]+)`", first):
+    for code in re.split(r", (?![^{]*})", first):
         stem, _, ends = code.rstrip("}").partition("{")
         for fault in [stem + end for end in ends.split(",")]:
             yield from [f"{fault}-{place}" for place in situations] if situations else [fault]
 
 
 def test_the_page_lists_every_drill_and_no_other() -> None:
-    rows = [line for line in PAGE.read_text().splitlines() if line.startswith("| `")]
-    named = [name for row in rows for name in names_of(row) if name not in SITUATIONS]
+    tables = re.findall(r"^```\n(.*?)^```", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    rows = [row for table in tables for row in table.splitlines()[1:]]
+    named = [name for row in rows for name in names_of(row)]
     assert sorted(named) == sorted(drills())
 
 
