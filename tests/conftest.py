@@ -24,7 +24,8 @@ REAL_BUSES = (
 def pytest_configure(config: pytest.Config) -> None:
     """Nothing of the user's is seen or touched, while tests are collected, by fixtures of modules and by child processes either.
 
-    The cache is one for the whole run, since the firmware in C and Matplotlib's fonts take seconds to make.
+    The cache is one for the whole run, since the firmware in C and Matplotlib's fonts take seconds to make. What Hypothesis reads
+    out of the sources, in some seconds of each worker, outlives the run beside pytest's own cache, where that can be written.
     """
     if not hasattr(config, "workerinput"):  # xdist's workers inherit it
         for name in [*os.environ]:
@@ -36,7 +37,7 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ |= {
             "HOME": folder.name,
             "XDG_CACHE_HOME": str(cache),
-            "HYPOTHESIS_STORAGE_DIRECTORY": str(cache / "hypothesis"),
+            "HYPOTHESIS_STORAGE_DIRECTORY": str(config.rootpath / config.getini("cache_dir") / "hypothesis"),
         }
     _settle_hypothesis(at_night=not config.option.markexpr)
 

@@ -5,6 +5,7 @@ another name in the file. The first error raises `Rejected` with its path.
 """
 
 import dataclasses
+import functools
 import math
 import types
 from collections.abc import Mapping
@@ -37,7 +38,7 @@ def read_table(kind: type[T], table: object, path: Path = ()) -> T:
     for key in table:
         if key not in fields:
             raise _unknown(key, tuple(fields), path)
-    hints = get_type_hints(kind, include_extras=True)
+    hints = _hints(kind)  # type: ignore[arg-type]  # to mypy a type is not hashable
     values = {
         field.name: _value(hints[field.name], table[key], (*path, key))
         for key, field in fields.items()
@@ -62,6 +63,11 @@ def show(value: object) -> str:
         return "a table"
     text = repr(value) if not isinstance(value, bool) else str(value).lower()
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+@functools.cache  # an arm has some twenty tables, and evaluating annotations takes longer than reading them
+def _hints(kind: type[Any]) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
 
 
 def _is_required(field: "dataclasses.Field[Any]") -> bool:
