@@ -10,10 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from control.errors import ArmError, MissingModel
 from control.model.board_kinds import KINDS, REFERENCE, BoardKind
@@ -44,6 +41,10 @@ from control.model.rules import (
     TILT,
     ZERO_OR_MORE,
 )
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
 Convention = Literal["standard", "modified"]
 Position = Annotated[Vector3, POSITION]
@@ -244,14 +245,18 @@ class Arm:
         return tuple(link.joint_name or f"joint {number}" for number, link in enumerate(turning, 1))
 
     @property
-    def dh(self) -> NDArray[np.float64]:
+    def dh(self) -> "NDArray[np.float64]":
         """The DH table (links, 4): columns d [m], theta [rad], L [m], alpha [rad]; a read-only copy."""
+        import numpy as np  # a tenth of a second, which no command that only asks the runtime needs
+
         table = np.array([(k.d_m, k.theta_rad, k.L_m, k.alpha_rad) for k in self.links], dtype=np.float64)
         table.flags.writeable = False
         return table
 
-    def with_dh(self, dh: ArrayLike) -> "Arm":
+    def with_dh(self, dh: "ArrayLike") -> "Arm":
         """Return the same arm with another DH table (links, 4)."""
+        import numpy as np
+
         table = np.asarray(dh, dtype=np.float64)
         if table.shape != (len(self.links), 4) or not np.isfinite(table).all():
             raise ArmError(

@@ -60,6 +60,21 @@ assert not heavy, heavy
     assert ended.returncode == 0, ended.stderr
 
 
+def test_who_only_asks_the_runtime_waits_for_no_mathematics() -> None:
+    program = f"""
+import sys
+from console.main import main
+for line in ["status", "stop", "enable", "home", "hold", "off", "pause", "resume", "guide", "wait", "acknowledge"]:
+    assert main([line]) != 0, line
+heavy = [name for name in {HEAVY} if name in sys.modules and name != "msgspec"]
+assert not heavy, heavy
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert ended.returncode == 0, ended.stderr
+
+
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: str(command.name))
 def test_every_command_has_a_module_that_runs_it(command: CommandSpec) -> None:
     module = importlib.import_module(f"console.commands.{command.module_name}")
