@@ -228,9 +228,9 @@ class Cycle(ArmState):
 
     def _command(self, modes: Sequence[OutputMode], output: Sequence[float]) -> None:
         """The only place that commands the drives: what is wanted of them by the mode, and what those in operation do."""
-        wanted = self.drives.want(
-            self.now_s, drives_wanted(self.monitor.mode, self.bound, self.drives.wanted)
-        )
+        drives = self.drives
+        wanted = drives_wanted(self.monitor.mode, self.bound, drives.wanted, drives.is_taken_over)
+        wanted = drives.want(self.now_s, wanted)
         self.parts.hardware.write(wanted, modes, output, self.parts.servo.feedforward_V)
 
     def _watch_the_hand(self) -> None:

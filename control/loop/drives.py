@@ -2,7 +2,8 @@
 
 `drives_wanted` derives it from the mode and from where the arm is on its way to; so OFF cannot leave a drive on, whatever was
 asked before and however requests cross. Only a take-over of boards that hold the arm sets it itself, as it begins: nothing leads
-back from it. The loop hands it to the boards with each command.
+back from it. A fault neither: boards on their way hold nothing, and the joint of each would sink. The loop hands it to the boards
+with each command.
 """
 
 import math
@@ -11,6 +12,7 @@ from enum import Enum
 
 from control.hardware.interface import Feedback
 from control.hardware.words import OPERATION_ENABLED, STATE_MASK, Wanted
+from control.loop.watch import faults_of_drive
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
 
@@ -37,16 +39,17 @@ class Bound(Enum):
         return self is Bound.OFF or self is Bound.QUIT
 
 
-def drives_wanted(mode: Mode, bound: Bound, before: Wanted) -> Wanted:
+def drives_wanted(mode: Mode, bound: Bound, before: Wanted, is_taken_over: bool = False) -> Wanted:
     """What is wanted of the drives in a mode. Only on the way to hold are they switched on; a fault ends that.
 
     In HELD boards go on by themselves until a take-over begins, which goes to its end; in FAULT what was off stays off.
+    `is_taken_over`: boards that held the arm are, and have not all confirmed it.
     """
     if mode is Mode.OFF:
         return Wanted.DISABLED
     if mode in (Mode.FAULT, Mode.HELD) and not before.is_on:
         return before
-    if mode is Mode.HELD or (mode is not Mode.FAULT and bound.is_hold):
+    if mode is Mode.HELD or is_taken_over or (mode is not Mode.FAULT and bound.is_hold):
         return Wanted.ENABLING
     return Wanted.ENABLED
 
@@ -57,6 +60,9 @@ class DriveStates:
     def __init__(self, joint_names: Sequence[str]) -> None:
         self.wanted = Wanted.AS_FOUND
         self.is_ready = False
+        self.is_taken_over = (
+            False  # from the beginning of a take-over until all are in operation, or are late
+        )
         self._names = joint_names
         self._since_s = math.inf
         self._unwanted_since_s = [math.inf] * len(joint_names)
@@ -65,12 +71,18 @@ class DriveStates:
         """What is wanted from now on; ENABLING of drives that are all in operation is done."""
         if wanted is Wanted.ENABLING and self.is_ready and self.wanted.is_on:
             wanted = Wanted.ENABLED
+        self.is_taken_over &= wanted is Wanted.ENABLING
         if wanted is not self.wanted:
             self._since_s = now_s
             self._unwanted_since_s = [math.inf] * len(self._names)
             self.is_ready &= wanted.is_on and self.wanted.is_on
         self.wanted = wanted
         return wanted
+
+    def take_over(self, now_s: float) -> None:
+        """Boards that hold the arm are to go on under control."""
+        self.want(now_s, Wanted.ENABLING)
+        self.is_taken_over = True
 
     def doubt(self) -> None:
         """Drives were reset or have left operation: they are ready again when all say so."""
@@ -83,16 +95,24 @@ class DriveStates:
         return [name for joint, name in enumerate(self._names) if not _is_enabled(feedback, joint)]
 
     def follow(self, now_s: float, feedback: Feedback) -> list[Fault]:
-        """Look at the latest states: one fault for each drive that is too late on its way on or off."""
+        """Look at the latest states: faults of each drive that is in FAULT on its way on, or too late on its way on or off."""
         if self.wanted is Wanted.DISABLED:
             return self._still_on(now_s, feedback)
         if self.is_ready or not self.wanted.is_on:
             return []
         missing = [joint for joint in range(feedback.joint_count) if not _is_enabled(feedback, joint)]
         self.is_ready = not missing
-        if not missing or self.wanted is not Wanted.ENABLING or now_s - self._since_s <= CHANGE_LIMIT_S:
+        if not missing or self.wanted is not Wanted.ENABLING:
             return []
-        return [self._not_enabled(feedback, joint) for joint in missing]
+        is_late = now_s - self._since_s > CHANGE_LIMIT_S
+        self.is_taken_over &= not is_late
+        faults: list[Fault] = []
+        for joint in missing:
+            if bits := feedback.drive_faults[joint]:
+                faults += faults_of_drive(self._names[joint], bits)
+            elif is_late:
+                faults.append(self._not_enabled(feedback, joint))
+        return faults
 
     def _still_on(self, now_s: float, feedback: Feedback) -> list[Fault]:
         faults = []
@@ -110,7 +130,7 @@ class DriveStates:
             "drive_not_enabled",
             self._names[joint],
             f"its drive did not reach OPERATION ENABLED within {CHANGE_LIMIT_S:.1f} s (statusword"
-            f" 0x{feedback.statusword[joint]:02x}, fault bits 0x{feedback.drive_faults[joint]:02x})",
+            f" 0x{feedback.statusword[joint]:02x})",
             "check its supply and the emergency stop",
             Reaction.HOLD,  # boards of a take-over; from OFF there is nothing to hold
         )

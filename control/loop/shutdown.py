@@ -93,7 +93,7 @@ def want_hold(state: ArmState) -> None:
     elif mode is Mode.GUIDING:
         state.on(Event.BRAKE)
     elif mode is Mode.HELD:
-        state.drives.want(state.now_s, Wanted.ENABLING)
+        state.drives.take_over(state.now_s)
     is_from_off = mode in (Mode.OFF, Mode.HELD) or state.bound is Bound.ON
     state.bound = Bound.ON if is_from_off else Bound.HOLD
 

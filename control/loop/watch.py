@@ -239,15 +239,7 @@ class Watch:
             return
         if not expected.are_drives_enabled:
             return
-        for bit, (name, remedy) in DRIVE_FAULTS.items() if feedback.drive_faults[joint] else ():
-            if feedback.drive_faults[joint] >> bit & 1:
-                yield Fault(
-                    "drive_fault",
-                    self._names[joint],
-                    f"its drive reports a fault: {name}",
-                    remedy,
-                    Reaction.HOLD,
-                )
+        yield from faults_of_drive(self._names[joint], feedback.drive_faults[joint])
         if not feedback.drive_faults[joint]:
             state = feedback.statusword[joint] & STATE_MASK
             if state != OPERATION_ENABLED:
@@ -338,6 +330,15 @@ class Watch:
             "stop other programs on this machine; give the operator real-time rights (`armwright doctor` lists them)",
             Reaction.CONTROLLED,
         )
+
+
+def faults_of_drive(joint_name: str, bits: int) -> Iterator[Fault]:
+    """A fault for each bit of what a drive reports."""
+    for bit, (name, remedy) in DRIVE_FAULTS.items() if bits else ():
+        if bits >> bit & 1:
+            yield Fault(
+                "drive_fault", joint_name, f"its drive reports a fault: {name}", remedy, Reaction.HOLD
+            )
 
 
 def _silent_encoder(joints: str, age_s: float, limit_s: float) -> Fault:

@@ -31,6 +31,7 @@ def test_off_never_wants_a_drive_on_whatever_was_asked(bound: Bound, before: Wan
 @pytest.mark.parametrize("bound", list(Bound))
 @pytest.mark.parametrize("before", list(Wanted))
 def test_only_the_way_to_hold_enables_and_a_fault_ends_it(mode: Mode, bound: Bound, before: Wanted) -> None:
+    assert drives_wanted(Mode.FAULT, bound, Wanted.ENABLING, True) is Wanted.ENABLING  # but no take-over
     wanted = drives_wanted(mode, bound, before)
     if mode in (Mode.FAULT, Mode.HELD) and not before.is_on:
         assert wanted is before
@@ -65,15 +66,38 @@ def test_a_drive_that_is_not_enabled_within_a_second_is_a_fault() -> None:
     drives = DriveStates(("joint 1", "joint 2", "joint 3"))
     drives.want(8.0, Wanted.ENABLING)
     late = states(SWITCHED_ON, ENABLED, 0x08)
-    late.drive_faults = [0, 0, 0x80]
     assert drives.follow(9.0, late) == []
     faults = drives.follow(9.0 + 2**-40, late)
     assert [(fault.code, fault.where, fault.reaction) for fault in faults] == [
         ("drive_not_enabled", "joint 1", Reaction.HOLD), ("drive_not_enabled", "joint 3", Reaction.HOLD),
     ]  # fmt: skip
-    assert "within 1.0 s (statusword 0x08, fault bits 0x80)" in faults[1].message
+    assert "within 1.0 s (statusword 0x08)" in faults[1].message
     drives.want(9.1, Wanted.ENABLED)  # as in FAULT
     assert drives.follow(99.0, late) == []
+
+
+def test_a_fault_of_a_drive_on_its_way_on_is_told_at_once_and_by_its_name() -> None:
+    drives = DriveStates(("joint 1", "joint 2"))
+    drives.want(8.0, Wanted.ENABLING)
+    hot = states(SWITCHED_ON, 0x08)
+    hot.drive_faults = [0, 0x02]
+    for now_s in (8.0, 9.5):
+        faults = [(fault.code, fault.where, fault.reaction) for fault in drives.follow(now_s, hot)]
+        assert faults[-1] == ("drive_fault", "joint 2", Reaction.HOLD)
+        assert len(faults) == (1 if now_s == 8.0 else 2)
+
+
+def test_a_take_over_goes_on_until_all_are_in_operation_or_late() -> None:
+    drives = DriveStates(("joint 1", "joint 2"))
+    drives.take_over(8.0)
+    drives.follow(9.0, states(ENABLED, SWITCHED_ON))
+    assert drives.is_taken_over
+    drives.follow(9.0 + 2**-40, states(ENABLED, SWITCHED_ON))
+    assert not drives.is_taken_over
+    drives.take_over(9.5)
+    drives.follow(9.6, states(ENABLED, ENABLED))
+    assert drives.want(9.6, Wanted.ENABLING) is Wanted.ENABLED
+    assert not drives.is_taken_over
 
 
 def test_a_drive_that_stays_enabled_for_a_second_in_off_is_a_fault_and_one_that_lets_go_is_none() -> None:

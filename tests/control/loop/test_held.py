@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -106,15 +107,30 @@ def test_off_while_it_is_taken_over_is_the_way_off_of_every_arm(kind: str, cycle
         assert (held.torques(), held.faults, held.channel.is_running) == ([False] * 3, [], not quits)
 
 
+@pytest.mark.parametrize("kind", ["dynamixel", "odrive", "moteus", "cia402", "reference"])
+@pytest.mark.parametrize("cycles", [0, 1, 2, 3])
+def test_a_fault_while_it_is_taken_over_leaves_it_held(kind: str, cycles: int) -> None:
+    """Boards on their way on hold nothing: the take-over goes to its end, and then they hold."""
+    with held_on(kind) as held:
+        before_rad = held.rig.joint_rad()
+        held.client.ask("enable")
+        held.run(cycles * held.runtime.period_s)
+        held.runtime.fail(replace(JUMP, reaction=Reaction.HOLD))
+        held.run(2.0)
+        assert (held.mode, held.runtime.drives.wanted) == (Mode.FAULT, Wanted.ENABLED)
+        assert held.rig.joint_rad() == pytest.approx(before_rad, abs=5e-3)
+        assert held.torques()[1:] == [True, True]  # joint 1 stands upright
+
+
 @pytest.mark.parametrize("kind", ["reference", "moteus"])
 def test_a_drive_that_cannot_be_taken_over_lets_no_other_go(kind: str) -> None:
     with held_on(kind) as held:
         before_rad = held.rig.joint_rad()
         held.client.ask("enable")
         held.inject("over_temperature", ON_BOARDS[kind].first)
-        held.until_fault(2.0)
-        held.run(1.0)
-        assert held.faults == [("drive_not_enabled", "joint 1")]
+        held.until_fault(0.05)
+        held.run(2.0)
+        assert held.faults == [("drive_fault", "joint 1")]
         assert held.torques()[1:] == [True, True]
         assert held.rig.joint_rad() == pytest.approx(before_rad, abs=1e-2)
 
