@@ -16,7 +16,10 @@ MOST_BYTES: Final = 16_000_000
 MOST_ELEMENTS: Final = 200_000
 DEEPEST: Final = 256
 IN_UTF_8: Final = 'save the file as UTF-8, and write encoding="utf-8" in its first line, or none'
-UNKNOWN_ENCODING: Final = expat.errors.codes[expat.errors.XML_ERROR_UNKNOWN_ENCODING]
+WRONG_ENCODINGS: Final = {
+    expat.errors.codes[kind]
+    for kind in (expat.errors.XML_ERROR_UNKNOWN_ENCODING, expat.errors.XML_ERROR_INCORRECT_ENCODING)
+}
 
 
 @dataclass(slots=True)
@@ -82,7 +85,7 @@ class _Reader:
         try:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:
-            remedy = "" if _is_text(content) and error.code != UNKNOWN_ENCODING else f"; {IN_UTF_8}"
+            remedy = "" if _is_text(content) and error.code not in WRONG_ENCODINGS else f"; {IN_UTF_8}"
             raise self._error(f"expected {self._form}, which is XML: {error}{remedy}", error.lineno) from None
         except (LookupError, ValueError) as error:
             raise self._error(f"expected {self._form}, which is XML: {error}; {IN_UTF_8}", 1) from None

@@ -183,7 +183,7 @@ def test_a_value_in_another_unit_is_named_by_its_element_and_line(
         read(text.replace(old, new, 1), tmp_path)
 
 
-@pytest.mark.parametrize("encoding", ["gb2312", "shift_jis", "no-such"])
+@pytest.mark.parametrize("encoding", ["gb2312", "shift_jis", "no-such", "utf-16"])
 def test_an_encoding_that_is_not_read_gets_a_remedy(encoding: str, tmp_path: Path) -> None:
     file = tmp_path / "robot.xml"
     head = f'<?xml version="1.0" encoding="{encoding}"?>'
