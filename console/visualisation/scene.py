@@ -34,6 +34,11 @@ PREFIX: Final = "measured/"
 LINE_m, MARK_m = 0.0016, 0.003  # radii of lines and marks
 LINE_PIECES, MARKS_MOST = 250, 150
 SIZE_pixels: Final = (960, 720)
+AZIMUTH_deg, ELEVATION_deg, HEIGHT_deg = (
+    125.0,
+    -16.0,
+    45.0,
+)  # of the camera; HEIGHT: MuJoCo's usual field of view
 
 
 class View(NamedTuple):
@@ -41,6 +46,24 @@ class View(NamedTuple):
 
     lookat_m: tuple[float, float, float]
     distance_m: float
+
+
+def view_of(domes: Sequence[tuple[Sequence[float], float]]) -> View:
+    """The nearest view that holds all domes: the half balls (centre, radius) [m] in which arms reach."""
+    polar, around = np.meshgrid(np.linspace(0.0, math.pi / 2.0, 13), np.linspace(0.0, 2.0 * math.pi, 49))
+    dome = np.stack((np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), axis=-1)
+    points = np.concatenate([np.array(centre) + radius * dome.reshape(-1, 3) for centre, radius in domes])
+    lookat = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    a, e = math.radians(AZIMUTH_deg), math.radians(ELEVATION_deg)
+    ahead = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+    right = np.array([math.sin(a), -math.cos(a), 0.0])
+    up = np.cross(right, ahead)
+    high = math.tan(math.radians(HEIGHT_deg) / 2.0)
+    wide = high * SIZE_pixels[0] / SIZE_pixels[1]
+    seen = points - lookat
+    needed = np.maximum(np.abs(seen @ up) / high, np.abs(seen @ right) / wide) - seen @ ahead
+    x, y, z = lookat.tolist()
+    return View((x, y, z), float(needed.max()))
 
 
 class Scene:
@@ -93,7 +116,7 @@ class Scene:
         camera = mujoco.MjvCamera()
         mujoco.mjv_defaultFreeCamera(self.model, camera)
         camera.lookat[:], camera.distance = self._view
-        camera.azimuth, camera.elevation = 125.0, -16.0
+        camera.azimuth, camera.elevation = AZIMUTH_deg, ELEVATION_deg
         return camera
 
 
@@ -103,8 +126,7 @@ class ArmScene(Scene):
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
         self.kinematics = Kinematics(arm)
-        reach = _reach_m(arm)
-        view = View((0.38 * reach, 0.0, 0.25 * reach), 1.75 * reach)
+        view = view_of([((0.0, 0.0, 0.0), _reach_m(arm))])
         super().__init__(_spec(arm), [("", arm.joint_count)], TipOfArm(self.kinematics), view)
 
 
@@ -124,7 +146,7 @@ class CellScene(Scene):
             spec.attach(both, prefix=f"{placed.name}/", frame=frame)
         _furnish(spec, size, min(placed.origin_m[2] + _floor_m(placed.arm) for placed in cell.arms))
         joints = [(f"{placed.name}/", placed.arm.joint_count) for placed in cell.arms]
-        view = View((x + 0.25 * size, y, z + 0.2 * size), 1.6 * size)
+        view = view_of([(placed.origin_m, _reach_m(placed.arm)) for placed in cell.arms])
         super().__init__(spec, joints, TipsOfCell(cell), view)
 
 

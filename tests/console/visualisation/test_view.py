@@ -19,15 +19,16 @@ from console.commands.recordings import view
 from console.main import main
 from console.visualisation import render
 from console.visualisation.reading import read_series
-from console.visualisation.scene import PREFIX, ArmScene, CellScene
+from console.visualisation.scene import PREFIX, ArmScene, CellScene, Scene
 from console.visualisation.snapshots import CellSource, Snapshot, live, recorded, snapshot_at, snapshot_of
 from console.visualisation.traces import TipOfArm, TipPath, TipsOfCell, Traces, traces_of
 from console.visualisation.window import DOWN, HOME, LEFT, RIGHT, SPACE, UP, Player, follow, play
 from control.errors import ArmError
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Link, Tool
-from control.model.cell import load_cell
+from control.model.cell import cell_of_one, load_cell
 from control.model.description import arm_text, load_arm
+from control.motion.jog_limits import reach_m
 from control.server.channel import RuntimeGone
 from tests.recordings import MODES, write_recording
 
@@ -94,6 +95,21 @@ def test_both_arms_of_the_scene_stand_where_kinematics_says(arm: Any) -> None:
         tips = Kinematics(arm).tips([q, q_set])
         np.testing.assert_allclose(scene.tip_m(PREFIX), tips[0], atol=1e-9)
         np.testing.assert_allclose(scene.tip_m(), tips[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_view_holds_every_place_that_an_arm_reaches(count: int) -> None:
+    cell = load_cell("pair") if count == 2 else cell_of_one(load_arm("right"))
+    scene: Scene = CellScene(cell) if count == 2 else ArmScene(cell.arms[0].arm)
+    camera = scene.camera()
+    a, e = np.radians((camera.azimuth, camera.elevation))
+    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    axes = np.array([[np.sin(a), -np.cos(a), 0.0], np.cross([np.sin(a), -np.cos(a), 0.0], ahead)])
+    half_wide = np.tan(np.radians(scene.model.vis.global_.fovy) / 2.0) * np.array([4.0 / 3.0, 1.0])
+    for placed in cell.arms:
+        for way in ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]):
+            place = np.array(placed.origin_m) + np.multiply(way, reach_m(placed.arm)) - camera.lookat
+            assert (np.abs(axes @ place) <= (camera.distance + ahead @ place) * half_wide * 1.001).all(), way
 
 
 def test_the_arms_of_a_cell_stand_at_their_bases_and_each_leaves_a_path_of_its_own() -> None:
