@@ -1,5 +1,7 @@
 """Calibration from measured points, and verification of the result on others."""
 
+from __future__ import annotations
+
 import datetime
 import warnings
 from collections.abc import Mapping, Sequence

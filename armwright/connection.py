@@ -1,5 +1,7 @@
 """A running arm: a client of `armwright serve` over its local socket."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,6 +4,8 @@ Nothing of the runtime is left out: each step is a jog request to the real loop,
 boards' bytes within its limits of range, speed, acceleration, jerk and workspace, and goes to FAULT as on a real arm.
 """
 
+from __future__ import annotations
+
 import contextlib
 import dataclasses
 import math

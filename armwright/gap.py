@@ -1,5 +1,7 @@
 """The gap workflow: which effects are missing in the model."""
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Forward and inverse kinematics and the Jacobian, of one pose or of many at once."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

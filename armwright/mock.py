@@ -1,5 +1,7 @@
 """A mock arm for testing programs: boards and physics are simulated, the control loop is the real one."""
 
+from __future__ import annotations
+
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager

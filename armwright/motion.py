@@ -1,5 +1,7 @@
 """Paths of the tip: planned and checked before anything moves, and sampled as followed by the loop."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

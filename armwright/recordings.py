@@ -1,5 +1,7 @@
 """Recordings of the control loop as arrays."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from console.visualisation.reading import read_series

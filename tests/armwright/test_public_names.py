@@ -51,6 +51,17 @@ def test_the_page_names_what_is_exported_and_nothing_else() -> None:
     assert set(dir(armwright)) == {*armwright.__all__, "__version__"}
 
 
+def test_help_shows_types_by_the_names_that_their_authors_gave_them() -> None:
+    signatures = [
+        f"{name}.{method}{inspect.signature(member)}"
+        for name in armwright.__all__
+        for method, member in inspect.getmembers(getattr(armwright, name), inspect.isfunction)
+        if member.__module__.startswith("armwright.")
+    ]
+    assert len(signatures) > 40
+    assert [signature for signature in signatures if "numpy." in signature or "typing." in signature] == []
+
+
 def test_what_a_type_checker_sees_is_what_is_loaded() -> None:
     tree = ast.parse((ROOT / "armwright" / "__init__.py").read_text("utf-8"))
     checked = next(node for node in tree.body if isinstance(node, ast.If))
