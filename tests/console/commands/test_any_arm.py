@@ -1,4 +1,4 @@
-"""The operator's lines on mock arms of two, four, five, six (modified DH) and seven joints: the table of docs/any_arm.md."""
+"""The operator's lines on mock arms of two, four, five, six (modified DH) and seven joints: the table of docs/new_arm.md."""
 
 from pathlib import Path
 
