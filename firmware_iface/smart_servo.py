@@ -57,6 +57,9 @@ class SmartServo(ABC):
         """The errors that it has; those at which it lets its joint go, and those at which it holds on with less torque, as stored
         in it. Both end with a restart. At any other it holds on as before.
         """
+        self.model_name = ""
+        self.bears_V = (0.0, math.inf)
+        """Its supply, by the limits that are stored in it."""
         self.return_delay_s = 0.0
         """By which it waits with each answer."""
         self.is_watchdog_expired = False

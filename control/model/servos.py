@@ -14,6 +14,7 @@ from control.model.reader import Rejected, show
 
 RPM: Final = 2.0 * math.pi / 60.0
 KG_CM: Final = 0.0980665  # N m
+HORN_TEETH: Final = 25  # of an STS3215
 DRIVE_KEYS: Final = (
     "gear_ratio", "encoder_counts_per_rev", "torque_constant_Nm_A", "resistance_ohm", "supply_V", "current_limit_A",
 )  # fmt: skip
@@ -29,6 +30,7 @@ class ServoType:
     stall_Nm: float
     stall_A: float
     free_rad_s: float
+    horn_teeth: int = 0  # places in which the horn fits its shaft, where it can be put on wrongly
 
     @property
     def torque_constant_Nm_A(self) -> float:
@@ -60,10 +62,12 @@ SERVOS: Final[Mapping[str, ServoType]] = MappingProxyType(
         "XM430-W350": ServoType("dynamixel", 12.0, 4.1, 2.3, 46.0 * RPM),
         "XM540-W270": ServoType("dynamixel", 12.0, 10.6, 4.4, 30.0 * RPM),
         # Feetech's data sheet of the ST-3215-C018, gear 1:345: 30 kg cm, 2.7 A, 0.222 s for 60 deg
-        "STS3215-12V": ServoType("feetech", 12.0, 30.0 * KG_CM, 2.7, 45.0 * RPM),
+        "STS3215-12V": ServoType("feetech", 12.0, 30.0 * KG_CM, 2.7, 45.0 * RPM, HORN_TEETH),
         # C001, the same gear: 19.5 kg cm by those who sell it. The current is reckoned: a motor of the same size loses as much
         # heat for the square of its torque, however it is wound
-        "STS3215-7.4V": ServoType("feetech", 7.4, 19.5 * KG_CM, 12.0 * 2.7 / 7.4 * (19.5 / 30.0) ** 2, 0.0),
+        "STS3215-7.4V": ServoType(
+            "feetech", 7.4, 19.5 * KG_CM, 12.0 * 2.7 / 7.4 * (19.5 / 30.0) ** 2, 0.0, HORN_TEETH
+        ),
     }
 )
 

@@ -37,17 +37,19 @@ POSITION_MODES: Final = {
 }
 # Unit of the present current by model number (e-Manual).
 XL330: Final = (1190, 1200)  # -M077, -M288
-CURRENT_UNIT_A: Final = {
-    **dict.fromkeys(XL330, 0.001),
-    1020: 0.00269, 1030: 0.00269, 1120: 0.00269, 1130: 0.00269,  # XM430-W350, -W210, XM540-W270, -W150
+CURRENT_UNIT_A: Final = {**dict.fromkeys(XL330, 0.001), **dict.fromkeys((1020, 1030, 1120, 1130), 0.00269)}
+MODELS: Final = {
+    1190: "XL330-M077", 1200: "XL330-M288", 1060: "XL430-W250",
+    1020: "XM430-W350", 1030: "XM430-W210", 1120: "XM540-W270", 1130: "XM540-W150",
 }  # fmt: skip
 # Models that measure no current: at its place they have the load, the share of the supply that is on the motor, in 0.1 %.
 WITH_LOAD: Final = (1060,)  # XL430-W250
 LOAD_UNIT: Final = 0.001
 FULL_PWM: Final = 885
 SPEED_UNIT_rad_s: Final = 0.229 * 2.0 * math.pi / 60.0
-# Model; firmware; return delay, drive mode, operating mode; homing offset; position limits; shutdown; status return level
-_STORED = struct.Struct("<H4xB2xBBB8xi24xii7xB4xB")
+# Model; firmware; return delay, drive mode, operating mode; homing offset; highest and lowest voltage; position limits; shutdown;
+# status return level
+_STORED = struct.Struct("<H4xB2xBBB8xi8xHH12xii7xB4xB")
 _VALUES = struct.Struct("<hiiiiHB")  # current, velocity, position, two of a trajectory, voltage, temperature
 
 
@@ -93,15 +95,16 @@ class DynamixelServo(SmartServo):
 
     def identify(self) -> str:
         """Ask model, mode, and what is stored of its position, its answers and its errors. Raises BoardSilent, WrongIdentity."""
-        self.model, firmware, delay, drive_mode, mode, offset, most, least, self.frees_at, level = (
-            _STORED.unpack(self._read(*STORED_SPAN))
-        )
-        if self.model not in (*CURRENT_UNIT_A, *WITH_LOAD):
-            known = ", ".join(map(str, sorted((*CURRENT_UNIT_A, *WITH_LOAD))))
+        (
+            self.model, firmware, delay, drive_mode, mode, offset, highest_100mV, lowest_100mV, most, least, self.frees_at, level,
+        ) = _STORED.unpack(self._read(*STORED_SPAN))  # fmt: skip
+        if self.model not in MODELS:
+            known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
             raise WrongIdentity(
                 f"{self.where}: expected a model that measures its current or its load (model numbers {known}), it is model"
                 f" {self.model}"
             )
+        self.model_name, self.bears_V = MODELS[self.model], (lowest_100mV * 0.1, highest_100mV * 0.1)
         self._current_unit_A = CURRENT_UNIT_A.get(self.model, math.nan)
         self._mode = mode
         for is_right, expected, found, remedy in (
@@ -117,7 +120,7 @@ class DynamixelServo(SmartServo):
                     f"{self.where}: expected {expected}, it is {found}: {remedy} with Dynamixel Wizard"
                 )
         self.return_delay_s = delay * DELAY_STEP_s
-        notes = [f"model {self.model}", f"firmware {firmware}", f"{POSITION_MODES[mode]} mode"]
+        notes = [f"model {self.model_name}", f"firmware {firmware}", f"{POSITION_MODES[mode]} mode"]
         notes += ["current reckoned from its load"] if self.has_load else []
         if mode == WITHIN_LIMITS:
             offset = min(max(offset, -COUNTS_PER_TURN // 4), COUNTS_PER_TURN // 4)

@@ -23,9 +23,9 @@ FURTHEST: Final = 7 * COUNTS_PER_TURN  # of a goal without position limits: seve
 BEYOND_A_TURN: Final = 0x10  # bit of the phase: the position counts on beyond a turn until the supply is cut
 REVERSED: Final = 0x80  # bit of the phase: the position has the other sense
 OVERLOAD: Final = 0x20  # of the errors: load above a share of the torque for a time; it keeps another share
-# Firmware; model; return delay, response level; least and greatest position; phase, unloading condition; resolution; position
-# correction with its sign in bit 11; mode; protective torque, protection time, overload torque
-_STORED = struct.Struct("<BBxH2xBBHH5xBB10xBHBBBB")
+# Firmware; model; return delay, response level; least and greatest position; highest and lowest voltage; phase, unloading
+# condition; resolution; position correction with its sign in bit 11; mode; protective torque, protection time, overload torque
+_STORED = struct.Struct("<BBxH2xBBHHxBB2xBB10xBHBBBB")
 _STATE = struct.Struct("<B15xHHHBBxBB2xH")
 
 
@@ -79,8 +79,8 @@ class FeetechServo(SmartServo):
     def identify(self) -> str:
         """Ask model, mode, and what is stored of its position, its answers and its errors. Raises BoardSilent, WrongIdentity."""
         (
-            major, minor, model, delay, level, least, most, phase, unloads_at, resolution, correction, mode,
-            kept_percent, protection_10ms, overload_percent,
+            major, minor, model, delay, level, least, most, highest_100mV, lowest_100mV, phase, unloads_at,
+            resolution, correction, mode, kept_percent, protection_10ms, overload_percent,
         ) = _STORED.unpack(self._read(*STORED_SPAN))  # fmt: skip
         if model not in MODELS:
             known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
@@ -94,6 +94,7 @@ class FeetechServo(SmartServo):
                 raise WrongIdentity(
                     f"{self.where}: expected {what} {expected}, it is {found}: set it with Feetech's FD tool"
                 )
+        self.model_name, self.bears_V = MODELS[model], (lowest_100mV * 0.1, highest_100mV * 0.1)
         self.return_delay_s = delay * DELAY_STEP_s
         self.known = range(COUNTS_PER_TURN)
         self.reached = range(least, most + 1) if most > least else range(-FURTHEST, FURTHEST + 1)

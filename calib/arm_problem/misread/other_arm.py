@@ -1,8 +1,8 @@
 """Detects points of another arm, such as the left one of a pair, by comparing arms.
 
 Deviations within their bounds bring one arm close to another, so a small residual proves nothing. The criterion
-is the size of the deviations. Each candidate (this arm, the supplied ones, this arm with offsets of opposite sign) is
-fitted with the same prior, and the points are attributed to the one with the lowest cost:
+is the size of the deviations. Each candidate (this arm, the supplied ones, this arm with offsets of opposite sign, or with a
+servo's horn on another tooth) is fitted with the same prior, and the points are attributed to the one with the lowest cost:
 
     cost = min(1, c / s)^2 sum over poses of (nu + 3) log(1 + |r|^2 / (nu s^2)) + sum over deviations of (x / p)^2,
 
@@ -14,6 +14,7 @@ size p of the deviations are estimated from the best candidates (the evidence fr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain, combinations
@@ -27,6 +28,8 @@ from calib.doubt import Doubt
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.description import arm_names, load_arm
+from control.model.joint_map import JointMap
+from control.model.servos import SERVOS
 
 LARGEST, SMALLEST = 0.5, 0.02  # size of the deviations in their bounds: the spread of uniform ones is 0.58
 NU = 4.0  # degrees of freedom of Student's errors, for outliers and effects that no candidate has
@@ -131,6 +134,7 @@ def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
                 f"the arm {name}",
                 f"if they are of {name}, give its file with --arm",
             )
+    yield from _a_tooth_off(arm)
     within_m = [one.bound for one in dh_parameters(arm.dh, bounds)[::4]]
     for links in _subsets([k for k, d in enumerate(arm.dh[:, 0]) if 2.0 * abs(d) > within_m[k]]):
         dh = arm.dh.copy()
@@ -141,6 +145,23 @@ def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
             f"an arm with {wrong}",
             "check the sign of this offset in arm.toml, and whether the points are of a mirrored arm",
         )
+
+
+def _a_tooth_off(arm: Arm) -> Iterator[_Candidate]:
+    """This arm with the horn of a servo put on a tooth further, either way: its joint stands where the count does not say."""
+    turning = [k for k, turns in enumerate(arm.joints) if turns]
+    for drive in arm.drives:
+        teeth = SERVOS[drive.servo].horn_teeth if drive.servo else 0
+        for tooth_rad in (2.0 * math.pi / teeth, -2.0 * math.pi / teeth) if teeth else ():
+            dh = arm.dh.copy()
+            dh[turning[drive.joint - 1], 1] += tooth_rad
+            zero_count = drive.zero_count - round(JointMap(drive).counts_per_radian * tooth_rad)
+            yield _Candidate(
+                arm.with_dh(dh),
+                f"an arm whose {arm.joint_names[drive.joint - 1]} stands {math.degrees(tooth_rad):+.1f} deg further",
+                "its servo's horn is on another tooth: turn it by one, or set its zero_count to"
+                f" {zero_count}; then record again",
+            )
 
 
 def _is_of_kind(other: Arm, arm: Arm) -> bool:

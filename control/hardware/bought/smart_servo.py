@@ -288,6 +288,22 @@ def open_servos(
     open_lines(boards, opened, period_s, "servo", "raise the servos' baud rate", cycle_s, open_on)
 
 
+def _require_type(servo: SmartServo, drive: Drive) -> None:
+    """WrongIdentity unless it is of the type that arm.toml names, and made for that supply."""
+    if drive.servo and not drive.servo.startswith(servo.model_name):
+        raise WrongIdentity(
+            f"{servo.where}: expected {drive.servo}, as arm.toml has it there, it is {servo.model_name}: are the ids in"
+            " another order? Give each servo its own, or correct `servo`"
+        )
+    lowest_V, highest_V = servo.bears_V
+    if not lowest_V <= drive.supply_V <= highest_V:
+        raise WrongIdentity(
+            f"{servo.where}: expected a servo for {drive.supply_V:g} V, as arm.toml has it, what is stored in it allows"
+            f" {lowest_V:.1f} to {highest_V:.1f} V: is it the version for another voltage? Check the plate before you switch the"
+            " supply on, and correct `servo` or supply_V"
+        )
+
+
 def _require_range(servo: SmartServo, drive: Drive) -> None:
     """WrongIdentity unless the joint's range lies in the turn that the servo knows, and within its stored limits."""
     ends = [end for end in (drive.joint_lower_rad, drive.joint_upper_rad) if math.isfinite(end)]
@@ -313,6 +329,7 @@ def _join(
     servo: SmartServo, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
 ) -> None:  # fmt: skip
     identity = servo.identify()
+    _require_type(servo, drive)
     _require_range(servo, drive)
     servo.read_state()
     encoder = ServoEncoder(servo, joint)

@@ -65,9 +65,7 @@ class Cable:
 def test_a_servo_says_who_and_where_it_is(echoes: bool) -> None:
     cable = Cable(echoes=echoes)
     servo = DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow")
-    told = (
-        "model 1020, firmware 46, position mode; free at heat, shock, overload; holds on at voltage, encoder"
-    )
+    told = "model XM430-W350, firmware 46, position mode; free at heat, shock, overload; holds on at voltage, encoder"
     assert servo.identify() == told
     servo.set_up(0.2)
     assert (servo.position, servo.supply_V, servo.is_torque_on) == (1024, 12.0, False)

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armwright import CalibrationError, calibrate, make_points
 from console.main import main
 from control.errors import ArmFileError
 from control.kinematics.corners import Corners
+from control.kinematics.kinematics import Kinematics
+from control.model.arm import Arm
 from control.model.description import arm_names, arm_text, load_arm, parse_arm, save_arm
 from control.model.servos import SERVOS
 from hil_mocks.rig import SteppedRig
@@ -89,6 +92,59 @@ def test_a_servo_gives_the_values_of_its_data_sheet_and_the_file_may_say_others(
     text = arm_text(arm)
     assert text.count("torque_constant_Nm_A") == text.count("resistance_ohm") == 0
     assert parse_arm(text.replace("XL330-M288", "XM430-W350"), Path("other.toml")).drives[2].supply_V == 12.0
+
+
+def found_bad(built: Arm, believed: Arm) -> str:
+    """What the doctor finds bad of boards that are those of another arm than the file says."""
+    period_s = 1.0 / believed.usual_rate_Hz
+    with SteppedRig(built, load_scenario("ideal")) as rig:
+        boards = open_boards(wired_to(believed, rig), rig.clock, period_s)
+        boards.close()
+    return "\n".join(finding.measured for finding in boards.findings if finding.level is Level.BAD)
+
+
+def test_servos_whose_ids_are_in_another_order_are_named_where_their_types_differ() -> None:
+    koch = load_arm("koch")
+    turned = [dataclasses.replace(board, address=7 - board.address) for board in koch.boards]
+    said = found_bad(dataclasses.replace(koch, boards=tuple(turned)), koch)
+    assert '"shoulder_pan" (id 1)' in said
+    assert (
+        "expected XL430-W250, as arm.toml has it there, it is XL330-M288: are the ids in another order?"
+        in said
+    )
+
+
+def test_servos_of_another_voltage_are_named_before_they_are_driven() -> None:
+    owned = load_arm("so101")
+    text = arm_text(owned).replace("STS3215-12V", "STS3215-7.4V")
+    weak = parse_arm(text, Path("weak.toml"))
+    assert weak.drives[0].supply_V == 7.4
+    assert (
+        "expected a servo for 12 V, as arm.toml has it, what is stored in it allows 4.9 to 8.6 V"
+        in found_bad(weak, owned)
+    )
+    assert found_bad(weak, weak) == ""
+
+
+@pytest.mark.parametrize(("joint", "teeth"), [(2, 1), (3, -1)])
+def test_a_horn_on_another_tooth_is_told_before_points_are_fitted(joint: int, teeth: int) -> None:
+    arm, random = load_arm("so101"), np.random.default_rng(joint)
+    tooth_rad = teeth * 2.0 * math.pi / 25
+    lower, upper = np.array(arm.limits_rad).T
+    q_rad = 0.5 * (lower + upper) + 0.4 * (upper - lower) * random.uniform(-1.0, 1.0, (40, 5))
+    dh = arm.dh + random.uniform(-1.0, 1.0, arm.dh.shape) * (0.001, 0.01, 0.001, 0.01)
+    standing = q_rad.copy()
+    standing[:, joint - 1] += tooth_rad
+    tips = Kinematics(arm.with_dh(dh)).tips(standing) + random.normal(0.0, 5e-4, (40, 3))
+    zero_count = 2048 - round(tooth_rad * 4096 / (2.0 * math.pi))
+    with pytest.raises(
+        CalibrationError,
+        match=rf"horn is on another tooth: turn it by one, or set its zero_count to {zero_count}",
+    ):
+        calibrate(arm, make_points(q_rad, tips))
+    drive = dataclasses.replace(arm.drives[joint - 1], zero_count=zero_count)
+    drives = (*arm.drives[: joint - 1], drive, *arm.drives[joint:])
+    calibrate(dataclasses.replace(arm, drives=drives), make_points(standing, tips))
 
 
 def test_two_servos_of_a_joint_are_one_motor_of_their_summed_current() -> None:
