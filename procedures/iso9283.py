@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from calib.inputs import InputFile, input_file
 from calib.iso9283.criteria.checks import Iso9283Error
@@ -31,45 +29,23 @@ from calib.iso9283.workspace import Solver, solver_of
 from calib.points.arm_points import require_recorded_of
 from calib.points.points import TIP
 from calib.points.reading import OWN_EXTRAS, read_points
-from calib.points.writer import PointsWriter, Record, cell
-from control.errors import ArmError
-from control.files import KeptLines, write_whole
-from control.hardware.averaging import Average
+from calib.points.writer import PointsWriter, cell
+from calib.session.take import SessionSettings
+from control.files import KeptLines
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
 from control.progress import Advance
-from control.recording.frame_decoder import row_type
-from control.recording.parts import has_part, next_part
-from control.recording.reading import Recording, RowReader
-from control.server.client import ArmClient
 from procedures.arm_sheet import torque_limit_Nm
 from procedures.mock import saved_mock
+from procedures.tour import Bench, How, Rows, Stop, note_plan, tour
 
-# Runs the test programmes on an arm and saves the measurements: points.csv, log.csv, programme.json.
-#
-# Each visit and each run is saved before the arm continues, and an interrupted recording is resumed if it
-# is started again with the same folder and programme.
-
-
-DWELL_S = 0.2  # after a move, before the average: the arm comes to rest
-AVERAGE_S = 0.2  # 20 camera frames
-FLUSH_S = 0.3  # after a run, until its rows are on the disk: two writes of the recorder
+# For a time, not until rest: what an arm still does then is what the criteria measure. 20 camera frames are averaged.
+HOW = How(SessionSettings(still_limit_rad=math.inf, still_s=0.2, average_s=0.2), needs_tip=False)
 KEEP_EVERY = 5  # cycles of a path without a camera
 _SPEED_ROUNDS = 6
 _BETWEEN = 24  # samples between two poses: 20 mm apart for the longest moves
-
-
-@dataclass(frozen=True, slots=True)
-class Bench:
-    """A homed and holding arm: its client, the runtime's recording, and who attaches loads."""
-
-    arm: Arm
-    client: ArmClient
-    recording: Path
-    hang: Callable[[float], None] | None
-    speed: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,126 +108,85 @@ def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
 
 def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
     """Run the plan; records go to `out`. Resumes an earlier recording of the same programme."""
-    out.mkdir(parents=True, exist_ok=True)
-    _note_programme(out / "programme.json", planned.document)
+    note_plan(out / "programme.json", planned.document, indent=2)
     n = bench.arm.joint_count
     with (
         PointsWriter(out / "points.csv", n, more=SET) as points,
         contextlib.closing(KeptLines(out / "log.csv", Iso9283Error, ",".join(log_header(n)))) as log,
     ):
-        recorder = _Recorder(bench, planned, points, log)
-        try:
-            for done, step in enumerate(planned.steps):
-                advance(_step_name(step), done / len(planned.steps))
-                recorder.take(step)
-        finally:
-            recorder.take_off_load()
+        stops = tour(bench, HOW, (_stop(planned, step) for step in planned.steps), points, _Log(n, log))
+        for done, stop in enumerate(stops):
+            advance(stop.name, done / len(planned.steps))
     advance("recorded", 1.0)
 
 
-class _Recorder:
-    """Executes the steps in order."""
+def _stop(planned: Planned, step: Step) -> Stop[Step]:
+    if isinstance(step, PathRun):
+        path = planned.paths[step.points_m][step.speed_m_s]
+        name = f"{step.programme} at {step.speed_m_s:.3g} m/s, cycle {step.cycle}"
+        return Stop(name, path, (tuple(path.q_start_rad),), run=step)
+    return Stop(
+        f"{step.setup}: {step.point}, {step.repeat}",
+        planned.q_rad[step.tip_m],
+        () if step.via_m is None else (planned.q_rad[step.via_m],),
+        key=(step.setup, step.point, step.repeat),
+        more={name: cell(value, 9) for name, value in zip(SET, step.tip_m, strict=True)},
+        run=step if step.recorded else None,
+        payload_kg=step.payload_kg,
+        due_s=step.not_before_s if step.setup.startswith("drift_") else None,
+    )
 
-    def __init__(self, bench: Bench, planned: Planned, points: PointsWriter, log: KeptLines) -> None:
-        self._bench, self._planned, self._points, self._log = bench, planned, points, log
-        self._rows = RunRows(bench.recording)
-        self._load_kg = 0.0
-        self._began_s: dict[str, float] = {}
-        names = log_header(bench.arm.joint_count)
+
+class _Log:
+    """log.csv: of each run the rows with a camera frame, and a share of the others; of an approach all."""
+
+    def __init__(self, joint_count: int, file: KeptLines) -> None:
+        names = log_header(joint_count)
         rows = [
-            dict(zip(names, line.decode(errors="replace").split(","), strict=False)) for line in log.lines
+            dict(zip(names, line.decode(errors="replace").split(","), strict=False)) for line in file.lines
         ]
+        self._joint_count, self._file = joint_count, file
         self._ran = {(r["programme"], r["speed_m_s"], r["cycle"]) for r in rows}
-        self._run = max((int(r["run"]) for r in rows), default=0)
+        self._number = max((int(r["run"]) for r in rows), default=0)
 
-    def take(self, step: Step) -> None:
-        """Do one step and record it, unless that was done before."""
-        if isinstance(step, PathRun):
-            key = (step.programme, cell(step.speed_m_s, 6), str(step.cycle))
-            if key not in self._ran:
-                self._travel(step)
-        elif (step.setup, step.point, step.repeat) not in self._points.recorded:
-            self._visit(step)
+    def has(self, run: Step) -> bool:
+        """Whether a run is in the file."""
+        return (
+            isinstance(run, PathRun) and (run.programme, cell(run.speed_m_s, 6), str(run.cycle)) in self._ran
+        )
 
-    def take_off_load(self) -> None:
-        """Remove the load from the tip."""
-        if self._load_kg:
-            self._hang(0.0)
-
-    def _visit(self, step: Visit) -> None:
-        client, speed = self._bench.client, self._bench.speed
-        self._hang(step.payload_kg)
-        self._wait_until(step)
-        if step.via_m is not None:
-            client.move_joints(self._planned.q_rad[step.via_m], speed)
-            client.wait(DWELL_S)
-        self._rows.skip()
-        client.move_joints(self._planned.q_rad[step.tip_m], speed)
-        client.wait(DWELL_S)
-        mean = client.average(AVERAGE_S)
-        self._points.append(_record_of(step, mean))
-        if step.recorded:
-            self._keep(step.recorded, str(step.repeat), "", step.payload_kg, every=1)
-
-    def _travel(self, step: PathRun) -> None:
-        client, path = self._bench.client, self._planned.paths[step.points_m][step.speed_m_s]
-        client.move_joints(path.q_start_rad, self._bench.speed)
-        client.wait(DWELL_S)
-        self._rows.skip()
-        client.run_path(path.to_message())
-        self._keep(step.programme, str(step.cycle), cell(step.speed_m_s, 6), 0.0, every=KEEP_EVERY)
-
-    def _keep(self, programme: str, cycle: str, speed: str, payload_kg: float, every: int) -> None:
-        """Write the last run's rows to log.csv: those with a camera frame, or every `every`-th."""
-        client, n = self._bench.client, self._bench.arm.joint_count
-        client.wait(FLUSH_S)
-        rows = self._rows.of_run(int(client.status()["run"]))
-        if not len(rows):
-            raise ArmError(
-                f"{self._bench.recording}: contains no rows of the run that just ended: check for a full disk"
-            )
-        is_kept = np.isfinite(rows["x_m"]) if every > 1 else np.ones(len(rows), dtype=bool)
-        is_kept[::every] = True
-        self._run += 1
-        of_encoders = [f.format(j) for f in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1)]
-        of_joints = [name.replace("q", "joint", 1) for name in of_encoders]
+    def keep(self, run: Step, rows: Rows) -> None:
+        """Write the rows of a run."""
+        is_path = isinstance(run, PathRun)
+        name, cycle = (run.programme, run.cycle) if isinstance(run, PathRun) else (run.recorded, run.repeat)
+        speed = cell(run.speed_m_s, 6) if isinstance(run, PathRun) else ""
+        payload_kg = 0.0 if isinstance(run, PathRun) else run.payload_kg
+        is_kept = np.isfinite(rows["x_m"]) if is_path else np.ones(len(rows), dtype=bool)
+        is_kept[:: KEEP_EVERY if is_path else 1] = True
+        self._number += 1
+        joints = range(1, self._joint_count + 1)
+        of_encoders = [form.format(j) for form in ("q{}_rad", "q{}_set_rad") for j in joints]
+        of_joints = [column.replace("q", "joint", 1) for column in of_encoders]
         # without gear or encoder effects, joint angles equal encoder angles, and only those are recorded
-        names = of_encoders + (of_joints if of_joints[0] in (rows.dtype.names or ()) else of_encoders)
+        columns = of_encoders + (of_joints if of_joints[0] in (rows.dtype.names or ()) else of_encoders)
         start_s = float(rows["t_s"][0])
-        self._log.append(
+        self._file.append(
             *(
                 ",".join(
                     [
-                        str(self._run),
+                        str(self._number),
                         cell(float(row["t_s"]) - start_s, 6),
-                        programme,
-                        cycle,
+                        name,
+                        str(cycle),
                         speed,
-                        *(cell(float(row[name]), 9) for name in names),
+                        *(cell(float(row[column]), 9) for column in columns),
                         cell(payload_kg, 6),
-                        *(cell(float(row[name]), 7) for name in TIP),
+                        *(cell(float(row[axis]), 7) for axis in TIP),
                     ]
                 )
                 for row in rows[is_kept]
             )
         )
-
-    def _hang(self, mass_kg: float) -> None:
-        if mass_kg == self._load_kg:
-            return
-        if self._bench.hang is None:
-            raise ArmError("no operator can attach loads to the tip: omit the programme `load`")
-        self._bench.hang(mass_kg)
-        self._load_kg = mass_kg
-
-    def _wait_until(self, step: Visit) -> None:
-        """Wait until the step is due, counted from the first of its programme."""
-        if not step.setup.startswith("drift_"):
-            return
-        now_s = float(self._bench.client.status()["t_s"])
-        left_s = self._began_s.setdefault("drift", now_s) + step.not_before_s - now_s
-        if left_s > 0.0:
-            self._bench.client.wait(left_s)
 
 
 def log_header(n: int) -> list[str]:
@@ -259,28 +194,6 @@ def log_header(n: int) -> list[str]:
     forms = ("q{}_rad", "q{}_set_rad", "joint{}_rad", "joint{}_set_rad")
     joints = [form.format(j) for form in forms for j in range(1, n + 1)]
     return ["run", "t_s", "programme", "cycle", "speed_m_s", *joints, "payload_kg", *TIP]
-
-
-def _record_of(step: Visit, mean: Average) -> Record:
-    return Record(
-        step.setup,
-        step.point,
-        step.repeat,
-        mean.q_rad,
-        mean.q_std_rad,
-        mean.direction,
-        mean.current_A,
-        mean.t_s,
-        step.payload_kg,
-        mean.tip_m,
-        more={name: cell(value, 9) for name, value in zip(SET, step.tip_m, strict=True)},
-    )
-
-
-def _step_name(step: Step) -> str:
-    if isinstance(step, PathRun):
-        return f"{step.programme} at {step.speed_m_s:.3g} m/s, cycle {step.cycle}"
-    return f"{step.setup}: {step.point}, {step.repeat}"
 
 
 def _solved(solver: Solver, tip: Point) -> tuple[float, ...]:
@@ -305,52 +218,6 @@ def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
             )
 
 
-def _note_programme(path: Path, document: dict[str, object]) -> None:
-    """Write programme.json; Iso9283Error if the folder holds the records of another programme."""
-    wanted = json.dumps(document, indent=2) + "\n"
-    if path.exists() and path.read_text(encoding="utf-8") != wanted:
-        raise Iso9283Error(
-            f"{path}: contains the records of another programme or cube: choose another folder with --out, or give"
-            " the same options to continue"
-        )
-    write_whole(path, wanted)
-
-
-# The rows of a run, taken from the runtime's recording while it is still being written.
-
-
-class RunRows:
-    """Reads the new rows of a growing recording, across its files."""
-
-    def __init__(self, recording: Path) -> None:
-        opened = self._open(recording)
-        self._row = row_type(opened.layout.names, opened.layout.packing)
-
-    def skip(self) -> None:
-        """Skip all rows so far."""
-        self._read()
-
-    def of_run(self, number: int) -> npt.NDArray[np.void]:
-        """New rows of a run, as a structured array with the recording's names; an incomplete last row is left."""
-        rows = np.frombuffer(self._read(), dtype=self._row)
-        return np.asarray(rows[rows["run"] == number])
-
-    def _open(self, path: Path) -> Recording:
-        opened = Recording.open(path)
-        self._path, self._reader = path, RowReader(opened)
-        return opened
-
-    def _read(self) -> bytes:
-        """Complete rows not read yet; a part is finished once there is a next one."""
-        read = b""
-        while True:
-            is_finished = has_part(next_part(self._path))
-            read += self._reader.new()
-            if not is_finished:
-                return read
-            self._open(next_part(self._path))
-
-
 # The test programmes on a mock arm in this process, on the stepped clock.
 
 
@@ -360,7 +227,7 @@ def record_on_mock(
     """Home a mock of `arm` and run the plan; its scenario is saved in `out`, its recordings in `out`/log."""
     advance("homing", 0.0)
     with saved_mock(arm, scenario, seed, out, speed) as (bench, client, recording):
-        record(Bench(arm, client, recording, bench.rig.set_payload, speed), planned, out, advance)
+        record(Bench(arm, client, recording, bench.rig.set_payload, speed=speed), planned, out, advance)
 
 
 # Evaluates recorded files to iso9283.json and iso9283.html.

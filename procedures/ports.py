@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from calib.session.moves import Sample, SeenTip, Vector
 from calib.session.plan import Target
 from control.errors import ArmError
+from control.hardware.averaging import Average
 from control.server.channel import RuntimeGone
 from control.server.client import ArmClient, ArmFaulted, fault_text
 
@@ -64,19 +65,24 @@ class RuntimePort:
         """Mean of encoders and currents, and the drives' temperature now."""
         mean = self._client.average(duration_s)
         warmth = tuple(math.nan if t is None else float(t) for t in self._client.status()["temperature_C"])
-        return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth)
+        return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth, self._seen(mean))
 
     def measure(self, duration_s: float) -> SeenTip:
         """Mean of the camera's tips. ArmError, with the camera's reason, if there are none."""
         for _ in range(1 + int(CAMERA_PATIENCE_S / duration_s)):
-            mean = self._client.average(duration_s)
-            seen = mean.target
-            if seen is not None and (mean.tip_m is not None or self._in_own_frame):
-                return SeenTip(seen.position_m, seen.std_m, seen.orientation)
+            if (seen := self._seen(self._client.average(duration_s))) is not None:
+                return seen
         raise ArmError(
             f"no camera frame within {CAMERA_PATIENCE_S:g} s{camera_said(self._client)}: check that the camera is on and"
             " sees the tip"
         )
+
+    def _seen(self, mean: Average) -> SeenTip | None:
+        """None where no frame came, or one in a frame that nobody has placed."""
+        seen = mean.target
+        if seen is None or (mean.tip_m is None and not self._in_own_frame):
+            return None
+        return SeenTip(seen.position_m, seen.std_m, seen.orientation)
 
 
 def camera_said(client: ArmClient) -> str:

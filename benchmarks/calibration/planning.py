@@ -33,7 +33,7 @@ from control.model.description import load_arm
 from control.motion.waypoints import Waypoints
 from control.server.client import ArmClient
 from hil_mocks.scenario import EffectTable, Scenario, load_scenario
-from procedures.gap.mock import record_on_mock
+from procedures.gap.recording import record_on_mock
 from procedures.mock import SteppedBench, scenario_bytes
 from procedures.verify.driving import Run
 from procedures.verify.models import Model

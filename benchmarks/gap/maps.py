@@ -16,7 +16,7 @@ from calib.gap.plan.plan import PlanRequest, recording_plan
 from calib.gap.workflow import find_gap_in, read_recordings
 from control.model.arm import Arm
 from control.progress import silent
-from procedures.gap.mock import record_on_mock
+from procedures.gap.recording import record_on_mock
 
 UNLISTED = (
     case("encoder_eccentricity", 2, amplitude_rad=0.005, phase_rad=0.7),

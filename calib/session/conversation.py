@@ -14,7 +14,7 @@ from typing import Protocol
 from calib.errors import RegistrationError, SessionError
 from calib.session.commands import done_to
 from calib.session.dialogue import GO, Ask, Command, Do, Jog, Message, Question, Saying
-from calib.session.folder import SessionFolder
+from calib.session.folder import SessionFolder, continues
 from calib.session.plan import Target
 from control.errors import ArmError
 from control.server.channel import RuntimeGone
@@ -65,7 +65,7 @@ class Conversation(ABC):
         except _Quit:
             if left := len(self._folder.state.left()):
                 yield Message(
-                    f"stopped; left: {left} of {len(self._folder.plan.targets)}; the same command resumes"
+                    f"stopped; left: {left} of {len(self._folder.plan.targets)}; {continues(self._folder.path)}"
                 )
 
     @abstractmethod

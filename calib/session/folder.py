@@ -161,6 +161,11 @@ class SessionFolder:
         return state.marked(key, marks[entry["event"]])
 
 
+def continues(place: Path) -> str:
+    """What an operator is told where a recording ends before its end."""
+    return f"the recordings are in {place}; the same command continues"
+
+
 def _begun(folder: Path, wanted: SessionPlan | None) -> SessionPlan:
     if wanted is None:
         raise SessionError(f"{folder}: no session to resume: {PLAN} is missing")

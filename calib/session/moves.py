@@ -35,11 +35,21 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
+class SeenTip:
+    """Mean tip that a camera saw, its standard deviation per axis, and the orientation of its target (w, x, y, z) if measured."""
+
+    tip_m: Vector
+    sd_m: Vector
+    orientation: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Sample:
     """Averaged encoders and motor currents, one value per joint.
 
     q_rad and its scatter q_sd_rad; current_A of the motors; direction: sign of each joint's last motion, 0
-    unknown; temperature_C of the drives, empty if not measured.
+    unknown; temperature_C of the drives, empty if not measured. seen: the tip at the same time, if a
+    camera saw it.
     """
 
     q_rad: tuple[float, ...]
@@ -47,6 +57,7 @@ class Sample:
     current_A: tuple[float, ...]
     direction: tuple[int, ...]
     temperature_C: tuple[float, ...] = ()
+    seen: SeenTip | None = None
 
 
 class ArmPort(Protocol):
@@ -86,15 +97,6 @@ class TipSeat(Protocol):
 
     def let_go(self) -> None:
         """The hand is off the arm."""
-
-
-@dataclass(frozen=True, slots=True)
-class SeenTip:
-    """Mean tip that a camera saw, its standard deviation per axis, and the orientation of its target (w, x, y, z) if measured."""
-
-    tip_m: Vector
-    sd_m: Vector
-    orientation: tuple[float, float, float, float] | None = None
 
 
 class Camera(Protocol):

@@ -25,9 +25,9 @@ from control.model import table as tables
 from control.model.arm import Arm
 from control.progress import Advance
 from control.server.client import ArmClient
+from procedures import tour
 from procedures.demo.gap_hidden import Hidden
 from procedures.demo.handover import shut_down, start_again
-from procedures.gap.recording import Bench as RecordingBench
 from procedures.gap.recording import record
 from procedures.mock import Bench
 from procedures.verify.models import Model
@@ -90,7 +90,7 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     client.enable()
     client.home()
     first = _newest(out)
-    own = RecordingBench(arm, client, first, bench.rig.set_payload, speed=bench.speed)
+    own = tour.Bench(arm, client, first, bench.rig.set_payload, speed=bench.speed)
     recordings, outcome = _recorded(own, plans, out, advance)
     advance("moving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
@@ -122,7 +122,7 @@ def _plans(arm: Arm, speed: float) -> tuple[RecordingPlan, RecordingPlan]:
 
 
 def _recorded(
-    bench: RecordingBench, plans: tuple[RecordingPlan, RecordingPlan], out: Path, advance: Advance
+    bench: tour.Bench, plans: tuple[RecordingPlan, RecordingPlan], out: Path, advance: Advance
 ) -> tuple[Recordings, GapOutcome]:
     """Record the poses and analyse them; if they name nothing, also the motions."""
     poses, motions = plans

@@ -18,7 +18,7 @@ HELP = """\
   jog [ARM] AXIS STEP        x, y or z in mm, j1, j2, ... in degrees: jog z -5; ARM: which of two
   status, board              progress; a drawing of the board
   auto [N]                   mock arm only: answer N questions, or all, with Enter
-  quit                       stop here; the same command resumes
+  quit                       stop here; the same command continues
 """
 WORDS = {do.value: do for do in (Do.SKIP, Do.REDO, Do.BAD, Do.NOTE, Do.JOG, Do.QUIT)}
 MM, DEGREE = 1e-3, math.pi / 180.0

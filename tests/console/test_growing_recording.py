@@ -11,7 +11,7 @@ from console.main import main
 from control.errors import ArmError
 from control.recording.record import Layout
 from control.recording.rotation import Parts, Policy, begin
-from procedures.iso9283 import RunRows
+from procedures.tour import RunRows
 from procedures.verify.tracks import recorded, wait_until_recorded
 
 LAYOUT = Layout.of(3)

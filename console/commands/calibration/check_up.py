@@ -13,8 +13,7 @@ from calib.gap.plan.plan import RecordingPlan
 from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.points.writer import replace_file
-from console.commands.calibration.gap import REAL_SPEED, record_on_arm
-from console.commands.progress import Bar
+from console.commands.calibration.gap import REAL_SPEED, recorded
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -70,13 +69,7 @@ def _measured(arm: Arm, files: list[str], least: int, is_as_given: bool) -> Poin
 
 def _record(given: argparse.Namespace, arm: Arm, plan: RecordingPlan, out: Path) -> None:
     sys.stderr.write(f"{len(plan.visits)} visits, about {plan.duration_s / 60.0:.1f} minutes\n")
-    if not given.mock:
-        record_on_arm(given, arm, plan, out)
-        return
-    from procedures.gap.mock import record_on_mock
-
-    with Bar("check-up") as bar:
-        record_on_mock(mocked_arm(arm), given.scenario or "demo", given.seed, plan, out, bar.advance)
+    recorded(given, arm, plan, out, mocked_arm(arm) if given.mock else arm, "check-up")
 
 
 def mocked_arm(arm: Arm) -> Arm:

@@ -27,7 +27,6 @@ from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
-from procedures.ports import camera_said
 
 if TYPE_CHECKING:
     from calib.gap.plan.plan import RecordingPlan
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 REAL_SPEED = 0.5  # of a real arm's joint limits, between poses
 MOCK_PAYLOAD_kg = 0.5
 MOTION_SHARE = 0.8  # of the mass that the motors move: friction and the controller take the rest
-CAMERA_LOOK_s = 0.5
 MINUTES_MOST = 600.0
 
 
@@ -112,20 +110,12 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
     said = (foresight.in_short(arm, plan), *(foresight.of_boards(arm) if plan.runs else ()))
     sys.stderr.write("".join(f"{sentence}\n" for sentence in said))
     try:
-        if given.mock:
-            from procedures.gap.mock import record_on_mock
-
-            with Bar("record") as bar:
-                record_on_mock(arm, given.scenario or "demo", given.seed, plan, out, bar.advance)
-        else:
-            record_on_arm(given, arm, plan, out)
-    except BaseException as error:
-        if (out / "points.csv").exists() or (out / "runs").exists():
-            sys.stderr.write(f"\narmwright: the recordings are in {out}; the same command continues\n")
-        if isinstance(error, ArmError | CalibrationError) and (out / "points.csv").exists():
-            sys.stderr.write(f"armwright: {error}\n")
-            return 1  # the arm has moved: not the exit status 2 of wrong input
-        raise
+        recorded(given, arm, plan, out, arm, "record")
+    except (ArmError, CalibrationError) as error:
+        if not (out / "points.csv").exists():
+            raise
+        sys.stderr.write(f"armwright: {error}\n")
+        return 1  # the arm has moved: not the exit status 2 of wrong input
     points = [str(out / "points.csv")] if plan.visits else []
     logs = [str(out / "log.csv")] if plan.runs else []
     if given.record_only:
@@ -165,25 +155,12 @@ def _require_recording_options(given: argparse.Namespace) -> None:
 
 def record_on_arm(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path) -> None:
     """Record on the connected arm, which must be homed and holding."""
-    from procedures.gap.recording import Bench, note_plan, record
+    from procedures.gap.recording import record
+    from procedures.tour import bench_of
 
     with contextlib.closing(in_control_of(given, arm)) as client:
-        status = client.status()
-        if status["mode"] != "HOLDING" or not status["is_homed"]:
-            raise ArmError(
-                f"the arm is {status['mode']}{'' if status['is_homed'] else ' and not homed'}: recording needs an arm"
-                " that is homed and holding (`armwright enable`, `armwright home`)"
-            )
-        sees_tip = bool(client.average(CAMERA_LOOK_s).camera_frames)
-        if plan.visits and not sees_tip:
-            raise ArmError(
-                f"no tip from the camera within {CAMERA_LOOK_s:g} s{camera_said(client)}: poses away from the board need"
-                " one (docs/camera.md); `--only motion` needs no camera"
-            )
-        if any(step.payload_kg for step in plan.steps) and not sys.stdin.isatty():
-            raise CalibrationError("--payload is attached by hand: run this in a terminal, or omit it")
-        note_plan(out, plan, arm)
-        bench = Bench(arm, client, Path(status["recording"]), _hang_by_hand, sees_tip, REAL_SPEED)
+        loads_kg = [step.payload_kg for step in plan.steps]
+        bench = bench_of(arm, client, loads_kg, bool(plan.visits), REAL_SPEED)
         try:
             with Bar("record") as bar:
                 record(bench, plan, out, bar.advance)
@@ -192,8 +169,17 @@ def record_on_arm(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", ou
             raise
 
 
-def _hang_by_hand(mass_kg: float) -> None:
-    what = f"attach {mass_kg:.3f} kg to the tip" if mass_kg else "remove the load"
-    sys.stderr.write(f"\n{what}, then press Enter: ")
-    sys.stderr.flush()
-    sys.stdin.readline()
+def recorded(
+    given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", out: Path, mocked: Arm, what: str
+) -> None:
+    """Record on the arm, or on a mock of `mocked`; where it ends early, the operator is told how it goes on."""
+    from procedures.tour import telling_where
+
+    with telling_where(out):
+        if not given.mock:
+            record_on_arm(given, arm, plan, out)
+            return
+        from procedures.gap.recording import record_on_mock
+
+        with Bar(what) as bar:
+            record_on_mock(mocked, given.scenario or "demo", given.seed, plan, out, bar.advance)

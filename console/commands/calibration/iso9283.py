@@ -12,20 +12,18 @@ from calib.iso9283.programme import PROGRAMMES, Extent
 from calib.iso9283.workspace import largest_cube
 from console.commands.connection import in_control_of
 from console.commands.progress import Bar
-from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import require_writable
-from procedures.iso9283 import Bench, Planned, evaluate_files, largest_load_kg, plan, rated_speed_m_s, record
-from procedures.ports import camera_said
+from procedures.iso9283 import Planned, evaluate_files, largest_load_kg, plan, rated_speed_m_s, record
+from procedures.tour import bench_of, telling_where
 
 FULL = Extent()
 QUICK = Extent(repeats=5, path_cycles=3, speed_shares=(0.5, 1.0), drift_s=30.0, drift_sets=2)
 MOCK_LOAD_kg = 1.0
 MOCK_SHARE = 0.7  # of the largest load: friction needs torque, too
 REAL_SPEED, MOCK_SPEED = 0.5, 1.0
-CAMERA_LOOK_S = 0.5
 
 
 def run(given: argparse.Namespace) -> int:
@@ -59,18 +57,11 @@ def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient 
     sys.stdout.flush()
     if given.plan_only:
         return 0
-    try:
+    with telling_where(out):
         if client is None:
             _record_mock(given, arm, planned, out)
         else:
             _record_real(given, arm, client, planned, out)
-    except BaseException:
-        if _holds_records(out):
-            sys.stderr.write(
-                f"\narmwright: the recordings are in {out}; the same command continues, and `armwright iso9283"
-                f" --points {out / 'points.csv'} --log {out / 'log.csv'} --out {out}` evaluates it\n"
-            )
-        raise
     notes = _notes(extent, cube)
     return _evaluate(given, arm, out / "points.csv", [out / "log.csv"], out / "programme.json", notes)
 
@@ -103,10 +94,6 @@ def _evaluate(
 def _require_within(value: float | None, option: str, upper: float, what: str) -> None:
     if value is not None and not 0.0 < value <= upper:
         raise Iso9283Error(f"{option}: expected {what} above 0 and up to {upper:g}, got {value:g}")
-
-
-def _holds_records(out: Path) -> bool:
-    return (out / "points.csv").exists() and (out / "points.csv").read_bytes().count(b"\n") > 1
 
 
 def _is_only_header(log: Path) -> bool:
@@ -162,28 +149,10 @@ def _record_mock(given: argparse.Namespace, arm: Arm, planned: Planned, out: Pat
 
 def _record_real(given: argparse.Namespace, arm: Arm, client: ArmClient, planned: Planned, out: Path) -> None:
     """Record on the connected arm, which must be homed and holding, with a camera that sees the tip."""
-    status = client.status()
-    if status["mode"] != "HOLDING" or not status["is_homed"]:
-        raise ArmError(
-            f"the arm is {status['mode']}{'' if status['is_homed'] else ' and not homed'}: a test needs an arm that"
-            " is homed and holding (`armwright enable`, `armwright home`)"
-        )
-    if not client.average(CAMERA_LOOK_S).camera_frames:
-        raise ArmError(
-            f"no tip from the camera within {CAMERA_LOOK_S:g} s{camera_said(client)}: the criteria need one (docs/camera.md)"
-        )
-    hang = _ask_for_load if sys.stdin.isatty() else None
-    if hang is None and any(getattr(step, "payload_kg", 0.0) for step in planned.steps):
-        raise Iso9283Error("loads are attached by hand: run this in a terminal, or omit --rated-load-kg")
+    loads_kg = [getattr(step, "payload_kg", 0.0) for step in planned.steps]
+    bench = bench_of(arm, client, loads_kg, needs_tip=True, speed=given.speed or REAL_SPEED)
     with Bar("iso9283") as bar:
-        bench = Bench(arm, client, Path(status["recording"]), hang, given.speed or REAL_SPEED)
         record(bench, planned, out, bar.advance)
-
-
-def _ask_for_load(mass_kg: float) -> None:
-    sys.stderr.write(f"\nattach {mass_kg:.3f} kg to the tip, then press Enter: ")
-    sys.stderr.flush()
-    sys.stdin.readline()
 
 
 def _described(arm: Arm, cube: TestCube, planned: Planned, rated_m_s: float) -> str:

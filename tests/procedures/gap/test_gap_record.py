@@ -26,8 +26,9 @@ from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm
 from hil_mocks.devices.mocap import BASE_m, BASE_turn_rad, TARGET_turn_rad
 from hil_mocks.devices.mocap import rotation_of as turn_of
-from procedures.gap.recording import Bench, note_plan, record
+from procedures.gap.recording import note, record
 from procedures.mock import SteppedBench
+from procedures.tour import Bench
 
 PLACE = tuple(quaternions(turn_of(BASE_turn_rad)[None])[0].tolist())
 STREAM = CameraStream("vicon", "tool", "base", origin_m=BASE_m, orientation=PLACE)
@@ -151,7 +152,7 @@ def test_the_folder_of_another_plan_is_left_alone(recorded: Recorded) -> None:
     other = dataclasses.replace(tiny(), steps=tiny().steps[:2])
     before = (recorded.out / "plan.json").read_bytes()
     with pytest.raises(CalibrationError, match="another plan or arm"):
-        note_plan(recorded.out, other, RIGHT)
+        note(recorded.out, other, RIGHT)
     assert (recorded.out / "plan.json").read_bytes() == before
 
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from benchmarks.arms import FOUR, SIX, TWO
+from calib.errors import CalibrationError
 from calib.iso9283.criteria import pose
-from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.programme import Extent, PathRun
 from calib.points.reading import read_points
@@ -24,8 +24,9 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
 from control.server.client import Average
-from procedures.iso9283 import AVERAGE_S, Bench, plan, rated_speed_m_s, record
+from procedures.iso9283 import HOW, plan, rated_speed_m_s, record
 from procedures.mock import SteppedBench
+from procedures.tour import Bench
 from tests.places import ROOT
 
 pytestmark = pytest.mark.usefixtures("nobody_below")
@@ -35,7 +36,7 @@ CUBE = TestCube((0.40, 0.0, 0.30), 0.2)
 EXTENT = Extent(repeats=2, path_cycles=2, speed_shares=(1.0,), programmes=("pose", "path"))
 RATED_m_s = 0.4
 CAMERA_m = 0.00014  # noise of one frame, per axis
-FRAMES = 100 * AVERAGE_S
+FRAMES = 100 * HOW.settings.average_s
 
 
 @dataclass
@@ -172,7 +173,7 @@ def test_a_folder_with_the_records_of_another_programme_is_left_alone(recorded: 
     arm = load_arm("right")
     planned = plan(arm, TestCube(CUBE.centre_m, 0.18), EXTENT, RATED_m_s)
     before = (recorded.out / "points.csv").read_bytes()
-    with pytest.raises(Iso9283Error, match="another programme or cube"):
+    with pytest.raises(CalibrationError, match="another plan or arm"):
         record(Bench(arm, None, Path("none"), None), planned, recorded.out, lambda what, share: None)  # type: ignore[arg-type]
     assert (recorded.out / "points.csv").read_bytes() == before
 

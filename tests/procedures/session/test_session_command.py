@@ -78,7 +78,7 @@ def test_a_session_by_script_is_interrupted_resumed_and_calibrates(
     assert "  < redo\nredo: normal 3\n" in said
     assert said.count("O") >= 1
     assert said.count(" min left") == said.count(" recorded; model error") - 2, "from the third record on"
-    assert "the same command resumes" in said
+    assert "the same command continues" in said
 
     assert session(files, "status\nauto\n", "--mock") == 0
     said = capsys.readouterr().out
