@@ -34,12 +34,14 @@ class JointPath:
         MotionError: the knots are invalid.
     """
 
-    __slots__ = ("_at", "_section", "_table", "duration_s", "times_s")
+    __slots__ = ("_at", "_least", "_most", "_section", "_table", "duration_s", "times_s")
 
     def __init__(self, times_s: Iterable[float], knots: "Iterable[SetPoint] | NDArray[np.float64]") -> None:
         """`knots`: set-points, or their numbers (k, 3, joints)."""
         self.times_s = tuple(times_s)
         self._table = _checked(self.times_s, knots)
+        # Of angles, speeds and accelerations: (3, joints). They tell a good path within the cycle in which it begins.
+        self._least, self._most = self._table.min(axis=0), self._table.max(axis=0)
         self.duration_s = self.times_s[-1]
         self._at = -1
         self._section: tuple[Coefficients, ...] = ()
@@ -79,14 +81,14 @@ class JointPath:
         table, count = self._table, len(limits.lower_rad)
         if table.shape[2] != count:
             raise MotionError(f"joint path: expected {count} joints, got {table.shape[2]}")
-        q = table[:, 0]
         most = np.array((limits.speed_rad_s, limits.acceleration_rad_s2)) * (1.0 + _ROUNDING)
-        is_outside = (q < np.array(limits.lower_rad) - _ROUNDING) | (
-            q > np.array(limits.upper_rad) + _ROUNDING
-        )
-        wrong = is_outside | (np.abs(table[:, 1:]) > most).any(axis=1)
-        if not wrong.any():
+        lowest = np.array([np.array(limits.lower_rad) - _ROUNDING, *-most])
+        highest = np.array([np.array(limits.upper_rad) + _ROUNDING, *most])
+        if (self._least >= lowest).all() and (self._most <= highest).all():
             return
+        q = table[:, 0]
+        is_outside = (q < lowest[0]) | (q > highest[0])
+        wrong = is_outside | (np.abs(table[:, 1:]) > most).any(axis=1)
         k, j = divmod(int(np.argmax(wrong)), count)
         time_s, (angle, speed, acceleration) = self.times_s[k], table[k, :, j].tolist()
         if is_outside[k, j]:
@@ -115,14 +117,19 @@ class JointPath:
         import numpy as np
 
         try:
-            times = np.array(message["times_s"], dtype=np.float64)
+            times = np.asarray(message["times_s"], dtype=np.float64)
             if times.ndim != 1:
                 raise ValueError("times_s is no list of numbers")
             groups = [message[name] for name in _GROUPS]
-            if len({len(row) for rows in groups for row in rows}) > 1:
+            lengths = {
+                length
+                for rows in groups
+                for length in ({rows.shape[1]} if isinstance(rows, np.ndarray) else set(map(len, rows)))
+            }
+            if len(lengths) > 1:
                 raise MotionError(f"joint path: expected {len(groups[0][0])} joints in every knot")
             return JointPath(
-                times.tolist(), np.stack([np.array(rows, dtype=np.float64) for rows in groups], axis=1)
+                times.tolist(), np.stack([np.asarray(rows, dtype=np.float64) for rows in groups], axis=1)
             )
         except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
             raise MotionError(

@@ -103,14 +103,15 @@ class PlannedPath:
         """Inverse of `to_message`; PathError if it is invalid. The loop still limits every set-point."""
         try:
             spline = CartesianSpline.from_message(message["spline"])
-            poses = tuple(tuple(float(angle) for angle in q) for q in message["q_waypoints_rad"])
+            angles = np.asarray(message["q_waypoints_rad"], dtype=np.float64)
+            poses = tuple(map(tuple, angles.tolist()))
             slowdowns = tuple(Slowdown(float(f), int(w), str(limit)) for f, w, limit in message["slowdowns"])
             branch = str(message["branch"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise PathError(
                 f"path message: expected what PlannedPath.to_message() gives ({error!r})"
             ) from None
-        if len(poses) != len(spline.times_s) or not np.isfinite(np.array(poses, dtype=np.float64)).all():
+        if len(poses) != len(spline.times_s) or not np.isfinite(angles).all():
             raise PathError(f"path message: expected {len(spline.times_s)} finite poses, got {len(poses)}")
         return PlannedPath(spline, poses, branch, slowdowns)
 

@@ -10,7 +10,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any
 
 from control.kinematics.pose_solver import TURN_LENGTH_M
@@ -84,22 +84,22 @@ class CartesianSpline:
         Raises:
             PathError: the message is invalid.
         """
+        import numpy as np
+
         try:
-            times = [float(t) for t in message["times_s"]]
-            coefficients = [[float(a) for a in section] for section in message["coefficients"]]
-        except (KeyError, TypeError, ValueError) as error:
+            times = np.asarray(message["times_s"], dtype=np.float64)
+            coefficients = np.asarray(message["coefficients"], dtype=np.float64)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise PathError(
                 f"path message: expected times_s and coefficients as lists of numbers ({error!r})"
             ) from None
-        is_sound = len(times) == len(coefficients) + 1 > 1 and all(
-            len(section) == 12 for section in coefficients
-        )
-        is_increasing = times[:1] == [0.0] and all(a < b for a, b in pairwise(times))
-        if not (is_sound and is_increasing and all(map(math.isfinite, (times[-1], *chain(*coefficients))))):
+        is_sound = times.ndim == 1 and len(times) > 1 and coefficients.shape == (len(times) - 1, 12)
+        is_increasing = is_sound and times[0] == 0.0 and (times[1:] > times[:-1]).all()
+        if not (is_increasing and np.isfinite(times[-1]) and np.isfinite(coefficients).all()):
             raise PathError(
                 "path message: expected n + 1 increasing times from 0 and n sections of 12 finite numbers"
             )
-        return CartesianSpline(times, coefficients)
+        return CartesianSpline(times.tolist(), coefficients.tolist())
 
 
 def hermite(

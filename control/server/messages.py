@@ -1,7 +1,7 @@
 """Requests of the socket as strict types: an unknown key, another type or a value out of range is refused.
 
 The server reads only `do` and `id` of a line; the rest is decoded when the client's right and the arm's mode allow the
-request, so that a long path costs nothing that could be refused without it.
+request. A long line is read in slices before (control.server.long_requests).
 """
 
 import math
@@ -12,6 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from control.errors import ArmError
+from control.motion.joint_path import JointPath
 
 LONGEST_ID = 64  # characters
 LARGEST_ID = (1 << 53) - 1  # what a client's JSON can hold exactly
@@ -95,9 +96,11 @@ class OfOneArm(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
     def request(self, detached: bool) -> MoveJoints | RunPath | RunJoints:
         """The same for this arm alone. ArmError unless one of `q_rad` and `path` is given."""
-        if isinstance(self.path, dict) and self.q_rad is msgspec.UNSET:
-            kind = RunJoints if "q_rad" in self.path else RunPath
-            return kind(path=self.path, tool=self.tool, detached=detached)
+        if self.path is not msgspec.UNSET and self.q_rad is msgspec.UNSET:
+            path: Any = self.path  # as it came, or read in slices
+            is_of_joints = isinstance(path, JointPath) or (isinstance(path, dict) and "q_rad" in path)
+            kind = RunJoints if is_of_joints else RunPath
+            return kind(path=path, tool=self.tool, detached=detached)
         if isinstance(self.q_rad, tuple) and self.path is msgspec.UNSET:
             return MoveJoints(q_rad=self.q_rad, speed=self.speed, detached=detached)
         raise ArmError("move_together: expected either q_rad or path for each arm")
@@ -106,7 +109,7 @@ class OfOneArm(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 class MoveTogether(Owned, tag="move_together", kw_only=True):
     """Motions of several arms that begin and end together."""
 
-    moves: dict[str, OfOneArm]
+    moves: Mapping[str, OfOneArm]
 
 
 class Jog(_Message, tag="jog", kw_only=True):
@@ -193,6 +196,7 @@ class Asked(NamedTuple):
     id: int | str | None
     line: bytes
     arm: str = ""
+    read: Any = None  # of a long line: what `decoded` returns
 
 
 class _Envelope(msgspec.Struct):
@@ -224,6 +228,29 @@ _KINDS: Mapping[str, type[_Message]] = {
 }
 _DECODERS = {do: msgspec.json.Decoder(kind) for do, kind in _KINDS.items()}
 _PLAIN = msgspec.json.Decoder(Plain)
+_Texts = dict[str, msgspec.Raw]
+
+
+class _OutlinedOfOneArm(OfOneArm, kw_only=True):
+    path: _Texts | msgspec.UnsetType = msgspec.UNSET
+
+
+class _OutlinedTogether(MoveTogether, tag="move_together", kw_only=True):
+    moves: Mapping[str, _OutlinedOfOneArm]
+
+
+class _OutlinedPath(RunPath, tag="run_path", kw_only=True):
+    path: _Texts
+
+
+class _OutlinedJoints(RunJoints, tag="run_joints", kw_only=True):
+    path: _Texts
+
+
+_OUTLINES: Mapping[str, "msgspec.json.Decoder[Any]"] = {
+    str(kind.__struct_config__.tag): msgspec.json.Decoder(kind)
+    for kind in (_OutlinedTogether, _OutlinedPath, _OutlinedJoints)
+}
 
 
 def asked(line: bytes) -> Asked:
@@ -250,11 +277,21 @@ def is_at_once(line: bytes) -> bool:
 
 def decoded(request: Asked) -> Any:
     """Decode the whole request to its type. ArmError names the key, what was expected and what came."""
+    if request.read is not None:
+        return request.read
     if len(request.line) > LONGEST_PLAIN_bytes and request.do not in LONG:
         raise ArmError(
             f"request {request.do!r}: expected at most {LONGEST_PLAIN_bytes} bytes, got {len(request.line)}"
         )
-    decoder = _DECODERS.get(request.do, _PLAIN)
+    return _decoded_by(_DECODERS.get(request.do, _PLAIN), request)
+
+
+def outlined(request: Asked) -> Any:
+    """The same of a long request, with each list of its path as text (msgspec.Raw), so that it costs one pass over the line."""
+    return _decoded_by(_OUTLINES[request.do], request) if request.do in _OUTLINES else decoded(request)
+
+
+def _decoded_by(decoder: "msgspec.json.Decoder[Any]", request: Asked) -> Any:
     try:
         return decoder.decode(request.line)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

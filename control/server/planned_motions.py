@@ -1,6 +1,7 @@
 """Motions that a client has planned: rebuilt from its request, and compared with the arm's position, limits and workspace."""
 
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 from control.errors import ArmError
 from control.loop.runtime import Runtime
@@ -13,6 +14,7 @@ from control.server import messages
 from control.server.messages import numbers
 
 START_TOLERANCE_rad = 5e-3  # around a path's first point: a joint move ends within a few counts of it
+P = TypeVar("P", PlannedPath, JointPath)
 Planned = messages.MoveJoints | messages.RunPath | messages.RunJoints
 
 
@@ -42,7 +44,7 @@ class PlannedMotions:
         return move
 
     def _path(self, request: messages.RunPath) -> Motion:
-        path = PlannedPath.from_message(request.path)
+        path = _made(PlannedPath, request.path)
         tool = self._runtime.parts.tool
         self._require_tool(request.tool)
         self._require_at(path.q_start_rad, request.as_encoders)
@@ -50,7 +52,7 @@ class PlannedMotions:
         return path.motion(tool.inverse, tool.kinematics)
 
     def _joint_path(self, request: messages.RunJoints) -> Motion:
-        path = JointPath.from_message(request.path)
+        path = _made(JointPath, request.path)
         self._require_tool(request.tool)
         path.require_within(self._limits)
         self._require_at(path.at(0.0).q_rad, request.as_encoders)
@@ -74,3 +76,14 @@ class PlannedMotions:
                 f"the arm is {off_rad:.4f} rad away from the path's first point (tolerance {START_TOLERANCE_rad} rad):"
                 f" move there first, to {', '.join(f'{q:.4f}' for q in first_rad)} rad"
             )
+
+
+def _made(kind: type[P], path: Any) -> P:
+    """A path as the request has it, or made of one that was read in slices. ArmError if it is of another kind."""
+    if isinstance(path, PlannedPath | JointPath):
+        if not isinstance(path, kind):
+            raise ArmError(
+                f"path: expected one of a {'tip' if kind is PlannedPath else 'joint'} motion, got the other kind"
+            )
+        return path
+    return kind.from_message(path)

@@ -1,8 +1,8 @@
 """The local socket of the loop: polled between cycles, never blocking.
 
-Newline-separated JSON over a Unix socket that only this user can open. At most one request is served a cycle, whatever clients
-send; a client that stops reading is disconnected. What a connection began ends with it, for whatever reason it closes (a lost
-terminal must not leave a moving arm).
+Newline-separated JSON over a Unix socket that only this user can open. At most one request is served a cycle, and a slice of one
+long one is read (control.server.long_requests), whatever clients send; a client that stops reading is disconnected. What a
+connection began ends with it, for whatever reason it closes (a lost terminal must not leave a moving arm).
 
 A stop has a place of its own: it is served before everything that waits, commands that came before it are refused, and
 beyond the usual number of connections there are places in which only stopping and watching are served.
@@ -14,7 +14,7 @@ import os
 import selectors
 import socket
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +22,8 @@ import msgspec
 
 from control.errors import ArmError
 from control.files import utf_8
-from control.server.messages import STOPPING, WATCHING, Asked, asked, is_at_once
+from control.server import long_requests
+from control.server.messages import LONG, STOPPING, WATCHING, Asked, asked, is_at_once
 from control.server.sockets import ForeignFolder, peer_uid, require_private, socket_folders
 from control.server.sockets import default_path as default_path
 
@@ -55,6 +56,13 @@ class Line(NamedTuple):
 
     content: bytes
     stops: int
+
+
+class UnderWay(NamedTuple):
+    """A long request that is being read."""
+
+    client: "Client"
+    answering: Generator[None, None, Message]
 
 
 class Listener(NamedTuple):
@@ -122,6 +130,7 @@ class Server:
         self._turn = 0
         self._numbers = 0
         self._stops = 0
+        self._under_way: UnderWay | None = None
         for one in paths.values():
             require_free(one)
         self._listeners = [Listener(arm, one, listen(one)) for arm, one in paths.items()]
@@ -130,7 +139,7 @@ class Server:
             self._selector.register(listener.socket, selectors.EVENT_READ, listener)
 
     def poll(self) -> None:
-        """Accept, receive and serve all stops, or else at most one request; returns at once."""
+        """Accept, receive and serve all stops, or else at most one request and a slice of a long one; returns at once."""
         stopped = False
         ready = self._selector.select(0)
         share = max(CHUNK_bytes // max(len(ready), 1), LEAST_bytes)
@@ -142,10 +151,12 @@ class Server:
             if (line := client.receive(self._stops, share)) is not None:
                 self._stops += 1
                 stopped = True
-                self._serve(client, line, is_overtaken=False)
+                self._serve(client, Line(line, self._stops))
         if not stopped:
+            self._read_on()
             self._serve_one()
-        for client in [c for c in self._clients if c.is_over and not c.lines]:
+        reading = None if self._under_way is None else self._under_way.client
+        for client in [c for c in self._clients if c.is_over and not c.lines and c is not reading]:
             self._drop(client)
 
     @property
@@ -182,30 +193,66 @@ class Server:
         self._selector.register(connection, selectors.EVENT_READ, client)
 
     def _serve_one(self) -> None:
-        waiting = [client for client in self._clients if client.lines]
+        waiting = [client for client in self._clients if client.lines and self._may_be_served(client)]
         if not waiting:
             return
         self._turn += 1
         client = waiting[self._turn % len(waiting)]
-        line = client.lines.pop(0)
-        self._serve(client, line.content, line.stops != self._stops)
+        self._serve(client, client.lines.pop(0))
 
-    def _serve(self, client: Client, line: bytes, is_overtaken: bool) -> None:
-        answer = self._answer(line, client, is_overtaken)
+    def _may_be_served(self, client: Client) -> bool:
+        """Requests of a client are served in their order, and one long one at a time."""
+        under_way = self._under_way
+        return under_way is None or not (
+            client is under_way.client or long_requests.is_long(client.lines[0].content)
+        )
+
+    def _serve(self, client: Client, line: Line) -> None:
+        under_way = UnderWay(client, self._answering(line, client))
+        if not self._goes_on(under_way):
+            self._under_way = under_way
+
+    def _read_on(self) -> None:
+        if (under_way := self._under_way) is not None and self._goes_on(under_way):
+            self._under_way = None
+
+    def _goes_on(self, under_way: UnderWay) -> bool:
+        """Whether a request has been answered by its next step."""
         try:
-            client.connection.sendall(encoded(answer) + b"\n")
+            next(under_way.answering)
+            return False
+        except StopIteration as done:
+            answer: Message = done.value
+        try:
+            under_way.client.connection.sendall(encoded(answer) + b"\n")
         except OSError:
-            self._drop(client)
+            self._drop(under_way.client)
+        return True
 
-    def _answer(self, line: bytes, client: Client, is_overtaken: bool) -> Message:
+    def _answering(self, line: Line, client: Client) -> Generator[None, None, Message]:
         try:
-            request = asked(line)
+            request = asked(line.content)
         except ArmError as error:
             return {"ok": False, "error": str(error)}
+        error_of_path = ""
+        if request.do in LONG and long_requests.is_long(line.content):
+            yield
+            try:
+                request = request._replace(read=(yield from long_requests.steps(request)))
+            except ArmError as error:
+                error_of_path = str(error)
+        answer = (
+            {"ok": False, "error": error_of_path} if error_of_path else self._answer(request, line, client)
+        )
+        if request.id is not None:
+            answer["id"] = request.id
+        return answer
+
+    def _answer(self, request: Asked, line: Line, client: Client) -> Message:
         if not request.arm:
             request = request._replace(arm=client.arm)
         is_command = request.do not in STOPPING | WATCHING
-        if is_command and is_overtaken:
+        if is_command and line.stops != self._stops:
             answer: Message = {
                 "ok": False,
                 "error": f"request {request.do!r}: a stop came before it was served",
@@ -215,14 +262,14 @@ class Server:
             answer = {"ok": False, "error": f"request {request.do!r}: {crowd}"}
         else:
             answer = self._handle(request, client.number)
-        if request.id is not None:
-            answer["id"] = request.id
         return answer
 
     def _drop(self, client: Client) -> None:
         if client not in self._clients:
             return
         self._clients.remove(client)
+        if self._under_way is not None and self._under_way.client is client:
+            self._under_way = None
         self._selector.unregister(client.connection)
         client.connection.close()
         self._on_gone(client.number)
