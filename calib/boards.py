@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,11 +19,11 @@ import numpy as np
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, RegistrationError
 from calib.points.covariance import COVARIANCE
-from calib.points.points import ORIENTATION
-from calib.points.reading import require_commas
+from calib.points.points import ORIENTATION, TIP
+from calib.points.reading import IMPORT
 from calib.points.writer import replace_file
 from control.files import parsed_json, read_text
-from control.tables import opened_rows
+from control.tables import TableColumn, TableFormat, read_table
 
 # boards.json: registered poses of the calibration board in each setup.
 
@@ -129,7 +128,18 @@ def _array(where: str, value: object, shape: tuple[int, ...]) -> Array:
 # columns are ignored with a warning. Comma-separated, .csv or .csv.gz.
 
 
-REQUIRED = ("setup", "marker", "x_m", "y_m", "z_m")
+MARKERS = TableFormat(
+    "marker",
+    (
+        TableColumn("setup", "placement of the board", is_required=True, is_name=True),
+        TableColumn(
+            "marker", "a cavity by name; rows of one marker are averaged", is_required=True, is_name=True
+        ),
+        *(TableColumn(name, "measured position in the base frame", is_required=True) for name in TIP),
+    ),
+    unwarned="|".join((*ORIENTATION, *COVARIANCE)),
+    separated=IMPORT,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,20 +166,9 @@ class Markers:
 
 def read_markers(path: Path) -> Markers:
     """Read the measurements of a file. PointsFileError names file, line and column."""
-    with opened_rows(path, PointsFileError) as reader:
-        header = [name.strip() for name in next(reader, [])]
-        require_commas(path, header)
-        places = _places(path, header)
-        rows = [_row(path, reader.line_num, header, places, row) for row in reader if row]
-    if not rows:
-        raise PointsFileError(f"{path}: a header and no markers: expected one line per measured marker")
-    strange = [name for name in header if name not in (*REQUIRED, *ORIENTATION, *COVARIANCE)]
-    warnings = (f"{path}: unknown columns ignored: {', '.join(strange)}",) if strange else ()
+    table = read_table(path, MARKERS, PointsFileError)
     return Markers(
-        tuple(row[0] for row in rows),
-        tuple(row[1] for row in rows),
-        frozen(np.array([row[2] for row in rows])),
-        warnings,
+        tuple(table.words("setup")), tuple(table.words("marker")), frozen(table.numbers(*TIP)), table.warnings
     )
 
 
@@ -177,47 +176,10 @@ def markers_text(markers: Markers) -> str:
     """The file's text."""
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")
-    writer.writerow(REQUIRED)
+    writer.writerow([column.name for column in MARKERS.columns])
     for setup, marker, seen in zip(markers.setup, markers.marker, markers.seen_m, strict=True):
         writer.writerow([setup, marker, *(f"{value:.7f}" for value in seen)])
     return lines.getvalue()
-
-
-def _places(path: Path, header: Sequence[str]) -> tuple[int, ...]:
-    for name in header:
-        if header.count(name) > 1:
-            raise PointsFileError(f"{path}, line 1: column {name} appears twice")
-    missing = [name for name in REQUIRED if name not in header]
-    if missing:
-        raise PointsFileError(f"{path}, line 1: required column {missing[0]} is missing")
-    return tuple(header.index(name) for name in REQUIRED)
-
-
-def _row(
-    path: Path, line: int, header: Sequence[str], places: Sequence[int], row: Sequence[str]
-) -> tuple[str, str, list[float]]:
-    if len(row) != len(header):
-        raise PointsFileError(f"{path}, line {line}: {len(row)} values, line 1 names {len(header)}")
-    texts = [row[place].strip() for place in places]
-    for name, text in zip(REQUIRED[:2], texts[:2], strict=True):
-        if not text:
-            raise PointsFileError(f"{path}, line {line}, column {name}: got an empty cell, expected a name")
-    return (
-        texts[0],
-        texts[1],
-        [_number(path, line, n, t) for n, t in zip(REQUIRED[2:], texts[2:], strict=True)],
-    )
-
-
-def _number(path: Path, line: int, name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        got = f'"{text}"' if text else "an empty cell"
-        raise PointsFileError(f"{path}, line {line}, column {name}: got {got}, expected a finite number")
-    return value
 
 
 # Rigid motion between two sets of points: the least-squares rotation and translation, one set or many at

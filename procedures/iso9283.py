@@ -28,7 +28,7 @@ from calib.iso9283.result import Evaluation, write_document
 from calib.iso9283.workspace import Solver, solver_of
 from calib.points.arm_points import require_recorded_of
 from calib.points.points import TIP
-from calib.points.reading import OWN_EXTRAS, read_points
+from calib.points.reading import read_points
 from calib.points.writer import PointsWriter, cell
 from calib.session.take import SessionSettings
 from control.files import KeptLines
@@ -271,11 +271,9 @@ def _poses(
 ) -> tuple[list[PoseGroup], tuple[str, ...], tuple[str, ...]]:
     if path.suffix == ".armlog":
         raise Iso9283Error(f"{path}: a recording, expected points.csv")
-    points, warnings = read_points(path)
+    points, warnings = read_points(path, also=r".*(_set_rad|[abc]_rad|_N)")
     groups, notes = pose_groups(replace(points, is_as_given=is_as_given), arm, str(path))
-    own = ("_set_rad", "a_rad", "b_rad", "c_rad", "_N")
-    unknown = [n for n in points.extra if not n.endswith(own) and not OWN_EXTRAS.fullmatch(n)]
-    return groups, notes, warnings if unknown else ()
+    return groups, notes, warnings
 
 
 def _write(arm: Arm, found: Evaluation, inputs: Sequence[InputFile], out: Path) -> None:

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from calib.points.reading import POINTS
 from console.main import parser
 from control.model.board_kinds import KINDS
 from control.model.effects import EFFECTS, parameter_names
 from control.model.reference import reference_text, sections
 from control.recording.layout import END_FIELDS
 from control.recording.record import Layout
+from control.tables import documented
 from firmware_iface.installation import PACKAGES
 
 ROOT = Path(__file__).parents[1]
@@ -294,6 +296,10 @@ def test_every_effect_and_its_parameters_are_in_the_formats(name: str) -> None:
 def test_the_reference_of_arm_toml_is_what_the_reader_obeys() -> None:
     """`make arm-reference` writes it anew."""
     assert (ROOT / "docs" / "arm_toml.md").read_text(encoding="utf-8") == reference_text()
+
+
+def test_the_columns_of_points_are_those_that_the_reader_obeys() -> None:
+    assert documented(POINTS) in (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
 
 
 def test_every_key_of_an_arm_file_is_explained() -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,12 +16,12 @@ from calib.arm_problem.frames import mean_rotation
 from calib.arrays import Array, frozen
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.points.points import TIP, Points, make_points
-from calib.points.reading import require_commas
+from calib.points.reading import IMPORT
 from control.files import parsed_json, read_text
 from control.kinematics.kinematics import Kinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
-from control.tables import SAMPLES_MOST, opened_rows
+from control.tables import SAMPLES_MOST, TableColumn, TableFormat, read_table
 
 SET = ("x_set_m", "y_set_m", "z_set_m")
 ANGLES, ANGLES_SET, FORCE = (
@@ -209,112 +207,74 @@ def _number(path: str, line: int, name: str, value: str) -> float:
     return number
 
 
+RUNS = TableFormat(
+    "sample",
+    (
+        TableColumn("run", "number of the run; empty: 0", is_required=True, may_be_empty=True, is_whole=True),
+        TableColumn("t_s", "time", is_required=True),
+        TableColumn("q{}_rad", "encoder angles", is_required=True),
+        TableColumn("q{}_set_rad", "set-points; empty: none", is_required=True, may_be_empty=True),
+        TableColumn("joint{}_rad", "joint angles, where they differ from the encoders'", may_be_empty=False),
+        TableColumn("joint{}_set_rad", "their set-points"),
+        TableColumn("programme", "what the run is of", is_name=True),
+        *(TableColumn(name, "of the programme") for name in ("cycle", "speed_m_s")),
+        *(TableColumn(name, "measured tip, base frame; empty between camera frames") for name in TIP),
+    ),
+    unwarned=".*",
+    most_rows=SAMPLES_MOST,
+    separated=IMPORT,
+)
+
+
 def read_runs(path: Path, arm: Arm, is_as_given: bool = False) -> list[Run]:
     """Every run of a log.csv or log.csv.gz; Iso9283Error names file, line and column.
 
     Rows without a set-point, such as during hand guiding, are omitted. `is_as_given`: its units are not doubted.
     """
-    n, kinematics = arm.joint_count, Kinematics(arm)
-    required = ["t_s", *(form.format(j) for form in ("q{}_rad", "q{}_set_rad") for j in range(1, n + 1))]
-    joints = [
-        "t_s",
-        *(form.format(j) for form in ("joint{}_rad", "joint{}_set_rad") for j in range(1, n + 1)),
-    ]
-    runs: dict[str, _Rows] = {}
-    for row in _rows(path, ("run", *required)):
-        if row["run"] not in runs:
-            # with gear or encoder effects in the model, the tip follows joint angles, not encoder angles
-            names = joints if all(name in row for name in joints) else required
-            runs[row["run"]] = _Rows(path, row, names, n)
-        runs[row["run"]].add(row)
-    whole = [rows.run(kinematics) for rows in runs.values() if rows.count > 1]
-    recorded = (rows for rows in runs.values() if rows.count > 1)
-    for rows in itertools.islice(recorded, 1):  # the columns of one run are those of all
-        rows.require_meant(arm, is_as_given)
-    if not whole:
-        raise Iso9283Error(f"{path}: expected recorded runs of two rows or more with set-points, got none")
-    return whole
-
-
-class _Rows:
-    """The rows of one run in a compact array, so that long recordings fit in memory."""
-
-    def __init__(self, path: Path, first: Mapping[str, str], names: Sequence[str], n: int) -> None:
-        self._path, self._n, self._first = path, n, dict(first)
-        self._required = 1 + n  # time and angles; set-points and the tip may be empty
-        self._names = [*names, *(TIP if all(name in first for name in TIP) else ())]
-        self._numbers = array("d")
-
-    @property
-    def count(self) -> int:
-        return len(self._numbers) // len(self._names)
-
-    def add(self, row: Mapping[str, str]) -> None:
-        """Add a line, unless it has no set-point."""
-        numbers = [_cell(self._path, row, name) for name in self._names]
-        for name, value in zip(self._names[: self._required], numbers, strict=False):
-            if not math.isfinite(value):
-                where = f"{self._path}, line {row['']}, column {name}"
-                raise Iso9283Error(f'{where}: got "{row[name].strip()}", expected a finite number')
-        if all(map(math.isfinite, numbers[self._required : self._required + self._n])):
-            self._numbers.extend(numbers)
-
-    def require_meant(self, arm: Arm, is_as_given: bool) -> None:
-        """UnusablePointsError if angles are not in radians or tips not in metres."""
-        n, table = self._n, np.array(self._numbers).reshape(-1, len(self._names))
-        q, tip = table[:, 1 : 1 + n], table[:, 1 + 2 * n :]
-        m = len(table)
-        tip = tip if tip.shape[1] else np.full((m, 3), np.nan)
-        points = replace(make_points(["run"] * m, [""] * m, [1] * m, q, tip), is_as_given=is_as_given)
-        require_columns_meant(arm, points, Choice().for_points(arm, points))
-
-    def run(self, kinematics: Kinematics) -> Run:
-        """The run, in order of time."""
-        n, table = self._n, np.array(self._numbers).reshape(-1, len(self._names))
-        table = table[np.argsort(table[:, 0], kind="stable")]
-        table = table[np.concatenate(([True], np.diff(table[:, 0]) > 0.0))]
-        time_s, angles, wanted, tip = np.split(table, (1, 1 + n, 1 + 2 * n), axis=1)
-        seen = np.isfinite(tip).all(axis=1) if tip.shape[1] else np.zeros(len(table), dtype=np.bool_)
-        return Run(
-            self._whole_number("run"),
-            self._first.get("programme", "").strip(),
-            self._whole_number("cycle"),
-            _cell(self._path, self._first, "speed_m_s") if "speed_m_s" in self._first else math.nan,
-            frozen(time_s[:, 0]),
-            frozen(kinematics.tips(wanted)),
-            frozen(kinematics.tips(angles)),
-            frozen(time_s[seen, 0]),
-            frozen(tip[seen] if tip.shape[1] else np.zeros((0, 3))),
+    table, kinematics = read_table(path, RUNS, Iso9283Error, arm.joint_count), Kinematics(arm)
+    # with gear or encoder effects in the model, the tip follows joint angles, not encoder angles
+    encoders = not ("joint1_rad" in table and "joint1_set_rad" in table)
+    q_rad, wanted_rad = (
+        table.joints(form)
+        for form in (("q{}_rad", "q{}_set_rad") if encoders else ("joint{}_rad", "joint{}_set_rad"))
+    )
+    number, time_s, tip_m = np.nan_to_num(table.number("run")), table.number("t_s"), table.numbers(*TIP)
+    has_wanted = np.asarray(np.isfinite(wanted_rad).all(axis=1))
+    runs: list[Run] = []
+    for run in dict.fromkeys(number.tolist()):
+        of_run = np.flatnonzero(number == run)
+        rows = of_run[has_wanted[of_run]]
+        if len(rows) < 2:
+            continue
+        if not runs:  # the columns of one run are those of all
+            _require_meant(arm, q_rad[rows], tip_m[rows], is_as_given)
+        rows = rows[np.argsort(time_s[rows], kind="stable")]
+        rows = rows[np.concatenate(([True], np.diff(time_s[rows]) > 0.0))]
+        seen = rows[np.isfinite(tip_m[rows]).all(axis=1)]
+        first = int(of_run[0])
+        runs.append(
+            Run(
+                int(run),
+                table.words("programme")[first],
+                int(np.nan_to_num(table.number("cycle")[first])),
+                float(table.number("speed_m_s")[first]),
+                frozen(time_s[rows]),
+                frozen(kinematics.tips(wanted_rad[rows])),
+                frozen(kinematics.tips(q_rad[rows])),
+                frozen(time_s[seen]),
+                frozen(tip_m[seen]),
+            )
         )
-
-    def _whole_number(self, name: str) -> int:
-        value = _cell(self._path, self._first, name) if name in self._first else 0.0
-        return int(value) if math.isfinite(value) else 0
-
-
-def _rows(path: Path, required: Sequence[str]) -> Iterator[dict[str, str]]:
-    """Rows of a .csv or .csv.gz by column, with the line number under an empty name."""
-    with opened_rows(path, Iso9283Error, SAMPLES_MOST) as reader:
-        header = [name.strip() for name in next(reader, [])]
-        require_commas(path, header)
-        for name in required:
-            if name not in header:
-                raise Iso9283Error(f"{path}, line 1: required column {name} is missing")
-        for row in reader:
-            if len(row) != len(header):
-                where = f"{path}, line {reader.line_num}"
-                raise Iso9283Error(f"{where}: {len(row)} values, line 1 names {len(header)}")
-            yield {**dict(zip(header, row, strict=True)), "": str(reader.line_num)}
+    if not runs:
+        raise Iso9283Error(f"{path}: expected recorded runs of two rows or more with set-points, got none")
+    return runs
 
 
-def _cell(path: Path, row: Mapping[str, str], name: str) -> float:
-    text = row[name].strip()
-    try:
-        return float(text) if text else math.nan
-    except ValueError:
-        raise Iso9283Error(
-            f'{path}, line {row[""]}, column {name}: got "{text}", expected a number'
-        ) from None
+def _require_meant(arm: Arm, q_rad: Array, tip_m: Array, is_as_given: bool) -> None:
+    """UnusablePointsError if angles are not in radians or tips not in metres."""
+    m = len(q_rad)
+    points = replace(make_points(["run"] * m, [""] * m, [1] * m, q_rad, tip_m), is_as_given=is_as_given)
+    require_columns_meant(arm, points, Choice().for_points(arm, points))
 
 
 def read_rectangle(path: Path) -> tuple[Array, ...]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, zip_longest
+from itertools import combinations
 from pathlib import Path
 from typing import Protocol
 
@@ -25,7 +25,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.table import board_cavities
-from control.tables import opened_rows
+from control.tables import TableColumn, TableFormat, read_table
 
 # Interfaces of a session to the arm, the hand that seats the tip, and the camera. The runtime implements
 # them.
@@ -409,32 +409,36 @@ def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
     return {f"f{k + 1}": tuple(round(float(q), 4) for q in pose) for k, pose in enumerate(ordered)}
 
 
+FREE_POSES = TableFormat(
+    "pose",
+    (
+        TableColumn("point", "name of the pose; empty: f1, f2, ... by its place", is_name=True),
+        TableColumn(
+            "q{}_rad",
+            "joint angles",
+            is_required=True,
+            lower=-6.0 * math.pi,
+            upper=6.0 * math.pi,
+            expected="an angle in radians",
+        ),
+    ),
+    unwarned=".*",
+    is_padded=True,
+)
+
+
 def read_free_poses(path: Path, joint_count: int) -> dict[str, tuple[float, ...]]:
-    """Poses of a file with the columns q1_rad ... and, optionally, point. SessionError names file and line."""
-    wanted = [f"q{j}_rad" for j in range(1, joint_count + 1)]
+    """Poses of a file with the columns q1_rad ... and, optionally, point. SessionError names file, line and column."""
+    table = read_table(path, FREE_POSES, SessionError, joint_count)
     poses: dict[str, tuple[float, ...]] = {}
-    with opened_rows(path, SessionError) as reader:
-        header = next(reader, [])
-        missing = [name for name in wanted if name not in header]
-        if missing:
-            raise SessionError(f"{path}, line 1: required column {missing[0]} is missing")
-        for cells in filter(None, reader):
-            row = dict(zip_longest(header, cells[: len(header)], fillvalue=""))
-            name = (row.get("point") or "").strip() or f"f{len(poses) + 1}"
-            if name in poses:
-                raise SessionError(f"{path}, line {reader.line_num}: pose {name} appears twice")
-            poses[name] = tuple(_angle(path, reader.line_num, key, row[key]) for key in wanted)
+    for row, (name, q_rad) in enumerate(
+        zip(table.words("point"), table.joints("q{}_rad").tolist(), strict=True)
+    ):
+        pose = name or f"f{row + 1}"
+        if pose in poses:
+            raise SessionError(f"{table.place(row)}: pose {pose} appears twice")
+        poses[pose] = tuple(q_rad)
     return poses
-
-
-def _angle(path: Path, line: int, key: str, text: str | None) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or abs(value) > 6.0 * math.pi:
-        raise SessionError(f"{path}, line {line}, column {key}: got {text!r}, expected an angle in radians")
-    return value
 
 
 def _ranges(arm: Arm) -> tuple[Array, Array]:

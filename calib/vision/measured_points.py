@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arrays import Array
-from calib.boards import REQUIRED
+from calib.boards import MARKERS
 from calib.errors import VisionError
 from calib.points.covariance import COVARIANCE, triangles
 from calib.points.points import CAMERA_FRAME, ORIENTATION, Points, make_points
@@ -71,7 +71,7 @@ def poses_text(measured: Sequence[Measured]) -> str:
     """markers.csv of all pictures: the target in the first camera's frame, with orientation and covariances."""
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")
-    writer.writerow([*REQUIRED, *ORIENTATION, *COVARIANCE])
+    writer.writerow([*(column.name for column in MARKERS.columns), *ORIENTATION, *COVARIANCE])
     turns = quaternions(np.array([one.pose.rotation for one in measured]))
     for one, turn in zip(measured, turns, strict=True):
         writer.writerow(

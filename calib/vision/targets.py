@@ -6,7 +6,6 @@ centre decouples the errors of position and orientation.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,12 +15,12 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.errors import VisionError
-from calib.points.reading import require_commas
+from calib.points.points import ORIENTATION, TIP
+from calib.points.reading import IMPORT
 from calib.vision.edges import refined_square
 from calib.vision.opencv import Picture, opencv
-from control.errors import BadTarget
-from control.kinematics.rotation import checked_quaternion, matrices
-from control.tables import opened_rows
+from control.kinematics.rotation import matrices
+from control.tables import TableColumn, TableFormat, read_table
 
 BOARD_DICTIONARY = "4x4_250"
 TAG_DICTIONARY = "apriltag_36h11"
@@ -30,8 +29,24 @@ FAR_OFF = (
     5.0  # noises of one axis: a corner that was found beside its place, of which a board has one in fifty
 )
 SQUARES_MOST = 50
-TAG_COLUMNS = ("tag", "size_m", "x_m", "y_m", "z_m")
-TURN_COLUMNS = ("qw", "qx", "qy", "qz")
+TAGS = TableFormat(
+    "tag",
+    (
+        TableColumn(
+            "tag", "its number in the dictionary", is_required=True, is_whole=True, lower=0.0, upper=1e6
+        ),
+        TableColumn(
+            "size_m", "edge of its black square", is_required=True, lower=1e-9, expected="a length above 0"
+        ),
+        *(TableColumn(name, "its centre in the body's frame", is_required=True) for name in TIP),
+        *(
+            TableColumn(name, "its orientation in the body's frame; empty: as the body's")
+            for name in ORIENTATION
+        ),
+    ),
+    unwarned=".*",
+    separated=IMPORT,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,49 +253,18 @@ NOTHING = Corners(frozen(np.zeros((0, 3))), frozen(np.zeros((0, 2))))
 
 def read_tags(path: Path, dictionary: str = TAG_DICTIONARY) -> Tags:
     """Tags of a body from tags.csv. PointsFileError or VisionError names file, line and column."""
-    found: dict[int, Array] = {}
-    with opened_rows(path, VisionError) as reader:
-        header = [name.strip() for name in next(reader, [])]
-        require_commas(path, header)
-        missing = [name for name in TAG_COLUMNS if name not in header]
-        if missing:
-            raise VisionError(f"{path}, line 1: required column {missing[0]} is missing")
-        for row in (row for row in reader if row):
-            where = f"{path}, line {reader.line_num}"
-            number, corners = _tag(where, header, row)
-            if number in found:
-                raise VisionError(f"{where}: tag {number} appears twice")
-            found[_checked_number(number, dictionary, where)] = corners
-    if not found:
-        raise VisionError(f"{path}: a header and no tags: expected one line per tag")
-    return Tags(found, dictionary)
-
-
-def _tag(where: str, header: list[str], row: list[str]) -> tuple[int, Array]:
-    if len(row) != len(header):
-        raise VisionError(f"{where}: {len(row)} values, line 1 names {len(header)}")
-    cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
-    values = [_number(where, name, cells[name]) for name in TAG_COLUMNS]
-    if values[0] != int(values[0]) or values[1] <= 0.0:
-        raise VisionError(f"{where}: expected a whole number as tag and a size_m above 0, got {values[:2]}")
-    turn = np.eye(3)
-    if all(cells.get(name) for name in TURN_COLUMNS):
-        try:
-            unit = checked_quaternion([_number(where, name, cells[name]) for name in TURN_COLUMNS])
-        except BadTarget as error:
-            raise VisionError(f"{where}: {error}") from None
-        turn = matrices(np.array([unit]))[0]
-    return int(values[0]), frozen(_square(values[1]) @ turn.T + np.array(values[2:]))
-
-
-def _number(where: str, name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise VisionError(f"{where}, column {name}: expected a number, got {text!r}")
-    return value
+    table = read_table(path, TAGS, VisionError)
+    number, size_m = table.number("tag").astype(int).tolist(), table.number("size_m").tolist()
+    centre_m, turns = table.numbers(*TIP), table.quaternions(*ORIENTATION)
+    is_turned = np.isfinite(turns).all(axis=1)
+    turns[~is_turned] = (1.0, 0.0, 0.0, 0.0)
+    corners_m: dict[int, Array] = {}
+    for row, turn in enumerate(matrices(turns)):
+        if number[row] in corners_m:
+            raise VisionError(f"{table.place(row)}: tag {number[row]} appears twice")
+        tag = _checked_number(number[row], dictionary, table.place(row))
+        corners_m[tag] = frozen(_square(size_m[row]) @ turn.T + centre_m[row])
+    return Tags(corners_m, dictionary)
 
 
 def _square(size_m: float) -> Array:

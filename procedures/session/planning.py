@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterable, Sequence
-from itertools import zip_longest
 from pathlib import Path
+
+import numpy as np
 
 from calib.errors import SessionError
 from calib.session.moves import chosen_free_poses, read_free_poses
@@ -22,10 +23,21 @@ from calib.session.plan import (
 )
 from control.model import table as tables
 from control.model.arm import Arm, Camera, Table
-from control.tables import opened_rows
+from control.tables import WHOLE_LARGEST, TableColumn, TableFormat, read_table
 
 OPTIONS = ("setups", "points", "repeats", "approaches", "free", "plan", "payload", "seat", "board", "camera")
 MOST_FREE = 500
+PLAN = TableFormat(
+    "pose",
+    (
+        TableColumn("setup", "`free`, or the setup of a cavity", is_required=True, is_name=True),
+        TableColumn("point", "name of the cavity or pose", is_required=True, is_name=True),
+        TableColumn("repeat", "whole number; empty: 1", is_whole=True, lower=0.0, upper=WHOLE_LARGEST),
+        TableColumn("q{}_rad", "where a free pose goes; the posture for a cavity"),
+    ),
+    unwarned=".*",
+    is_padded=True,
+)
 
 
 def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None:
@@ -94,36 +106,18 @@ def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target,
     for name in ("setups", "points", "free", "repeats", "approaches"):
         if getattr(given, name) is not None:
             raise SessionError(f"--plan sets the points and repeats: omit --{name}")
-    angles = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
+    table = read_table(path, PLAN, SessionError, arm.joint_count)
+    repeats = np.nan_to_num(table.number("repeat"), nan=1.0).astype(int).tolist()
     targets = []
-    with opened_rows(path, SessionError) as reader:
-        header = next(reader, [])
-        if not {"setup", "point"} <= set(header):
-            raise SessionError(f"{path}, line 1: expected the columns setup and point")
-        for cells in filter(None, reader):
-            row = dict(zip_longest(header, cells[: len(header)], fillvalue=""))
-            where = f"{path}, line {reader.line_num}"
-            setup, point = row["setup"].strip(), row["point"].strip()
-            repeat = row.get("repeat", "").strip() or "1"
-            if not repeat.isdecimal():
-                raise SessionError(f"{where}, column repeat: got {repeat!r}, expected a whole number")
-            q_rad = _posture(where, arm, [row.get(name, "") for name in angles])
-            if setup == FREE and q_rad is None:
-                raise SessionError(f"{where}: a free pose needs q1_rad to q{arm.joint_count}_rad")
-            targets.append(Target(setup, point, int(repeat), 1, q_rad))
+    for row, q in enumerate(table.joints("q{}_rad").tolist()):
+        setup, point = table.words("setup")[row], table.words("point")[row]
+        q_rad = None if math.isnan(q[0]) else tuple(q)
+        if q_rad is not None:
+            _require_inside(table.place(row), arm, q_rad)
+        elif setup == FREE:
+            raise SessionError(f"{table.place(row)}: a free pose needs q1_rad to q{arm.joint_count}_rad")
+        targets.append(Target(setup, point, repeats[row], 1, q_rad))
     return tuple(targets)
-
-
-def _posture(where: str, arm: Arm, texts: Sequence[str]) -> tuple[float, ...] | None:
-    """Joint angles within the arm's limits, None if the cells are empty."""
-    if not any(text.strip() for text in texts):
-        return None
-    try:
-        q_rad = tuple(float(text) for text in texts)
-    except ValueError:
-        raise SessionError(f"{where}: expected {len(texts)} joint angles, got {', '.join(texts)}") from None
-    _require_inside(where, arm, q_rad)
-    return q_rad
 
 
 def _require_inside(where: str, arm: Arm, q_rad: Sequence[float]) -> None:

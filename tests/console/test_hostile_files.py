@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import resource
 import struct
@@ -111,7 +112,7 @@ def test_a_file_of_gigabytes_is_refused_by_its_size(tmp_path: Path) -> None:
 
 
 def test_a_time_series_is_not_taken_for_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading, "POINTS_MOST", 1000)
+    monkeypatch.setattr(reading, "POINTS", dataclasses.replace(reading.POINTS, most_rows=1000))
     file = tmp_path / "points.csv"
     file.write_text("setup,point,repeat,q1_rad\n" + "a,1,1,0.5\n" * 1005)
     with pytest.raises(PointsFileError, match="more than 1000 points"):

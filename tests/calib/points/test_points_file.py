@@ -80,7 +80,7 @@ def test_arrays_are_read_only(tmp_path: Path) -> None:
         (GOOD.replace("q1_rad,q2_rad", "a,b"), "line 1: required column q1_rad is missing"),
         (GOOD.replace("x_m,y_m", "x_m,y"), "line 1: column y_m is missing beside x_m"),
         (GOOD.replace("q2_rad", "q1_rad"), "line 1: column q1_rad appears twice"),
-        (GOOD.replace("0.4", "four"), 'line 3, column q2_rad: got "four", expected a number'),
+        (GOOD.replace("0.4", "four"), 'line 3, column q2_rad: got "four", expected a finite number'),
         (GOOD.replace("0.4", "nan"), 'line 3, column q2_rad: got "nan", expected a finite number'),
         (GOOD.replace("0.4", ""), "line 3, column q2_rad: got an empty cell, expected a finite number"),
         (GOOD.replace("0.5", "inf"), 'line 2, column x_m: got "inf", expected a finite number'),

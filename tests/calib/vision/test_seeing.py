@@ -104,7 +104,7 @@ def test_tags_of_a_body_are_read_with_their_turns(tmp_path: Path) -> None:
     with pytest.raises(VisionError, match="line 3: tag 3 appears twice"):
         read_tags(file)
     file.write_text("tag,size_m,x_m,y_m,z_m\n3,0.04,0,0,near\n")
-    with pytest.raises(VisionError, match="line 2, column z_m: expected a number, got 'near'"):
+    with pytest.raises(VisionError, match='line 2, column z_m: got "near", expected a finite number'):
         read_tags(file)
 
 

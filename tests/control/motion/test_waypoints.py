@@ -22,8 +22,8 @@ def test_points_speeds_and_lines_are_read(tmp_path):
     waypoints = read_waypoints(path)
     assert waypoints.points == ((0.5, 0.0, 0.1), (0.6, 0.1, 0.1))
     assert waypoints.speeds_m_s == (0.2, 0.0)
-    assert waypoints.places == (f"{path}:2", f"{path}:4")
-    assert waypoints.name(2) == f"way-point 2 ({path}:4)"
+    assert waypoints.places == (f"{path}, line 2", f"{path}, line 4")
+    assert waypoints.name(2) == f"way-point 2 ({path}, line 4)"
 
 
 def test_columns_may_come_in_any_order_and_without_speeds(tmp_path):
@@ -35,25 +35,37 @@ def test_columns_may_come_in_any_order_and_without_speeds(tmp_path):
 @pytest.mark.parametrize(
     ("text", "pattern"),
     [
-        ("", "empty file"),
-        ("x_m,y_m,z_m\n", "at least two way-points, got 0"),
+        ("", "column x_m is missing: the file is empty"),
+        ("x_m,y_m,z_m\n", "a header and no way-points: expected one line per way-point"),
         ("x_m,y_m,z_m\n1,2,3\n", "at least two way-points, got 1"),
-        ("x_m,y_m\n1,2\n1,2\n", "csv:1: column z_m is missing"),
-        ("x_m,y_m,z_m,color\n", 'csv:1: expected columns .* got "color"'),
-        ("x_mm,y_mm,z_mm\n", 'got "x_mm": write metres'),
+        ("x_m,y_m\n1,2\n1,2\n", "csv, line 1: required column z_m is missing, got x_m, y_m"),
+        ("x_m,y_m,z_m,color\n", 'csv, line 1: expected columns .* got "color"'),
+        ("x_mm,y_mm,z_mm\n", r"column x_m is missing, got x_mm: write metres"),
         ("x_m,y_m,z_m,x_m\n", "column x_m appears twice"),
-        ("0.5,0.1,0.2\n0.5,0.1,0.2\n", 'expected columns .* got "0.5"'),
-        ("x_m,y_m,z_m\n1,2\n1,2,3\n", "csv:2: expected 3 values, got 2"),
-        ("x_m,y_m,z_m\n1,2,3\n1,2,three\n", 'csv:3: z_m: expected a finite number, got "three"'),
-        ("x_m,y_m,z_m\n1,2,3\n1,2,\n", 'csv:3: z_m: expected a finite number, got ""'),
-        ("x_m,y_m,z_m\n1,2,3\n1,2,nan\n", "csv:3: z_m: expected a finite number"),
-        ("x_m,y_m,z_m\n500,2,3\n1,2,3\n", r"csv:2: x_m: 500 m .*millimetres\? then write 0.5"),
-        ("x_m,y_m,z_m\n1,2,3\n1,-90,3\n", r"csv:3: y_m: -90 m .*millimetres\? then write -0.09"),
+        ("0.5,0.1,0.2\n0.5,0.1,0.2\n", "required column x_m is missing, got 0.5, 0.1, 0.2"),
+        ("x_m,y_m,z_m\n1,2\n1,2,3\n", "csv, line 2: 2 values, line 1 names 3"),
+        (
+            "x_m,y_m,z_m\n1,2,3\n1,2,three\n",
+            'csv, line 3, column z_m: got "three", expected a number from -10 to 10 m',
+        ),
+        ("x_m,y_m,z_m\n1,2,3\n1,2,\n", "csv, line 3, column z_m: got an empty cell, expected a number"),
+        ("x_m,y_m,z_m\n1,2,3\n1,2,nan\n", 'csv, line 3, column z_m: got "nan", expected a number'),
+        (
+            "x_m,y_m,z_m\n500,2,3\n1,2,3\n",
+            r'csv, line 2, column x_m: got "500", .*10 m \(millimetres\? then write 0.5\)',
+        ),
+        (
+            "x_m,y_m,z_m\n1,2,3\n1,-90,3\n",
+            r'csv, line 3, column y_m: got "-90", .* \(millimetres\? then write -0.09\)',
+        ),
         (
             "x_m,y_m,z_m,speed_m_s\n1,2,3,150\n1,2,4,1\n",
-            r"csv:2: speed_m_s: .* got 150 \(mm/s\? then write 0.15",
+            r'csv, line 2, column speed_m_s: got "150", .* \(mm/s\? then write 0.15\)',
         ),
-        ("x_m,y_m,z_m,speed_m_s\n1,2,3,-1\n1,2,4,1\n", "csv:2: speed_m_s: expected 0 to 10 m/s, got -1$"),
+        (
+            "x_m,y_m,z_m,speed_m_s\n1,2,3,-1\n1,2,4,1\n",
+            'csv, line 2, column speed_m_s: got "-1", expected a number from 0 to 10 m/s$',
+        ),
     ],
 )
 def test_every_mistake_is_one_error_with_file_line_and_remedy(tmp_path, text, pattern):
