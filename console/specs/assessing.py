@@ -105,7 +105,7 @@ ASSESSING = (
             SOCKET,
             JSON,
         ),
-        "The arm must be homed and holding, and a camera must see the tip; docs/check_up.md.",
+        "The arm must be homed and holding, and a camera must see the tip; docs/trend.md.",
         module="calibration.check_up",
     ),
     CommandSpec(
