@@ -1,10 +1,11 @@
 """One RoboClaw board on a packet line, seen from the host: two motors, two quadrature encoders."""
 
+import contextlib
 import math
 import struct
 from dataclasses import dataclass
 
-from firmware_iface.errors import BoardReset, LinkError, MisuseError, Problems, WrongIdentity
+from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, Problems, WrongIdentity
 from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.line import VERSION_BYTES, PacketLine, Question
 from firmware_iface.roboclaw.wire import Command, Status
@@ -20,6 +21,7 @@ class RoboClawIdentity:
     version: str
     pin_modes: tuple[int, ...]  # of S3, S4, S5; today's firmware adds CTRL1, CTRL2
     encoder_modes: tuple[int, int]
+    pwm_idle: tuple[int, int] = (0, 0)  # of both motors; firmware that does not tell of it has none
 
 
 class RoboClaw:
@@ -102,8 +104,24 @@ class RoboClaw:
         pins = tuple(self._read(Command.READ_PIN_MODES, wire.PIN_MODE_BYTES))
         modes = struct.unpack(">BB", self._read(Command.READ_ENCODER_MODES, 2))
         self.found_duty = struct.unpack(">hh", self._read(Command.READ_DUTIES, 4))
-        self.identity = RoboClawIdentity(version, pins, modes)
+        self.identity = RoboClawIdentity(version, pins, modes, self._pwm_idle(len(pins)))
         return self.identity
+
+    def _pwm_idle(self, pins: int) -> tuple[int, int]:
+        """How both motors idle; only today's firmware, with more pins, is asked."""
+        if pins > wire.PIN_MODE_BYTES[0]:
+            with contextlib.suppress(BoardSilent):
+                first, second = self._read(Command.READ_PWM_IDLE, 2)
+                return first, second
+        return 0, 0
+
+    def require_braking(self, channel: int) -> None:
+        """WrongIdentity if the motor of a channel (1 or 2) is let go after a while at duty 0, where a loaded joint would drop."""
+        if self.identity is not None and (idle := self.identity.pwm_idle[channel - 1]) & wire.IDLES:
+            raise WrongIdentity(
+                f"{self.where}: expected PWM idle of motor {channel} off, it is on after {0.1 * (idle & ~wire.IDLES):.1f} s at"
+                " duty 0: its joint would drop where it is to brake; switch it off in the vendor's Motion Studio"
+            )
 
     def require_quadrature(self, channel: int) -> None:
         """WrongIdentity unless the encoder input of a channel (1 or 2) counts quadrature edges."""

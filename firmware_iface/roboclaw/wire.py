@@ -53,6 +53,7 @@ class Command(IntEnum):
     READ_ENCODER_MODES = 91  # u8, u8
     SET_CURRENT_LIMIT_1 = 133  # u32 in 10 mA, u32 0
     SET_CURRENT_LIMIT_2 = 134
+    READ_PWM_IDLE = 161  # u8, u8: IDLES and a delay in 0.1 s, of each motor; today's firmware
 
 
 class Status(IntFlag):
@@ -80,6 +81,7 @@ class Status(IntFlag):
 
 
 ERRORS: Final = 0xFFFF
+IDLES: Final = 0x80  # at duty 0, after the delay, the motor is free
 QUADRATURE_ONLY: Final = (
     0x9F  # of an encoder mode: neither absolute nor RC/analog; bits 5 and 6 only reverse senses
 )

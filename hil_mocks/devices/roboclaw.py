@@ -24,8 +24,9 @@ WRITES = {
     14: 1, 20: 0, 22: 4, 23: 4, 32: 2, 33: 2, 34: 4, 57: 4, 68: 4, 69: 4, 74: 3, 92: 1, 93: 1, 94: 0, 133: 8, 134: 8, 200: 0,
 }  # fmt: skip
 # Today's firmware, as the vendor's client basicmicro 2.0.10 speaks with it: rise and fall of the duty, and the pins CTRL1, CTRL2.
-CTRL_WRITES = {**WRITES, 68: 8, 69: 8, 74: 5}
+CTRL_WRITES = {**WRITES, 68: 8, 69: 8, 74: 5, 160: 2}
 READS = {15, 16, 17, 21, 24, 25, 48, 49, 59, 75, 78, 82, 90, 91, 135, 136}
+CTRL_READS = READS | {161}
 
 
 def crc16(data: bytes) -> int:
@@ -44,12 +45,13 @@ class Settings:
     pin_modes: tuple[int, ...] = (0, 0x62, 0x62, 0, 0)  # S3; S4 and S5 as home switches; CTRL1, CTRL2
     encoder_modes: list[int] = field(default_factory=lambda: [0, 0])
     main_voltages: tuple[int, int] = (60, 340)  # in 0.1 V
+    pwm_idle: bytes = bytes(2)  # of both motors: 0x80, and a delay in 0.1 s
 
     def copy(self) -> Settings:
         """A copy that shares nothing."""
         return Settings(
             self.timeout, list(self.duty_accelerations), list(self.current_limits), list(self.duty_falls),
-            self.pin_modes, list(self.encoder_modes), self.main_voltages,
+            self.pin_modes, list(self.encoder_modes), self.main_voltages, self.pwm_idle,
         )  # fmt: skip
 
 
@@ -62,6 +64,7 @@ class RoboClawMock:
         """`has_ctrl_pins`: its firmware is today's, and not that of the manual of 2017."""
         self.address = address
         self.writes = CTRL_WRITES if has_ctrl_pins else WRITES
+        self.reads = CTRL_READS if has_ctrl_pins else READS
         self.saved = Settings()
         if not has_ctrl_pins:
             self.saved.pin_modes = self.saved.pin_modes[:3]
@@ -122,7 +125,7 @@ class RoboClawMock:
         """The answer to a whole, valid packet for this board, after having obeyed it."""
         self._obeyed_s = now_s
         command = packet[1]
-        if command in WRITES:
+        if command in self.writes:
             self._set(command, packet[2:-2])
             return ACKNOWLEDGEMENT
         data = self._said(command)
@@ -157,6 +160,8 @@ class RoboClawMock:
                 return struct.pack(">I", self.status)
             case 91:
                 return bytes(settings.encoder_modes)
+            case 161:
+                return settings.pwm_idle
             case _:  # 135, 136
                 return struct.pack(">II", settings.current_limits[command - 135], 0)
 
@@ -186,6 +191,8 @@ class RoboClawMock:
                 settings.encoder_modes[command - 92] = data[0]
             case 94:
                 self.saved = settings.copy()
+            case 160:
+                settings.pwm_idle = data
             case 133 | 134:
                 settings.current_limits[command - 133], _ = struct.unpack(">II", data)
             case _:  # 200
@@ -225,17 +232,18 @@ class RoboClawLineMock:
         if len(self._packet) < 2:
             return None
         address, command = self._packet[0], self._packet[1]
-        writes = self.boards[address].writes if address in self.boards else CTRL_WRITES
-        if not 0x80 <= address <= 0x87 or (command not in writes and command not in READS):
+        board = self.boards.get(address)
+        writes, reads = (CTRL_WRITES, CTRL_READS) if board is None else (board.writes, board.reads)
+        if not 0x80 <= address <= 0x87 or (command not in writes and command not in reads):
             self._packet, self._is_deaf = b"", True
             return None
-        return 2 if command in READS else 4 + writes[command]
+        return 2 if command in reads else 4 + writes[command]
 
     def _take(self, packet: bytes, now_s: float) -> None:
         board = self.boards.get(packet[0])
         if board is None:
             return
-        if packet[1] in WRITES and crc16(packet[:-2]) != int.from_bytes(packet[-2:], "big"):
+        if packet[1] in CTRL_WRITES and crc16(packet[:-2]) != int.from_bytes(packet[-2:], "big"):
             return  # invalid: no answer
         answer = board.obey(packet, now_s)
         there_s = now_s + LATENCY_S + (len(packet) + len(answer)) * self._byte_s

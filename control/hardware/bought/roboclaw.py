@@ -282,5 +282,6 @@ def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) ->
             opened.drives.append(RoboClawDrives(board, mine, arm.limits.watchdog_s, line.shout))
     for drive in driven.values():
         _require_rating(board.where, version, drive)
+        board.require_braking(drive.board_channel)
     opened.identities.append((board.where, version))
     return board

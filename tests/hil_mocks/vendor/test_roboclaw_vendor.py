@@ -60,6 +60,8 @@ def test_the_vendors_client_reads_what_the_mock_has(claw: tuple[Any, Port, RoboC
     assert client.ReadEncoderModes(0x80) == (1, 0, 0)
     assert client.GetTimeout(0x80) == (True, 1.0)
     assert client.ReadPinFunctions(0x80) == (1, 0, 0x62, 0x62, 0, 0)
+    assert client.SetPWMIdle(0x80, 1.5, True, 0.0, False)
+    assert client.GetPWMIdle(0x80) == (True, 1.5, True, 0.0, False)
     assert client.SetM1DefaultAccel(0x80, 1000, 2000)
     assert (board.settings.duty_accelerations[0], board.settings.duty_falls[0]) == (1000, 2000)
 
