@@ -92,7 +92,7 @@ class Linear:
             pull[at] += inner[1:, 0]
             left += float(inner[0, 0])
             count += int(picked.sum())
-        return Gram(seen, pull, np.zeros_like(seen), np.zeros(total), left, float(count))
+        return Gram(seen, pull, np.zeros(seen.shape), np.zeros(total), left, float(count))
 
     def thin_columns(self, places: Places) -> Array:
         """What some columns do to all thin rows, (thin rows, c)."""
@@ -129,7 +129,7 @@ def marginalised(gram: Gram, first: int) -> Gram:
     seen = gram.tip[first:, first:] - inner[:-1, :-1]
     pull = gram.pull[first:] - inner[:-1, -1]
     left = gram.left - float(inner[-1, -1])
-    return Gram(seen, pull, np.zeros_like(seen), np.zeros(len(pull)), left, gram.freedom)
+    return Gram(seen, pull, np.zeros(seen.shape), np.zeros(len(pull)), left, gram.freedom)
 
 
 def only(gram: Gram, at: Places) -> Gram:
