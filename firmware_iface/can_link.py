@@ -4,6 +4,7 @@ import contextlib
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 
 import can
 
@@ -149,7 +150,7 @@ def _now(bus: can.BusABC) -> Callable[[], can.Message | None]:
     An interface that has its own `recv` is used as it is. No filters are set, so none are applied.
     """
     if type(bus).recv is not can.BusABC.recv:
-        return lambda: bus.recv(timeout=0)
+        return partial(bus.recv, 0)
     return lambda: bus._recv_internal(timeout=0)[0]
 
 

@@ -79,7 +79,7 @@ class EncoderBoardHardware(ABC):
         self._before, self._raw, self._is_home = self._raw, raw, is_home
         if self.stuck or self.lost or self.backwards:
             self._miscount()
-        if self._armed:
+        if self._armed and raw != self._before:
             for moment_s, at, counter in sorted(self._passed_indices(now_s)):
                 self._index(at, self._board_us(moment_s), counter, now_s)
         if self.drift:

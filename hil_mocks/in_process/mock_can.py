@@ -24,14 +24,17 @@ class MockCanBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send to all other nodes. CanOperationError if this one has left."""
-        self._require_open()
+        if not self._is_open:
+            raise can.CanOperationError("closed")
         for member in self._others:
             if member is not self:
                 member._queue.append(msg)
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        self._require_open()
-        return (self._queue.popleft() if self._queue else None), True
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next message, or None: nothing comes while one waits. CanOperationError if this node has left."""
+        if not self._is_open:
+            raise can.CanOperationError("closed")
+        return self._queue.popleft() if self._queue else None
 
     def shutdown(self) -> None:
         """Leave the bus."""
@@ -39,7 +42,3 @@ class MockCanBus(can.BusABC):
         if self._is_open:
             self._is_open = False
             self._others.remove(self)
-
-    def _require_open(self) -> None:
-        if not self._is_open:
-            raise can.CanOperationError("closed")
