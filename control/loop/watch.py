@@ -209,7 +209,11 @@ class Watch:
             if not (
                 abs(speed_rad_s[joint]) <= limit.speed_rad_s
                 and abs(q_set_rad[joint] - q) <= allowed_rad
-                and (not is_homed or limit.holds(q, q_set_rad[joint]))
+                and (
+                    not is_homed
+                    or limit.lower_rad <= q <= limit.upper_rad
+                    or limit.holds(q, q_set_rad[joint])
+                )
             ):
                 return False
         return True

@@ -21,6 +21,8 @@ class Mode(Enum):
     PAUSED = "position control: slowing to rest along the motion, then holding there"
     HELD = "held by its boards: they had torque when the runtime connected; nothing is commanded, and no limit is watched"
 
+    __hash__ = object.__hash__  # each cycle looks modes up; Enum's own is a call in Python
+
 
 class Event(Enum):
     """An event; the value says who raises it and when."""

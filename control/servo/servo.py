@@ -138,31 +138,34 @@ class Servo:
         """
         torque_Nm = self._torque_Nm(set_point, joints) if knows_pose else self._no_torque
         shares = self._shares(q_rad, knows_pose)
-        self.model_A = [] if knows_pose and self._share == 1.0 else None
-        for joint, (motor, mode) in enumerate(zip(self._motors, self.modes, strict=True)):
-            amperes = torque_Nm[joint] * motor.amperes_per_Nm
-            if self.model_A is not None:
-                self.model_A.append(amperes)
-            volts = amperes * motor.resistance_ohm + motor.volts_per_rad_s * set_point.speed_rad_s[joint]
+        model_A: list[float] = []
+        output, commanded_V = self.output, self.volts
+        goals = zip(self._motors, self.modes, torque_Nm, set_point.q_rad, set_point.speed_rad_s, strict=True)
+        for joint, (motor, mode, joint_Nm, goal_rad, goal_rad_s) in enumerate(goals):
+            resistance_ohm, volts_per_rad_s = motor.resistance_ohm, motor.volts_per_rad_s
+            amperes = joint_Nm * motor.amperes_per_Nm
+            model_A.append(amperes)
+            volts = amperes * resistance_ohm + volts_per_rad_s * goal_rad_s
             if mode is OutputMode.POSITION:
-                self.output[joint] = set_point.q_rad[joint]
-                self.feedforward_V[joint] = self.volts[joint] = min(
+                output[joint] = goal_rad
+                self.feedforward_V[joint] = commanded_V[joint] = min(
                     max(volts, -motor.supply_V), motor.supply_V
                 )
                 continue
-            error = shares[joint] * (set_point.q_rad[joint] - q_rad[joint])
-            error_rate = shares[joint] * (set_point.speed_rad_s[joint] - speed_rad_s[joint])
+            share, here_rad_s = shares[joint], speed_rad_s[joint]
+            error, error_rate = share * (goal_rad - q_rad[joint]), share * (goal_rad_s - here_rad_s)
             limit_A = motor.current_limit_A * current_fraction
-            back_emf_V = motor.volts_per_rad_s * speed_rad_s[joint]
+            back_emf_V = volts_per_rad_s * here_rad_s
             if mode is OutputMode.CURRENT:
                 amperes = self._pids[joint].update(error, error_rate, amperes, -limit_A, limit_A)
-                self.output[joint] = amperes
-                self.volts[joint] = amperes * motor.resistance_ohm + back_emf_V
+                output[joint] = amperes
+                commanded_V[joint] = amperes * resistance_ohm + back_emf_V
                 continue
-            lower, upper = voltage_range(motor.supply_V, limit_A, motor.resistance_ohm, back_emf_V)
-            self.output[joint] = self.volts[joint] = self._pids[joint].update(
+            lower, upper = voltage_range(motor.supply_V, limit_A, resistance_ohm, back_emf_V)
+            output[joint] = commanded_V[joint] = self._pids[joint].update(
                 error, error_rate, volts, lower, upper
             )
+        self.model_A = model_A if knows_pose and self._share == 1.0 else None
 
     def _torque_Nm(self, set_point: SetPoint, joints: SetPoint | None) -> Sequence[float]:
         """The feed-forward torque, faded in if the boards' integrals carried the weight before."""
