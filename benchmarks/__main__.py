@@ -23,6 +23,7 @@ SECTIONS = {  # name: title, module
     "poses": ("Six and seven joints, with orientation", "benchmarks.loop.poses"),
     "collision": ("Two arms against each other", "benchmarks.loop.collision"),
     "control_cycle": ("One control cycle without waiting", "benchmarks.loop.control_cycle"),
+    "cycle_by_joints": ("One control cycle by joints and boards", "benchmarks.loop.cycle_by_joints"),
     "wire": ("Frames", "benchmarks.loop.wire"),
     "identification": (
         "Identification: 16 parameters of the reference arm",

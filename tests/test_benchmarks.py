@@ -20,6 +20,7 @@ SMALLEST: dict[str, dict[str, object]] = {
     "poses": {"ROUNDS": 1, "POINTS": 41},
     "collision": {"ROUNDS": 1, "POSES": 4},
     "control_cycle": {"ROUNDS": 1, "MEMORY_RUNS": 1},
+    "cycle_by_joints": {"ROUNDS": 1, "AWAY_rad": 0.02},
     "wire": {"ROUNDS": 1, "CALLS": 1},
     "identification": {"ROUNDS": 1, "FASTER": {33: 25.0}, "NAMES": {"e2": "E2"}, "MEMORY_POINTS": 40},
     "tolerances": {"ARMS": 501},
@@ -31,6 +32,7 @@ SMALLEST: dict[str, dict[str, object]] = {
 }
 NIGHTLY = {
     "control_cycle",
+    "cycle_by_joints",
     "identification",
     "tolerances",
     "tracking",

@@ -19,6 +19,7 @@ from benchmarks.loop.memory_rig import Delivery, MemoryRig
 from benchmarks.table import BenchRow, seconds_a_call
 from control.hardware.connect import connect
 from control.hardware.interface import Hardware
+from control.loop.cell import Looped
 from control.loop.runtime import Runtime
 from control.model.arm import Arm
 from control.recording.record import PipeSink
@@ -62,7 +63,7 @@ class Stopwatch:
 
         return run
 
-    def time_cycles(self, runtime: Runtime, afterwards: Callable[[], None]) -> None:
+    def time_cycles(self, runtime: Looped, afterwards: Callable[[], None]) -> None:
         """Time every cycle of a runtime, but not the work after it."""
         timed = self.timed(WHOLE, runtime.cycle)
 
@@ -178,7 +179,7 @@ def _run_circle(arm: Arm, hardware: Hardware, clock: Clock, in_parts: bool) -> D
     client.wait(0.05)
     path = circle_path(arm)
     go_to_start(client, path)
-    with _as_the_loop_runs():
+    with as_the_loop_runs():
         stopwatch.is_on = True
         client.run_path(path.to_message())
         stopwatch.is_on = False
@@ -187,7 +188,7 @@ def _run_circle(arm: Arm, hardware: Hardware, clock: Clock, in_parts: bool) -> D
 
 
 @contextmanager
-def _as_the_loop_runs() -> Iterator[None]:
+def as_the_loop_runs() -> Iterator[None]:
     """Without garbage collection, and in a real-time class where that is allowed (control.server.scheduling); for a second."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     gc.collect()
