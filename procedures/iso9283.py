@@ -106,10 +106,10 @@ def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
     return Planned(programme_document(cube, extent, rated_m_s), todo, q_rad, paths)
 
 
-def record(bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
+def record(arm: Arm, bench: Bench, planned: Planned, out: Path, advance: Advance) -> None:
     """Run the plan; records go to `out`. Resumes an earlier recording of the same programme."""
     note_plan(out / "programme.json", planned.document, indent=2)
-    n = bench.arm.joint_count
+    n = arm.joint_count
     with (
         PointsWriter(out / "points.csv", n, more=SET) as points,
         contextlib.closing(KeptLines(out / "log.csv", Iso9283Error, ",".join(log_header(n)))) as log,
@@ -227,7 +227,7 @@ def record_on_mock(
     """Home a mock of `arm` and run the plan; its scenario is saved in `out`, its recordings in `out`/log."""
     advance("homing", 0.0)
     with saved_mock(arm, scenario, seed, out, speed) as (bench, client, recording):
-        record(Bench(arm, client, recording, bench.rig.set_payload, speed=speed), planned, out, advance)
+        record(arm, Bench(client, recording, bench.rig.set_payload, speed=speed), planned, out, advance)
 
 
 # Evaluates recorded files to iso9283.json and iso9283.html.

@@ -32,7 +32,6 @@ from calib.session.standstill import wait_for_rest
 from calib.session.take import SessionSettings
 from control.errors import ArmError
 from control.files import write_whole
-from control.model.arm import Arm
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.recording.frame_decoder import row_type
@@ -52,12 +51,14 @@ CAMERA_LOOK_s = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """A homed and holding arm: its client, the runtime's recording, who hangs loads (kg) to its tip, the speed of its moves."""
+    """A homed and holding arm: its client, the runtime's recording (if motions are recorded), who hangs loads to its tip [kg].
 
-    arm: Arm
+    speed: of moves, as a fraction of the joints' limits.
+    """
+
     client: ArmClient
-    recording: Path
-    hang: Callable[[float], None] | None
+    recording: Path | None = None
+    hang: Callable[[float], None] | None = None
     has_camera: bool = True
     speed: float = 1.0
 
@@ -125,7 +126,7 @@ class _Conductor(Generic[R]):
     def __init__(self, bench: Bench, how: How, points: PointsWriter | None, runs: Runs[R] | None) -> None:
         self._bench, self._how, self._points, self._runs = bench, how, points, runs
         self._port = RuntimePort(bench.client, bench.speed, how.as_encoders)
-        self._rows = RunRows(bench.recording) if runs is not None else None
+        self._rows = RunRows(bench.recording) if runs is not None and bench.recording is not None else None
         self._load_kg, self._began_s = 0.0, math.nan
         self._stands_out: tuple[Angles, object] | None = (
             None  # the way back, and the pose where the arm stands
@@ -292,7 +293,7 @@ def no_tip(client: ArmClient, duration_s: float) -> ArmError:
     )
 
 
-def bench_of(arm: Arm, client: ArmClient, loads_kg: Iterable[float], needs_tip: bool, speed: float) -> Bench:
+def bench_of(client: ArmClient, loads_kg: Iterable[float], needs_tip: bool, speed: float) -> Bench:
     """The bench of a connected arm; its operator hangs loads. ArmError unless it is homed, holds, and is seen if it has to be."""
     status = client.status()
     if status["mode"] != "HOLDING" or not status["is_homed"]:
@@ -305,7 +306,7 @@ def bench_of(arm: Arm, client: ArmClient, loads_kg: Iterable[float], needs_tip: 
         raise no_tip(client, CAMERA_LOOK_s)
     if any(loads_kg) and not sys.stdin.isatty():
         raise CalibrationError("loads are attached by hand: run this in a terminal, or omit the load")
-    return Bench(arm, client, Path(status["recording"]), _hang_by_hand, sees_tip, speed)
+    return Bench(client, Path(status["recording"]), _hang_by_hand, sees_tip, speed)
 
 
 def _hang_by_hand(mass_kg: float) -> None:

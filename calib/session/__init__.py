@@ -7,11 +7,9 @@ between operator, arm and folder; sequence: the same without an operator.
 from calib.session.moves import ArmGeometry, ArmPort, Camera, Geometry, Sample, SeenTip, TipSeat
 from calib.session.sequence import (
     BoardPoint,
-    FreePose,
     Progress,
     Stage,
     step_through,
-    take_free_poses,
 )
 from calib.session.take import SessionSettings
 
@@ -20,7 +18,6 @@ __all__ = [
     "ArmPort",
     "BoardPoint",
     "Camera",
-    "FreePose",
     "Geometry",
     "Progress",
     "Sample",
@@ -29,5 +26,4 @@ __all__ = [
     "Stage",
     "TipSeat",
     "step_through",
-    "take_free_poses",
 ]

@@ -32,16 +32,6 @@ class BoardPoint:
     repeat: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class FreePose:
-    """A pose away from the board, where the camera measures the tip."""
-
-    setup: str
-    point: str
-    q_rad: tuple[float, ...]
-    repeat: int = 1
-
-
 class Stage(Enum):
     """Stage of a point."""
 
@@ -114,25 +104,6 @@ def step_through(
     walk.lift()
 
 
-def take_free_poses(
-    poses: Sequence[FreePose],
-    arm: ArmPort,
-    camera: Camera,
-    writer: PointsWriter,
-    settings: SessionSettings | None = None,
-) -> Iterator[Progress]:
-    """Visit poses away from the board, or verification points; the camera measures the tip."""
-    how = settings or SessionSettings()
-    for done, pose in enumerate(poses, start=1):
-        if (pose.setup, pose.point, pose.repeat) in writer.recorded:
-            yield _progress(Stage.KEPT, done, poses, pose)
-            continue
-        arm.move_to_q(pose.q_rad)
-        record = take(_target(pose), None, arm, how, camera)
-        writer.append(record)
-        yield _progress(Stage.RECORDED, done, poses, pose, record)
-
-
 @contextmanager
 def seated(tip_m: Vector, arm: ArmPort, seat: TipSeat) -> Iterator[None]:
     """Seat the tip, with the drives holding; on every exit the drives hold and the hand has released the arm."""
@@ -149,15 +120,15 @@ def seated(tip_m: Vector, arm: ArmPort, seat: TipSeat) -> Iterator[None]:
             seat.let_go()
 
 
-def _target(point: BoardPoint | FreePose) -> Target:
+def _target(point: BoardPoint) -> Target:
     return Target(point.setup, point.point, point.repeat)
 
 
 def _progress(
     stage: Stage,
     done: int,
-    all_points: Sequence[BoardPoint] | Sequence[FreePose],
-    target: BoardPoint | FreePose,
+    all_points: Sequence[BoardPoint],
+    target: BoardPoint,
     record: Record | None = None,
     reason: str = "",
 ) -> Progress:

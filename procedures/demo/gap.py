@@ -90,8 +90,8 @@ def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> 
     client.enable()
     client.home()
     first = _newest(out)
-    own = tour.Bench(arm, client, first, bench.rig.set_payload, speed=bench.speed)
-    recordings, outcome = _recorded(own, plans, out, advance)
+    own = tour.Bench(client, first, bench.rig.set_payload, speed=bench.speed)
+    recordings, outcome = _recorded(arm, own, plans, out, advance)
     advance("moving by the nominal model", 0.6)
     before = _driven("nominal", arm, arm, programme, client, first, bench, out)
     shut_down(arm, bench, client)
@@ -122,16 +122,16 @@ def _plans(arm: Arm, speed: float) -> tuple[RecordingPlan, RecordingPlan]:
 
 
 def _recorded(
-    bench: tour.Bench, plans: tuple[RecordingPlan, RecordingPlan], out: Path, advance: Advance
+    arm: Arm, bench: tour.Bench, plans: tuple[RecordingPlan, RecordingPlan], out: Path, advance: Advance
 ) -> tuple[Recordings, GapOutcome]:
     """Record the poses and analyse them; if they name nothing, also the motions."""
     poses, motions = plans
-    record(bench, poses, out / "poses", lambda what, done: advance(what, 0.02 + 0.38 * done))
-    recordings = read_recordings(bench.arm, [out / "poses" / "points.csv"], [])
-    outcome = find_gap_in(bench.arm, recordings, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
+    record(arm, bench, poses, out / "poses", lambda what, done: advance(what, 0.02 + 0.38 * done))
+    recordings = read_recordings(arm, [out / "poses" / "points.csv"], [])
+    outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.4 + 0.02 * done))
     if not named_in(outcome.finding):  # effects that poses do not show may show in motion
-        record(bench, motions, out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
-        recordings = read_recordings(bench.arm, recordings.point_files, [out / "motions" / "log.csv"])
+        record(arm, bench, motions, out / "motions", lambda what, done: advance(what, 0.42 + 0.18 * done))
+        recordings = read_recordings(arm, recordings.point_files, [out / "motions" / "log.csv"])
     return recordings, outcome
 
 

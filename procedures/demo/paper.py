@@ -27,7 +27,7 @@ from control.model import table as tables
 from control.model.arm import Arm, Table
 from control.progress import Advance
 from procedures.demo.paper_models import Model, commands, models_of, table_says, with_friction
-from procedures.demo.paper_moves import Mover, Pose
+from procedures.demo.paper_moves import GentlePose, Mover
 from procedures.demo.paper_page import paper_page
 from procedures.demo.paper_poses import SETUPS, Target, free_poses, other_trajectory, verification_targets
 from procedures.demo.paper_result import Replay, document
@@ -100,7 +100,7 @@ def _record(arm: Arm, table: Table, mover: Mover, file: Path, advance: Advance) 
     """The session: every cavity on every tilt by hand, then the free poses, each from both sides."""
     cavities = [point for setup in SETUPS for point in board_points(setup, tables.cavities(table, setup))]
     free = [
-        Pose("free", f"f{k}", tuple(q.tolist()), (side,) * arm.joint_count, repeat)
+        GentlePose("free", f"f{k}", tuple(q.tolist()), (side,) * arm.joint_count, repeat)
         for k, q in enumerate(free_poses(arm), 1)
         for repeat, side in ((1, 1), (2, -1))
     ]

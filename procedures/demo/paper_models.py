@@ -15,7 +15,7 @@ from calib.points.points import Points, make_points
 from control.dynamics.static_pose import friction_Nm, gravity_Nm, resting, torque_per_A
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm, Effect
-from procedures.demo.paper_moves import Pose
+from procedures.demo.paper_moves import GentlePose
 from procedures.demo.paper_poses import SETUPS, Target
 
 TILTS, FREE, BACKLASH = "all tilts", "tilts and free", "with backlash"
@@ -85,7 +85,7 @@ def with_friction(model: Model, arm: Arm, points: Points) -> Arm:
     return dataclasses.replace(model.arm, effects=(*model.arm.effects, *shown))
 
 
-def commands(arm: Arm, targets: Sequence[Target], start_rad: Sequence[float]) -> tuple[Pose, ...]:
+def commands(arm: Arm, targets: Sequence[Target], start_rad: Sequence[float]) -> tuple[GentlePose, ...]:
     """Encoder angles for tips, by the arm's own model; each joint comes from where it was.
 
     If the model has backlash, the angles are corrected for the predicted flank; a joint whose flank is
@@ -100,7 +100,7 @@ def commands(arm: Arm, targets: Sequence[Target], start_rad: Sequence[float]) ->
         direction = _clear(arm, joint_rad, direction)
     encoder_rad = joint_rad - _ahead(arm, joint_rad, direction)
     return tuple(
-        Pose(setup, point, tuple(q.tolist()), tuple(int(d) for d in signs))
+        GentlePose(setup, point, tuple(q.tolist()), tuple(int(d) for d in signs))
         for (setup, point, _), q, signs in zip(targets, encoder_rad, direction, strict=True)
     )
 

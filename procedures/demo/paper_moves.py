@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.points.writer import PointsWriter, Record
+from calib.session.plan import Target
 from calib.session.sequence import BoardPoint
-from calib.session.standstill import wait_for_rest
+from calib.session.take import SessionSettings, take
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm, Vector3
 from control.server.client import ArmClient
@@ -21,13 +22,11 @@ APPROACH_rad: Final = 0.06  # last approach of every joint: several times the ba
 # brakes, which neither currents nor directions show; at 0.3, link friction brakes harder than the motors.
 GENTLE: Final = 0.3
 ABOVE_m: Final = 0.06  # an uncalibrated arm is some 3 cm off
-AVERAGE_s: Final = 0.1
 DIP_m: Final = 0.02  # below both ends: a path that dips lower goes over the rest pose
-STILL_rad, STILL_s, PATIENCE_s, WINDOW_s = 1e-4, 0.1, 10.0, 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class GentlePose:
     """Target encoder angles, and the sign of each joint's last motion."""
 
     setup: str
@@ -52,7 +51,7 @@ class Mover:
         """The pose by the encoders."""
         return tuple(self._client.status()["q_rad"])
 
-    def visit(self, poses: Sequence[Pose], writer: PointsWriter) -> Iterator[Record]:
+    def visit(self, poses: Sequence[GentlePose], writer: PointsWriter) -> Iterator[Record]:
         """Approach each pose gently; read encoders, motors and camera."""
         for pose in poses:
             start = inside(self._arm, np.array(pose.q_rad) - APPROACH_rad * np.array(pose.direction))
@@ -89,12 +88,8 @@ class Mover:
     def _recorded(
         self, setup: str, point: str, repeat: int, tip_m: Vector3 | None, writer: PointsWriter
     ) -> Record:
-        wait_for_rest(self._port, STILL_rad, STILL_s, PATIENCE_s, WINDOW_s)
-        t_s, mean = self._port.now_s(), self._port.average(AVERAGE_s)
-        seen_m = self._port.measure(AVERAGE_s).tip_m if tip_m is None else tip_m
-        record = Record(
-            setup, point, repeat, mean.q_rad, mean.q_sd_rad, mean.direction, mean.current_A, t_s, 0.0, seen_m
-        )  # fmt: skip
+        camera = self._port if tip_m is None else None
+        record = take(Target(setup, point, repeat), tip_m, self._port, SessionSettings(), camera)
         writer.append(record)
         return record
 

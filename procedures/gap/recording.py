@@ -39,10 +39,10 @@ def plan_document(plan: RecordingPlan, arm: Arm) -> dict[str, object]:
     }
 
 
-def record(bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> None:
+def record(arm: Arm, bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> None:
     """Execute every step that is not done yet. log.csv is written from the recorded runs on every exit."""
-    note(out, plan, bench.arm)
-    camera = bench.arm.camera
+    note(out, plan, arm)
+    camera = arm.camera
     pose_frame = "base" if camera is not None and camera.measures_orientation else ""
 
     def hang(mass_kg: float) -> None:
@@ -52,13 +52,13 @@ def record(bench: Bench, plan: RecordingPlan, out: Path, advance: Advance) -> No
 
     told = replace(bench, hang=hang)
     try:
-        with PointsWriter(out / "points.csv", bench.arm.joint_count, pose_frame) as points:
-            stops = tour(told, HOW, map(_stop, plan.steps), points, _RunFiles(bench.arm, out))
+        with PointsWriter(out / "points.csv", arm.joint_count, pose_frame) as points:
+            stops = tour(told, HOW, map(_stop, plan.steps), points, _RunFiles(arm, out))
             for done, stop in enumerate(stops):
                 advance(stop.name, done / len(plan.steps))
     finally:
         if plan.runs:
-            write_log(out, bench.arm, [run.name for run in plan.runs])
+            write_log(out, arm, [run.name for run in plan.runs])
     advance("recorded", 1.0)
 
 
@@ -71,7 +71,7 @@ def record_on_mock(
     note(out, plan, arm)
     advance("homing", 0.0)
     with saved_mock(arm, scenario, seed, out) as (bench, client, recording):
-        record(Bench(arm, client, recording, bench.rig.set_payload), plan, out, advance)
+        record(arm, Bench(client, recording, bench.rig.set_payload), plan, out, advance)
 
 
 @dataclass(frozen=True, slots=True)

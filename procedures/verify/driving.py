@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from calib.points.writer import PointsWriter
-from calib.session.sequence import FreePose, Progress, take_free_poses
+from calib.session.plan import Target
 from calib.session.take import SessionSettings
 from control.errors import ArmError
 from control.model.arm import Arm
@@ -25,11 +25,11 @@ from control.motion.setpoint import at_rest
 from control.motion.spline import hermite
 from control.motion.waypoints import Waypoints
 from control.server.client import ArmClient
-from procedures.ports import RuntimePort
+from procedures.tour import Bench, How, Stop, tour
 from procedures.verify.models import Model
 from procedures.verify.places import Place, Way
 
-AVERAGE_S = 0.2  # 20 camera frames
+AVERAGE_s = 0.2  # 20 camera frames
 # Section length of a converted path: a cubic of 10 mm follows the original within a few nanometres.
 SECTION_m = 0.01
 
@@ -43,7 +43,7 @@ class Run:
     pace: float = 1.0
 
 
-def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float]) -> tuple[FreePose, ...]:
+def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float]) -> tuple[Target, ...]:
     """Joint angles at the places, each near its own posture, or on the branch of the previous one.
 
     ArmError names the first out of reach.
@@ -56,7 +56,7 @@ def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float])
             raise ArmError(
                 f"verification point {place.setup} {place.point}: {error}; nothing moved"
             ) from error
-        poses.append(FreePose(place.setup, place.point, tuple(q_near_rad)))
+        poses.append(Target(place.setup, place.point, q_rad=tuple(q_near_rad)))
     return tuple(poses)
 
 
@@ -72,17 +72,21 @@ def require_clear(arm: Arm, stages: Sequence[tuple[Sequence[float], Sequence[flo
 
 
 def visit(
-    poses: Sequence[FreePose],
+    poses: Sequence[Target],
     repeat: int,
     client: ArmClient,
     speed: float,
     writer: PointsWriter,
     as_encoders: bool = False,
-) -> Iterator[Progress]:
+) -> Iterator[Stop[None]]:
     """Visit all poses once; the camera measures at each, and each is saved before the next."""
-    port = RuntimePort(client, speed, as_encoders)
-    tour = [replace(pose, repeat=repeat) for pose in poses]
-    return take_free_poses(tour, port, port, writer, SessionSettings(average_s=AVERAGE_S))
+    how = How(SessionSettings(average_s=AVERAGE_s), as_encoders)
+    stops: list[Stop[None]] = [
+        Stop(f"{pose.setup} {pose.point}", pose.q_rad, key=(pose.setup, pose.point, repeat))
+        for pose in poses
+        if pose.q_rad is not None
+    ]
+    return tour(Bench(client, speed=speed), how, stops, writer)
 
 
 def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float]) -> PlannedPath:

@@ -62,8 +62,8 @@ class Drive:
     def _steps(self, runtime_model: Model, client: ArmClient, speed: float) -> Iterator[str]:
         for repeat in range(1, self.programme.repeats + 1):
             for survey, name in self._named():
-                for step in survey.tour(repeat, runtime_model, client, speed):
-                    yield f"{name}: {step.setup} {step.point}, visit {repeat}"
+                for stop in survey.tour(repeat, runtime_model, client, speed):
+                    yield f"{name}: {stop.name}, visit {repeat}"
         for survey, name in self._named():
             for way in survey.run_ways(runtime_model, client, speed):
                 yield f"path, {name}: {way.setup} {way.name}"

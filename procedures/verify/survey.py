@@ -9,9 +9,9 @@ import numpy as np
 from calib.points.points import Points, joined, make_points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
-from calib.session.sequence import Progress
 from calib.validation.verify import Comparison, Track, TrackPair, compare_repeated
 from control.server.client import ArmClient
+from procedures.tour import Stop
 from procedures.verify.driving import Run, planned, poses_at, require_clear, run, visit
 from procedures.verify.models import Model
 from procedures.verify.places import Place, Way
@@ -40,9 +40,10 @@ class Survey:
         self._programme = programme
         self._file = file
         self._poses = poses_at(programme.places, model, q_near_rad)
-        near = self._poses[0].q_rad if self._poses else q_near_rad
+        angles = [pose.q_rad or () for pose in self._poses]
+        near = angles[0] if angles else q_near_rad
         self._paths = [planned(way, model, programme.path_speed_m_s, near) for way in programme.ways]
-        stays = [(pose.q_rad, pose.q_rad) for pose in self._poses]
+        stays = [(q_rad, q_rad) for q_rad in angles]
         runs = [(path.q_start_rad, path.q_waypoints_rad[-1]) for path in self._paths]
         require_clear(model.arm, [*stays, *runs])
         self._runs: list[tuple[Way, Run]] = []
@@ -52,7 +53,9 @@ class Survey:
         """The poses of the places, (m, n)."""
         return np.array([pose.q_rad for pose in self._poses])
 
-    def tour(self, repeat: int, runtime_model: Model, client: ArmClient, speed: float) -> Iterator[Progress]:
+    def tour(
+        self, repeat: int, runtime_model: Model, client: ArmClient, speed: float
+    ) -> Iterator[Stop[None]]:
         """Visit every place once."""
         as_encoders = not self.model.has_gears_of(runtime_model)
         with PointsWriter(self._file, self.model.arm.joint_count) as writer:

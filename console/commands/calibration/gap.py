@@ -160,10 +160,10 @@ def record_on_arm(given: argparse.Namespace, arm: Arm, plan: "RecordingPlan", ou
 
     with contextlib.closing(in_control_of(given, arm)) as client:
         loads_kg = [step.payload_kg for step in plan.steps]
-        bench = bench_of(arm, client, loads_kg, bool(plan.visits), REAL_SPEED)
+        bench = bench_of(client, loads_kg, bool(plan.visits), REAL_SPEED)
         try:
             with Bar("record") as bar:
-                record(bench, plan, out, bar.advance)
+                record(arm, bench, plan, out, bar.advance)
         except KeyboardInterrupt:
             client.stop()
             raise

@@ -150,9 +150,9 @@ def _record_mock(given: argparse.Namespace, arm: Arm, planned: Planned, out: Pat
 def _record_real(given: argparse.Namespace, arm: Arm, client: ArmClient, planned: Planned, out: Path) -> None:
     """Record on the connected arm, which must be homed and holding, with a camera that sees the tip."""
     loads_kg = [getattr(step, "payload_kg", 0.0) for step in planned.steps]
-    bench = bench_of(arm, client, loads_kg, needs_tip=True, speed=given.speed or REAL_SPEED)
+    bench = bench_of(client, loads_kg, needs_tip=True, speed=given.speed or REAL_SPEED)
     with Bar("iso9283") as bar:
-        record(bench, planned, out, bar.advance)
+        record(arm, bench, planned, out, bar.advance)
 
 
 def _described(arm: Arm, cube: TestCube, planned: Planned, rated_m_s: float) -> str:

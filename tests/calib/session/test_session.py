@@ -9,7 +9,7 @@ from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles
 from calib.errors import SessionError, UnusablePointsError
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
-from calib.session import FreePose, SeenTip, SessionSettings, Stage, step_through, table, take_free_poses
+from calib.session import SessionSettings, Stage, step_through, table
 from calib.session.standstill import StandstillWindow, wait_for_rest
 from tests.calib.session.session_arm import SEED, NumericGeometry, ScriptedArm, board
 
@@ -111,23 +111,6 @@ def test_each_setup_is_set_up_once_with_the_arm_lifted(tmp_path: Path) -> None:
     )
     assert [entry for entry in arm.log if entry in TILTS] == ["normal", "roll"]
     assert arm.log[arm.log.index("roll") - 1] == "move"
-
-
-class SeeingCamera:
-    def measure(self, duration_s: float):
-        return SeenTip((0.51, 0.02, 0.1), (1e-4, 1e-4, 1e-4))
-
-
-def test_free_poses_are_measured_by_the_camera(tmp_path: Path) -> None:
-    poses = [FreePose("free", "a", (0.1, -0.9, 0.2)), FreePose("free", "b", (0.2, -0.8, 0.1))]
-    with PointsWriter(tmp_path / "points.csv", 3) as writer:
-        events = list(take_free_poses(poses, ScriptedArm(), SeeingCamera(), writer))
-        again = list(take_free_poses(poses, ScriptedArm(), SeeingCamera(), writer))
-    assert [event.stage for event in events] == [Stage.RECORDED] * 2
-    assert [event.stage for event in again] == [Stage.KEPT] * 2
-    points, _ = read_points(tmp_path / "points.csv", 3)
-    np.testing.assert_allclose(points.tip_m[0], (0.51, 0.02, 0.1))
-    np.testing.assert_allclose(points.q_rad[1], (0.2, -0.8, 0.1), atol=1e-9)
 
 
 def test_still_stand_needs_its_whole_time_below_the_limit() -> None:

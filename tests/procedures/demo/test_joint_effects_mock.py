@@ -15,7 +15,7 @@ from calib.points.writer import PointsWriter
 from control.dynamics.static_pose import resting
 from control.errors import MissingModel
 from control.model.description import load_arm
-from procedures.demo.paper_moves import Mover, Pose
+from procedures.demo.paper_moves import GentlePose, Mover
 from procedures.mock import SteppedBench
 
 ARM = load_arm("right")
@@ -46,7 +46,7 @@ def recorded(tmp_path: Path, hidden: str) -> tuple[Points, np.ndarray]:
         client = bench.start(ARM)
         client.enable()
         poses = [
-            Pose("free", f"{k}", q, (side,) * 3, 1 + (side < 0))
+            GentlePose("free", f"{k}", q, (side,) * 3, 1 + (side < 0))
             for k, q in enumerate(ANGLES_rad)
             for side in (1, -1)
         ]

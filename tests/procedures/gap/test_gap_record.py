@@ -91,16 +91,16 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, nobody_below: None) -> It
             hung.append(mass_kg)
             bench.rig.set_payload(mass_kg)
 
-        mine = Bench(RIGHT, client, next((folder / "log").glob("*.armlog")), hang)
+        mine = Bench(client, next((folder / "log").glob("*.armlog")), hang)
 
         def advance(what: str, share: float) -> None:
             if what.startswith("run 1"):
                 raise Interrupted
 
         with pytest.raises(Interrupted):
-            record(mine, tiny(), out, advance)
+            record(RIGHT, mine, tiny(), out, advance)
         before = len(read_points(out / "points.csv", 3)[0])
-        record(mine, tiny(), out, lambda *_: None)
+        record(RIGHT, mine, tiny(), out, lambda *_: None)
         bench.stop()
         points, warnings = read_points(out / "points.csv", 3)
         log, log_warnings = read_log(out / "log.csv", 3)

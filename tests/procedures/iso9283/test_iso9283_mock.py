@@ -77,7 +77,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
             return result
 
         client.average = watched  # type: ignore[method-assign]
-        mine = Bench(arm, client, next((out.parent / "log").glob("*.armlog")), None)
+        mine = Bench(client, next((out.parent / "log").glob("*.armlog")), None)
         done = 0
 
         def advance(what: str, share: float) -> None:
@@ -87,9 +87,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
                 raise Interrupted
 
         with pytest.raises(Interrupted):
-            record(mine, planned, out, advance)
+            record(arm, mine, planned, out, advance)
         before = len(true)
-        record(mine, planned, out, lambda what, share: None)
+        record(arm, mine, planned, out, lambda what, share: None)
         bench.stop()
         yield Recorded(out, np.array(true), before)
     finally:
@@ -174,7 +174,7 @@ def test_a_folder_with_the_records_of_another_programme_is_left_alone(recorded: 
     planned = plan(arm, TestCube(CUBE.centre_m, 0.18), EXTENT, RATED_m_s)
     before = (recorded.out / "points.csv").read_bytes()
     with pytest.raises(CalibrationError, match="another plan or arm"):
-        record(Bench(arm, None, Path("none"), None), planned, recorded.out, lambda what, share: None)  # type: ignore[arg-type]
+        record(arm, Bench(None, Path("none"), None), planned, recorded.out, lambda what, share: None)  # type: ignore[arg-type]
     assert (recorded.out / "points.csv").read_bytes() == before
 
 
