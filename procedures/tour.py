@@ -28,8 +28,7 @@ from calib.errors import CalibrationError
 from calib.points.writer import Key, PointsWriter, Record
 from calib.session.folder import continues
 from calib.session.moves import Sample
-from calib.session.standstill import wait_for_rest
-from calib.session.take import SessionSettings
+from calib.session.take import SessionSettings, wait_for_rest
 from control.errors import ArmError
 from control.files import write_whole
 from control.motion.joint_path import JointPath

@@ -35,9 +35,8 @@ from control.server.client import ArmClient
 from hil_mocks.scenario import EffectTable, Scenario, load_scenario
 from procedures.gap.recording import record_on_mock
 from procedures.mock import SteppedBench, scenario_bytes
-from procedures.verify.driving import Run
 from procedures.verify.models import Model
-from procedures.verify.tracks import track_of
+from procedures.verify.survey import Run, track_of
 
 SORTS = ("demo", "play", "worn")
 AREA_m = (0.3, 0.3, 0.2)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
-from calib.session.dialogue import GO
+from calib.session.conversation import GO
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, board_targets, fingerprint

@@ -15,14 +15,11 @@ from calib.closed_chain.room import Poses, Room
 from calib.closed_chain.watch import ContactWatch
 from calib.errors import SessionError
 from calib.points.writer import DISTANCE, Record
-from calib.session.conversation import Conversation, Talk
-from calib.session.dialogue import Jog, Message, Question, Recorded
+from calib.session.conversation import Conversation, Jog, Message, Question, Recorded, Talk, jogged
 from calib.session.folder import SessionFolder
-from calib.session.jog import jogged
 from calib.session.moves import Geometry, JogPort
 from calib.session.plan import Seating, SessionPlan, Target
-from calib.session.standstill import wait_for_rest
-from calib.session.take import SessionSettings, take
+from calib.session.take import SessionSettings, take, wait_for_rest
 from control.errors import ArmError
 from control.server.channel import RuntimeGone
 from control.server.client import ArmFaulted

@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from calib.session.boards_known import Boards
-from calib.session.conversation import Answer, Conversation, Talk
-from calib.session.dialogue import Jog, Message, Question, Recorded
+from calib.session.conversation import Answer, Conversation, Jog, Message, Question, Recorded, Talk, jogged
 from calib.session.folder import SessionFolder
-from calib.session.jog import jogged
 from calib.session.measured import BoardSurvey
 from calib.session.moves import Camera, ClearPaths, Geometry, JogPort, NoClearPath, Transfers, Vector
 from calib.session.plan import Target

@@ -1,24 +1,168 @@
 """What every session with an operator does: target after target, questions and commands, and a clean end.
 
-A session is a generator: it yields messages (`calib.session.dialogue`) and is sent a Command for every Ask. It reads no
-keyboard and prints nothing, so that a terminal, a script and a screen run the same session. Nothing moves, and no drive is
-released, before an Ask was answered with GO. On every exit the hand has released the arm and the drives hold.
+A session is a generator: it yields sayings and is sent a `Command` for every `Ask`. It reads no keyboard and prints nothing, so
+that a terminal, a script and a screen run the same session. Nothing moves, and no drive is released, before an Ask was answered
+with GO. On every exit the hand has released the arm and the drives hold.
 """
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
 from typing import Protocol
 
 from calib.errors import RegistrationError, SessionError
-from calib.session.commands import done_to
-from calib.session.dialogue import GO, Ask, Command, Do, Jog, Message, Question, Saying
+from calib.points.writer import Key, Record
 from calib.session.folder import SessionFolder, continues
+from calib.session.moves import ArmPort, Geometry, Vector
 from calib.session.plan import Target
+from calib.session.residual_watch import Verdict
+from calib.session.state import AFTER, Event, SessionState
 from control.errors import ArmError
 from control.server.channel import RuntimeGone
 from control.server.client import ArmFaulted
+
+
+class Question(Enum):
+    """Conditions that the session waits for. The answer GO confirms."""
+
+    BOARD = "the board is placed for this setup"
+    NEXT = "nobody touches the arm; it may move"
+    TAKE = "a hand supports the tip; the drives may release"
+    SEATED = "the tip is seated in the cavity"
+    DONE = "the session may end"
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """The session waits for an answer: a Command. `arm`: which of two it is about."""
+
+    question: Question
+    target: Target | None
+    arm: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A record was saved; with its verdict."""
+
+    record: Record
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A message for the operator; `is_warning` for a problem."""
+
+    text: str
+    is_warning: bool = False
+
+
+Saying = Ask | Recorded | Message
+
+
+class Do(Enum):
+    """Commands of an operator."""
+
+    GO = "go"
+    REDO = "redo"
+    SKIP = "skip"
+    BAD = "bad"
+    NOTE = "note"
+    JOG = "jog"
+    QUIT = "quit"
+
+
+@dataclass(frozen=True, slots=True)
+class Jog:
+    """A small move: along x, y or z of the base frame [m], or of a joint j1, j2, ... [rad]; `arm`: which of two."""
+
+    axis: str
+    step: float
+    arm: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One command. REDO, SKIP, BAD without a point refer to the last record, or for SKIP to the present target."""
+
+    do: Do
+    setup: str = ""
+    point: str = ""
+    repeat: int | None = None
+    text: str = ""
+    jog: Jog | None = None
+
+
+GO = Command(Do.GO)
+
+
+EVENTS = {Do.SKIP: Event.SKIP, Do.REDO: Event.REDO, Do.BAD: Event.BAD}
+
+
+def done_to(folder: SessionFolder, command: Command, asked: Target | None, standing: str) -> list[Key]:
+    """Execute a command; return the affected targets. SessionError, without effect, if it is invalid."""
+    event = EVENTS[command.do]
+    keys = _meant(folder.state, event, command, asked, standing)
+    for key in keys:
+        folder.happen(event, key)
+    return keys
+
+
+def _meant(
+    state: SessionState, event: Event, command: Command, asked: Target | None, standing: str
+) -> list[Key]:
+    """Keys of a command. A point without a repeat means all its repeats for which the event is valid."""
+    if not command.point:
+        return [_unnamed(state, event, asked)]
+    setup = command.setup or standing or (asked.setup if asked else "")
+    keys = state.named(setup, command.point, command.repeat)
+    possible = [key for key in keys if (state.marks[key], event) in AFTER]
+    if not possible:
+        state.after(event, keys[0])  # raises with the reason
+    return possible
+
+
+def _unnamed(state: SessionState, event: Event, asked: Target | None) -> Key:
+    key = (asked.key if asked else None) if event is Event.SKIP else state.last
+    if key is None:
+        raise SessionError(f"{event.value}: no point given; type {event.value} [setup] point [repeat]")
+    return key
+
+
+LONGEST_m, LONGEST_rad = 0.05, 0.1  # a typing error must not cause a collision
+WINDOW_s = 0.02
+AXES = "xyz"
+
+
+def jogged(jog: Jog, arm: ArmPort, geometry: Geometry) -> Sequence[float]:
+    """Joint angles after the step. SessionError for an invalid step, ArmError if it is out of reach."""
+    if jog.arm:
+        raise SessionError(
+            f"jog: this session has one arm: expected an axis and a step, got {jog.arm!r} first"
+        )
+    q_rad = arm.average(WINDOW_s).q_rad
+    if jog.axis in AXES and jog.axis:
+        _require_small(jog, LONGEST_m, "m")
+        x, y, z = geometry.tip(q_rad)
+        step = [jog.step if axis == jog.axis else 0.0 for axis in AXES]
+        tip: Vector = (x + step[0], y + step[1], z + step[2])
+        return geometry.nearest(tip, q_rad)
+    joint = re.fullmatch(r"j([1-9]\d?)", jog.axis)
+    if joint is None or int(joint[1]) > len(q_rad):
+        raise SessionError(f"jog: expected x, y, z or j1 to j{len(q_rad)}, got {jog.axis!r}")
+    _require_small(jog, LONGEST_rad, "rad")
+    number = int(joint[1]) - 1
+    return [q + jog.step if k == number else q for k, q in enumerate(q_rad)]
+
+
+def _require_small(jog: Jog, longest: float, unit: str) -> None:
+    if not abs(jog.step) <= longest:
+        raise SessionError(f"jog {jog.axis}: a step is {longest:g} {unit} at most, got {jog.step:g} {unit}")
+
 
 Talk = Generator[Saying, Command, None]
 Answer = Generator[Saying, Command, bool]

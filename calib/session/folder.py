@@ -11,21 +11,50 @@ point are distinguished by `take`, so that nothing is withdrawn twice.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import json
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from calib.errors import SessionError
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import DISTANCE, Key, PointsWriter, Record, replace_file
-from calib.session.journal import Entry, Journal
 from calib.session.plan import SessionPlan, from_json, require_same, to_json
 from calib.session.state import Event, Mark, SessionState
-from control.files import read_text
+from control.files import KeptLines, parsed_json, read_text
+
+Entry = dict[str, Any]
+
+
+class Journal(KeptLines):
+    """Its entries. While it is open, no other session can open it (SessionError)."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, SessionError)
+        try:
+            self.entries = [self._entry(line, number) for number, line in enumerate(self.lines, start=1)]
+        except SessionError:
+            self.close()
+            raise
+
+    def note(self, entry: Mapping[str, Any]) -> None:
+        """Write one entry and wait for the disk."""
+        self.append(json.dumps(entry))
+        self.entries.append(dict(entry))
+
+    def _entry(self, line: bytes, number: int) -> Entry:
+        with contextlib.suppress(ValueError):
+            entry = parsed_json(line)
+            if isinstance(entry, dict) and isinstance(entry.get("event"), str):
+                return entry
+        raise SessionError(f"{self.path}, line {number}: not a journal entry: undo manual edits")
+
 
 PLAN, POINTS, JOURNAL = "session.json", "points.csv", "journal.jsonl"
 AT_POINT, LIFTED = "at point", "lifted"  # journal events

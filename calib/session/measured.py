@@ -12,7 +12,7 @@ from calib.errors import RegistrationError
 from calib.points.points import STREAM_FRAME, Points
 from calib.points.writer import Record, replace_file
 from calib.session.boards_known import Boards, markers_of
-from calib.session.dialogue import Command, Message, Saying
+from calib.session.conversation import Command, Message, Saying
 from calib.session.folder import SessionFolder
 from calib.session.moves import Vector
 from calib.session.plan import FREE

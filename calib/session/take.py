@@ -1,13 +1,60 @@
-"""One record: wait until the arm is at rest, average, measure with the camera."""
+"""One record: wait until the arm is at rest, average, measure with the camera.
+
+The arm is at rest if no joint has moved by more than a limit for some time.
+"""
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from calib.errors import SessionError
 from calib.points.writer import Record
 from calib.session.moves import ArmPort, Camera, Vector
 from calib.session.plan import Target
-from calib.session.standstill import wait_for_rest
+
+
+class StandstillWindow:
+    """Detects from times and joint angles that the arm is at rest."""
+
+    def __init__(self, limit_rad: float, duration_s: float) -> None:
+        """At rest: over the last duration_s no joint spanned more than limit_rad."""
+        self._limit_rad, self._duration_s = limit_rad, duration_s
+        self._seen: deque[tuple[float, tuple[float, ...]]] = deque()
+
+    def update(self, t_s: float, q_rad: Sequence[float]) -> bool:
+        """Add one reading; True if the arm is at rest. Times must increase."""
+        self._seen.append((t_s, tuple(q_rad)))
+        while len(self._seen) > 1 and self._seen[1][0] <= t_s - self._duration_s:
+            self._seen.popleft()
+        is_long_enough = t_s - self._seen[0][0] >= self._duration_s * (1.0 - 1e-9)
+        return is_long_enough and self.motion_rad <= self._limit_rad
+
+    @property
+    def motion_rad(self) -> float:
+        """The largest span of a joint over the window."""
+        joints: Iterable[tuple[float, ...]] = zip(*(q for _, q in self._seen), strict=True)
+        return max(max(angles) - min(angles) for angles in joints)
+
+
+def wait_for_rest(
+    arm: ArmPort, limit_rad: float, duration_s: float, patience_s: float, window_s: float
+) -> None:
+    """Return when the arm rests; SessionError if it does not within patience_s. Reads means over window_s."""
+    still = StandstillWindow(limit_rad, duration_s)
+    began_s = arm.now_s()
+    while True:
+        sample = arm.average(window_s)
+        now_s = arm.now_s()
+        if still.update(now_s, sample.q_rad):
+            return
+        if now_s - began_s > patience_s:
+            raise SessionError(
+                f"the arm does not come to rest: a joint still moves by {still.motion_rad:.2g} rad within"
+                f" {duration_s:g} s after {patience_s:g} s (limit {limit_rad:.2g} rad);"
+                " check whether it is pushed or oscillates"
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,8 +32,7 @@ from procedures.gap.recording import record
 from procedures.mock import Bench
 from procedures.verify.models import Model
 from procedures.verify.places import Place, ways
-from procedures.verify.survey import Programme, Survey, compared, paired
-from procedures.verify.tracks import recorded
+from procedures.verify.survey import Programme, Survey, compared, paired, recorded
 
 PLACES = 10
 TURN_rad = 1.2  # of joint 1 to either side: places visible to the camera

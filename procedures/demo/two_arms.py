@@ -22,8 +22,7 @@ from calib.closed_chain.contacts import Contacts, read_contacts
 from calib.closed_chain.outcome import calibrated_cell, pair_text, write_pair
 from calib.closed_chain.planning import ContactPlan, pair_of, plan_contacts, write_contacts
 from calib.inputs import input_file
-from calib.session.conversation import unattended
-from calib.session.dialogue import Recorded
+from calib.session.conversation import Recorded, unattended
 from calib.session.folder import POINTS, SessionFolder
 from calib.validation.verify import Track, TrackPair
 from control.files import write_whole

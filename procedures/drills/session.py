@@ -16,7 +16,7 @@ from calib.errors import CalibrationError
 from calib.points.writer import Key, Record
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
-from calib.session.dialogue import GO, Recorded
+from calib.session.conversation import GO, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, board_targets, fingerprint

@@ -17,9 +17,7 @@ from calib.session.state import Mark
 from control.errors import ArmError
 from control.server.channel import Message
 from control.server.client import ArmClient, ArmFaulted, fault_text
-from procedures.session.operator import Operator
-from procedures.session.reporter import Reporter, tell
-from procedures.session.words import Words
+from procedures.session.operator import Operator, Reporter, Words, tell
 
 SPEED = 0.5  # of the joints' limits, for moves near people
 

@@ -1,23 +1,58 @@
-"""A session with a stepped mock arm in this process: the bench, the hand, and its saved scenario."""
+"""Sessions with a stepped mock in this process: one arm and the hand that seats its tip, or the arms of a cell.
+
+The scenario is saved in the session's folder, so that a resumed session has the same arm.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import random
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from calib.design.candidates import OTHER_TILTS, tilted
 from calib.errors import SessionError
 from calib.session.boards_known import Boards
 from calib.session.conduct import Hand
 from calib.session.folder import SessionFolder
+from calib.session.moves import Vector
+from calib.session.plan import Target
 from control.files import write_whole
-from control.model.arm import Arm
+from control.model import table as tables
+from control.model.arm import Arm, Table
+from control.model.cell import Cell
 from control.server.client import ArmClient
 from hil_mocks.scenario import load_scenario
-from procedures.mock import SteppedBench, seeded_scenario
+from procedures.mock import CellBench, SteppedBench, as_bolted_down, seeded_scenario
 from procedures.ports import HandPort, MockHandSeat
-from procedures.session.mock_board import hidden_place
+
+ORIGIN_m = (0.5, 0.0, 0.0)  # if the file gives none: that of the reference arm
+SHIFT_m, TURN_rad = 0.02, 0.03
+
+
+def hidden_place(table: Table, seed: int) -> Callable[[Target], Vector]:
+    """Cavities in the base frame of a board some centimetres and degrees off nominal, different by setup."""
+    known = replace(table, known_pose=True, origin_m=table.origin_m or ORIGIN_m)
+    cavities = tables.board_cavities(known)
+
+    def place(target: Target) -> Vector:
+        draw = random.Random(f"board {seed} {target.setup}")
+        shift = np.array(
+            [draw.uniform(-SHIFT_m, SHIFT_m), draw.uniform(-SHIFT_m, SHIFT_m), draw.uniform(0.0, SHIFT_m)]
+        )
+        ax, ay, az = (draw.uniform(-TURN_rad, TURN_rad) for _ in range(3))
+        skew = np.array([[0.0, -az, ay], [az, 0.0, -ax], [-ay, ax, 0.0]])
+        turn = np.linalg.solve(np.eye(3) - 0.5 * skew, np.eye(3) + 0.5 * skew)  # Cayley: a rotation
+        setup = target.setup if target.setup in (*tables.SETUPS, *OTHER_TILTS) else "normal"
+        place = tilted(known, setup) @ np.array(cavities[target.point])
+        x, y, z = (turn @ place + np.array(known.origin_m) + shift).tolist()
+        return x, y, z
+
+    return place
+
 
 SCENARIO = "mock_scenario.toml"
 DEFAULT_SCENARIO = "demo"
@@ -76,3 +111,20 @@ def free_log(folder: Path) -> Path:
     while (folder / "log" / str(number)).exists():
         number += 1
     return folder / "log" / str(number)
+
+
+@contextmanager
+def mock_pair(cell: Cell, folder: SessionFolder, scenario: str | None) -> Iterator[CellBench]:
+    """All arms of the cell, homed and holding; the scenario is saved in the session's folder, so that a resumed one has the same.
+
+    SessionError if it is resumed with another scenario, or belongs to real arms.
+    """
+    can_home = all(placed.arm.can_home for placed in cell.arms)
+    hidden = load_scenario(saved_scenario(folder, scenario, was_homed=not can_home))
+    bench = CellBench(as_bolted_down(cell, hidden.seed), hidden, free_log(folder.path))
+    try:
+        bench.home(cell)
+        yield bench
+        bench.stop()
+    finally:
+        bench.close()

@@ -1,19 +1,270 @@
-"""The dialogue of a session as lines of text, from a terminal, a pipe or a script."""
+"""The operator's side of a session: commands as text, questions as text or as JSON lines, the board drawn in characters.
+
+In: lines from a terminal, a pipe or a script. Out: text, or for a program such as the console's screen one JSON object a line:
+
+{"ask": "SEATED", "prompt": "...", "setup": "normal", "point": "13", "done": 12, "left": 87,
+ "board": [{"name": "13", "x_m": 0.02, "y_m": 0.0, "mark": "now"}, ...]}
+{"recorded": "normal 13", "text": "...", "error_mm": 20.77, "deviation_mm": 1.22, "deviation_sd": 0.8, "is_suspect": false}
+{"message": "...", "is_warning": false}
+"""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Iterator
+import shlex
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
 
 import numpy as np
 
-from calib.session.conversation import Talk
-from calib.session.dialogue import GO, Ask, Command, Question, Recorded, Saying
+from calib.points.writer import DISTANCE, Record
+from calib.session.conversation import GO, Ask, Command, Do, Jog, Question, Recorded, Saying, Talk
 from calib.session.folder import SessionFolder
-from calib.session.state import Mark
-from procedures.session.dialogue import HELP, Auto, BadCommand, View, parse_command
-from procedures.session.drawing import board_text, status_text
-from procedures.session.words import Words
+from calib.session.moves import Vector
+from calib.session.plan import FREE, SessionPlan, Target
+from calib.session.state import Mark, SessionState
+from control.model.arm import Table
+
+HELP = """\
+  Enter                      confirm and continue
+  skip [[SETUP] POINT [N]]   skip a point (without a name: this one)
+  redo [[SETUP] POINT [N]]   measure a point again (without a name: the last); the journal keeps the withdrawn record
+  bad  [[SETUP] POINT [N]]   withdraw a record; N is the repeat (default: all repeats)
+  note TEXT                  record a remark
+  jog [ARM] AXIS STEP        x, y or z in mm, j1, j2, ... in degrees: jog z -5; ARM: which of two
+  status, board              progress; a drawing of the board
+  auto [N]                   mock arm only: answer N questions, or all, with Enter
+  quit                       stop here; the same command continues
+"""
+WORDS = {do.value: do for do in (Do.SKIP, Do.REDO, Do.BAD, Do.NOTE, Do.JOG, Do.QUIT)}
+MM, DEGREE = 1e-3, math.pi / 180.0
+
+
+class View(Enum):
+    """A view requested by the operator; it changes nothing."""
+
+    HELP = "help"
+    STATUS = "status"
+    BOARD = "board"
+
+
+@dataclass(frozen=True, slots=True)
+class Auto:
+    """Answer the next questions with Enter: `count` of them, or all."""
+
+    count: int | None
+
+
+class BadCommand(Exception):
+    """A line that is not a valid command; the text states what was expected."""
+
+
+def parse_command(line: str) -> Command | View | Auto:
+    """The command of a line. BadCommand if it is not valid."""
+    text = line.strip()
+    if not text:
+        return GO
+    word, _, rest = text.partition(" ")
+    word, rest = word.lower(), rest.strip()
+    if word in ("help", "?"):
+        return View.HELP
+    if word in (View.STATUS.value, View.BOARD.value) and not rest:
+        return View(word)
+    if word == "auto":
+        return Auto(_count(rest) if rest else None)
+    do = WORDS.get(word)
+    if do is Do.NOTE:
+        if not rest:
+            raise BadCommand("note: expected a text")
+        return Command(do, text=rest)
+    if do is Do.JOG:
+        return Command(do, jog=_jog(rest))
+    if do is Do.QUIT and not rest:
+        return Command(do)
+    if do in (Do.SKIP, Do.REDO, Do.BAD):
+        return _about_point(do, rest)
+    raise BadCommand(f"unknown command: {text!r}; `help` lists the commands")
+
+
+def _about_point(do: Do, rest: str) -> Command:
+    """Nothing, a point, a setup and a point, and with both a repeat."""
+    try:
+        names = shlex.split(rest)
+    except ValueError as error:
+        raise BadCommand(f"{do.value}: {error}") from None
+    if len(names) > 3:
+        raise BadCommand(f"{do.value}: expected [[SETUP] POINT [N]], got {rest!r}")
+    if not names:
+        return Command(do)
+    if len(names) == 1:
+        return Command(do, point=names[0])
+    return Command(do, names[0], names[1], _count(names[2]) if len(names) == 3 else None)
+
+
+def _jog(rest: str) -> Jog:
+    words = rest.split()
+    try:
+        *arm, axis, number = words
+        step = float(number)
+    except ValueError:
+        arm, axis, step = [], "", math.nan
+    if len(arm) > 1 or not math.isfinite(step):
+        raise BadCommand(
+            "jog: expected an axis and a step, such as `jog z -5` (mm) or `jog j2 0.5` (degrees), with two arms"
+            " `jog left z -5`"
+        )
+    axis = axis.lower()
+    return Jog(axis, (MM if axis in ("x", "y", "z") else DEGREE) * step, *arm)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise BadCommand(f"expected a number from 1, got {text!r}")
+    return int(text)
+
+
+WIDTH, HEIGHT = 61, 25  # a character is twice as high as wide
+SIGNS: Mapping[Mark, str] = {Mark.DONE: "#", Mark.LEFT: ".", Mark.SKIPPED: "-", Mark.BAD: "x"}
+CURRENT, PARTLY = "O", "+"
+LEGEND = "# done  + some repeats  O now  . left  - skipped  x bad"
+
+
+def board_text(
+    state: SessionState, cavities_m: Mapping[str, Vector], setup: str, current: Target | None
+) -> str:
+    """The cavities of one setup, seen from above, the board's x axis to the right."""
+    marks = {name: _sign(state, setup, name, current) for name in cavities_m}
+    shown = {name: cavities_m[name] for name, sign in marks.items() if sign}
+    if not shown:
+        return f"setup {setup}: this session has no cavities there\n"
+    left, right = min(p[0] for p in shown.values()), max(p[0] for p in shown.values())
+    low, high = min(p[1] for p in shown.values()), max(p[1] for p in shown.values())
+    per_column = max((right - left) / (WIDTH - 1), (high - low) / (2 * (HEIGHT - 1)), 1e-6)
+    rows = round((high - low) / (2 * per_column)) + 1
+    grid = [[" "] * WIDTH for _ in range(rows)]
+    for name, (x, y, _) in shown.items():
+        grid[round((high - y) / (2 * per_column))][round((x - left) / per_column)] = marks[name]
+    drawn = "\n".join("  " + "".join(line).rstrip() for line in grid)
+    now = f"; now: {current.name}" if current is not None else ""
+    return f"setup {setup}{now}\n{drawn}\n  {LEGEND}\n"
+
+
+def status_text(state: SessionState) -> str:
+    """How many points of each setup are done, left, skipped and bad."""
+    lines = []
+    for setup in dict.fromkeys(target.setup for target in state.targets.values()):
+        marks = [state.marks[key] for key in state.targets if key[0] == setup]
+        counts = ", ".join(f"{sum(m is mark for m in marks)} {mark.value}" for mark in Mark if mark in marks)
+        names = _names(state, setup)
+        what = "free poses" if setup == FREE else f"setup {setup}"
+        lines.append(f"  {what}: {counts}{names}")
+    return "\n".join(lines) + "\n"
+
+
+def _names(state: SessionState, setup: str) -> str:
+    """Skipped and bad points by name: they are few."""
+    parts = []
+    for mark in (Mark.SKIPPED, Mark.BAD):
+        keys = [key for key, one in state.marks.items() if key[0] == setup and one is mark]
+        if keys:
+            parts.append(f"{mark.value}: {', '.join(_short(keys))}")
+    return f" ({'; '.join(parts)})" if parts else ""
+
+
+def _short(keys: Iterable[tuple[str, str, int]]) -> list[str]:
+    return [point if repeat == 1 else f"{point} (repeat {repeat})" for _, point, repeat in keys]
+
+
+def _sign(state: SessionState, setup: str, name: str, current: Target | None) -> str:
+    """The character of a cavity; empty if the session does not use it."""
+    if current is not None and (current.setup, current.point) == (setup, name):
+        return CURRENT
+    marks = {state.marks[key] for key in state.targets if key[:2] == (setup, name)}
+    if not marks:
+        return ""
+    if len(marks) == 1:
+        return SIGNS[marks.pop()]
+    return PARTLY
+
+
+class Words(Protocol):
+    """Of one kind of session. `cavities_m`: of its board, for a drawing."""
+
+    cavities_m: Mapping[str, Vector]
+
+    def question(self, ask: Ask, target: Target) -> str:
+        """The request to the operator."""
+
+    def check(self, record: Record) -> str:
+        """What to look at when a record departs from the others."""
+
+
+class BoardWords:
+    """At the cavities of a board, and at free poses."""
+
+    def __init__(self, plan: SessionPlan, cavities_m: Mapping[str, Vector], table: Table | None) -> None:
+        self._plan, self.cavities_m, self._table = plan, cavities_m, table
+
+    def question(self, ask: Ask, target: Target) -> str:
+        """The request to the operator."""
+        if ask.question is Question.BOARD:
+            return f"set the board to {self._tilt(target.setup)}; Enter when it is in place"
+        if ask.question is Question.NEXT:
+            side = f" from side {target.approach}" if self._plan.approaches > 1 and not target.is_free else ""
+            where = "the pose" if target.is_free else f"above the cavity{side}"
+            return f"hands off; Enter moves the arm to {where}"
+        if ask.question is Question.TAKE:
+            return "hold the arm by hand; Enter turns its drives off"
+        if self._plan.seat == "jog":
+            return f"jog the tip into cavity {target.point} (`jog z -5`); Enter when it is seated"
+        return f"seat the tip in cavity {target.point} and hold it there; Enter when it is seated"
+
+    def check(self, record: Record) -> str:
+        """What to look at when a record departs from the others."""
+        return f"that the tip is seated in {record.point}, the right cavity"
+
+    def _tilt(self, setup: str) -> str:
+        if self._table is None:
+            return setup
+        angles = {
+            "normal": "normal: level",
+            "roll": f"roll: {np.degrees(self._table.roll_tilt_rad):.1f} deg about its x axis",
+            "pitch": f"pitch: {np.degrees(self._table.pitch_tilt_rad):.1f} deg about its y axis",
+        }
+        return angles.get(setup, setup)
+
+
+class ContactWords:
+    """Of two arms whose tips are brought together."""
+
+    cavities_m: Mapping[str, Vector] = {}
+
+    def __init__(self, plan: SessionPlan, names: tuple[str, str]) -> None:
+        self._plan, self._names = plan, names
+
+    def question(self, ask: Ask, target: Target) -> str:
+        """The request to the operator."""
+        far = (
+            f"{1e3 * target.distance_m:g} mm from the other" if target.distance_m else "where the other's is"
+        )
+        if ask.question is Question.NEXT:
+            return "hands off both arms; Enter moves them to where their tips can meet"
+        if ask.question is Question.TAKE:
+            return f"hold arm {ask.arm} by hand; Enter turns its drives off"
+        if self._plan.seat == "jog":
+            return f"jog the tips together, one {far} (`jog {self._names[0]} z -5`); Enter when they are in contact"
+        place = "its place of the contact" if ask.arm == self._names[0] else far
+        return f"bring the tip of {ask.arm} to {place} and hold it there; Enter turns its drives on"
+
+    def check(self, record: Record) -> str:
+        """What to look at when a record departs from the others."""
+        distance_m = float(record.more[DISTANCE])
+        return f"that both tips were in contact{f', {1e3 * distance_m:g} mm apart' if distance_m else ''}"
+
 
 Say = Callable[[str], None]
 
@@ -131,3 +382,77 @@ class Operator:
                 " Enter keeps the record"
             )
         return text
+
+
+def report(message: Mapping[str, object]) -> None:
+    """Print a message as one line, flushed."""
+    sys.stdout.write(json.dumps(message) + "\n")
+    sys.stdout.flush()
+
+
+def tell(text: str) -> None:
+    """Report a text of the session as a message."""
+    is_warning = text.startswith("! ")
+    report({"message": text.removeprefix("! ").rstrip("\n"), "is_warning": is_warning})
+
+
+class Reporter(Operator):
+    """An `Operator` whose questions and records are messages. Its `say` is `tell`."""
+
+    def _answer(self, saying: Saying) -> Command:
+        if not isinstance(saying, Recorded):
+            return super()._answer(saying)
+        verdict = saying.verdict
+        report(
+            {
+                "recorded": self._folder.state.targets[saying.record.key].name,
+                "point": saying.record.point,
+                "text": self._recorded(saying).removeprefix("! "),
+                "error_mm": _mm(float(np.linalg.norm(verdict.error_m))),
+                "deviation_mm": _mm(verdict.off_m),
+                "deviation_sd": _finite(verdict.off_sd),
+                "is_suspect": verdict.is_suspect,
+            }
+        )
+        if verdict.is_suspect:
+            self._auto = 0
+        return GO
+
+    def _asked(self, ask: Ask) -> Command:
+        state, target = self._folder.state, ask.target
+        setup = target.setup if target is not None else self._folder.standing
+        report(
+            {
+                "ask": ask.question.name,
+                "prompt": self._prompt(ask),
+                "setup": setup,
+                "point": target.point if target is not None else "",
+                "done": state.count(Mark.DONE),
+                "left": state.count(Mark.LEFT),
+                "board": board(
+                    state, self._words.cavities_m, setup, target.point if target is not None else ""
+                ),
+            }
+        )
+        return super()._asked(ask)
+
+
+def board(
+    state: SessionState, cavities_m: Mapping[str, Vector], setup: str, now: str
+) -> list[dict[str, object]]:
+    """Each cavity of a setup that the session uses: its place on the board and whether it is done."""
+    found: list[dict[str, object]] = []
+    for name, (x, y, _) in cavities_m.items():
+        marks = {state.marks[key] for key in state.targets if key[:2] == (setup, name)}
+        if marks:
+            mark = "now" if name == now else (marks.pop().value if len(marks) == 1 else "partly")
+            found.append({"name": name, "x_m": x, "y_m": y, "mark": mark})
+    return found
+
+
+def _mm(length_m: float) -> float | None:
+    return _finite(1e3 * length_m)
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None

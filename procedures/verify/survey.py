@@ -1,21 +1,242 @@
-"""One model's part of a verification: planned before anything moves, then visits of the points and runs of the paths."""
+"""One model's part of a verification: planned before anything moves, then visits of the points and runs of the paths.
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+The arm is moved by either model, whichever the runtime uses, and the camera measures. Points are joint moves to the angles of
+the model's inverse kinematics, which need no geometry in the loop. A path goes to the runtime in Cartesian space and through
+the runtime's own inverse kinematics, so it is converted to one that takes the joints to the model's angles: q(t) by the model,
+x'(t) = f(q(t)) by the runtime's forward kinematics.
+
+Only the runtime can correct effects between joints and encoders (backlash, springs, belt, encoder errors). For a model with
+the same effects as the runtime's, motions are given in joint angles; for one without any, in encoder angles.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from calib.arrays import frozen
 from calib.points.points import Points, joined, make_points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
+from calib.session.plan import Target
+from calib.session.take import SessionSettings
 from calib.validation.verify import Comparison, Track, TrackPair, compare_repeated
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.motion.guard import Guard
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import JointMove
+from control.motion.plan import PlannedPath, plan_path
+from control.motion.setpoint import at_rest
+from control.motion.spline import hermite
+from control.motion.waypoints import Waypoints
+from control.recording.frame_decoder import row_type
+from control.recording.parts import parts_from
+from control.recording.reading import Recording
+from control.safety.table import Mode
 from control.server.client import ArmClient
-from procedures.tour import Stop
-from procedures.verify.driving import Run, planned, poses_at, require_clear, run, visit
+from procedures.tour import Bench, How, Stop, tour
 from procedures.verify.models import Model
 from procedures.verify.places import Place, Way
-from procedures.verify.tracks import track_of
+
+AVERAGE_s = 0.2  # 20 camera frames
+# Section length of a converted path: a cubic of 10 mm follows the original within a few nanometres.
+SECTION_m = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A path that was run: its run number in the recording; `path` if the recorded set-points are not the joints'."""
+
+    number: int
+    path: PlannedPath | None = None
+    pace: float = 1.0
+
+
+def poses_at(places: Sequence[Place], model: Model, q_near_rad: Sequence[float]) -> tuple[Target, ...]:
+    """Joint angles at the places, each near its own posture, or on the branch of the previous one.
+
+    ArmError names the first out of reach.
+    """
+    poses = []
+    for place in places:
+        try:
+            q_near_rad = model.inverse.nearest(model.in_base(place.tip_m), place.near_rad or q_near_rad)
+        except ArmError as error:
+            raise ArmError(
+                f"verification point {place.setup} {place.point}: {error}; nothing moved"
+            ) from error
+        poses.append(Target(place.setup, place.point, q_rad=tuple(q_near_rad)))
+    return tuple(poses)
+
+
+def require_clear(arm: Arm, stages: Sequence[tuple[Sequence[float], Sequence[float]]]) -> None:
+    """ArmError if a joint move from one stage's end to the next one's beginning meets the floor, the table or the base.
+
+    `stages`: joint angles at the beginning and at the end of each.
+    """
+    limits = JointLimits.of(arm)
+    guard = Guard(arm, limits)
+    for (_, start), (end, _) in pairwise(stages):
+        guard.require_move(JointMove(start, end, limits), at_rest(tuple(start)), end)
+
+
+def visit(
+    poses: Sequence[Target],
+    repeat: int,
+    client: ArmClient,
+    speed: float,
+    writer: PointsWriter,
+    as_encoders: bool = False,
+) -> Iterator[Stop[None]]:
+    """Visit all poses once; the camera measures at each, and each is saved before the next."""
+    how = How(SessionSettings(average_s=AVERAGE_s), as_encoders)
+    stops: list[Stop[None]] = [
+        Stop(f"{pose.setup} {pose.point}", pose.q_rad, key=(pose.setup, pose.point, repeat))
+        for pose in poses
+        if pose.q_rad is not None
+    ]
+    return tour(Bench(client, speed=speed), how, stops, writer)
+
+
+def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float]) -> PlannedPath:
+    """Plan the path by the model; ArmError if the arm cannot run it. Nothing moves."""
+    points = tuple(model.in_base(point) for point in way.waypoints.points)
+    try:
+        return plan_path(
+            model.arm,
+            Waypoints(points, None, way.waypoints.places),
+            speed_m_s,
+            q_near_rad=q_near_rad,
+            setup=way.setup,
+            inverse=model.inverse,
+            kinematics=model.kinematics,
+        )
+    except ArmError as error:
+        raise ArmError(f"{way.name} above the board's setup {way.setup}: {error}") from error
+
+
+def run(path: PlannedPath, model: Model, runtime_model: Model, client: ArmClient, speed: float) -> Run:
+    """Go to the path's start and run it as planned by `model`."""
+    as_encoders = not model.has_gears_of(runtime_model)
+    client.move_joints(path.q_start_rad, speed, as_encoders=as_encoders)
+    client.run_path(handed_over(path, model, runtime_model).to_message(), as_encoders=as_encoders)
+    status = client.status()
+    in_joints = path if runtime_model.gears and not as_encoders else None
+    return Run(int(status["run"]), in_joints, float(status["override"]))
+
+
+def handed_over(path: PlannedPath, model: Model, runtime_model: Model) -> PlannedPath:
+    """The path in the base frame of the runtime's model: the same joint angles at the same times."""
+    if runtime_model is model or path.joints is not None:
+        return path
+    motion = path.motion(model.inverse, model.kinematics)
+    points, velocities, poses = [], [], []
+    times_s = _times_s(path)
+    for time_s in times_s:
+        wanted = motion.at(time_s)
+        tip_m, rows = runtime_model.kinematics.tip_jacobian(*wanted.q_rad)
+        x, y, z = (
+            sum(slope * speed for slope, speed in zip(row, wanted.speed_rad_s, strict=True)) for row in rows
+        )
+        points.append(tip_m)
+        velocities.append((x, y, z))
+        poses.append(tuple(wanted.q_rad))
+    durations_s = [end - start for start, end in pairwise(times_s)]
+    return replace(path, spline=hermite(points, velocities, durations_s), q_waypoints_rad=tuple(poses))
+
+
+def _times_s(path: PlannedPath) -> list[float]:
+    """The path's own times, with its sections divided into short ones."""
+    times_s = [0.0]
+    for start, end in pairwise(path.spline.times_s):
+        way_m = max(abs(b - a) for a, b in zip(path.spline.at(start)[0], path.spline.at(end)[0], strict=True))
+        cuts = 1 + int(way_m / SECTION_m)
+        times_s += [start + (end - start) * k / cuts for k in range(1, cuts)] + [end]
+    return times_s
+
+
+LONGEST_DELAY_S = 0.1  # for a usable camera
+DELAY_STEP_S = 0.001
+MOVING = list(Mode).index(Mode.MOVING)
+PATIENCE_S = 5.0  # for the recording's writer process
+
+
+def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
+    """The tip along a run: planned by the model, measured by the camera.
+
+    Planned is the tip at the recorded set-points; if those are encoder angles that differ from the joints', the tip of the path
+    at that time of the run. In the frame of table and camera. Camera frames arrive with a constant delay. It is
+    estimated as the one for which the measured path best follows the planned one, and removed, so that the error is that of
+    the arm.
+    """
+    rows = recorded(recording)
+    rows = rows[(rows["run"] == ran.number) & (rows["mode"] == MOVING)]
+    if not len(rows):
+        raise ArmError(f"{recording}: contains no run {ran.number}")
+    time_s = np.asarray(rows["t_s"])
+    planned_m = planned_tips_m(rows, model, ran)
+    seen_m = np.column_stack([rows[name] for name in ("x_m", "y_m", "z_m")])
+    seen = ~np.isnan(seen_m).any(axis=1)
+    if not seen.any():
+        raise ArmError(f"{recording}: no camera frame in run {ran.number}: check that the camera was on")
+    taken_s = time_s[seen] - _camera_delay_s(time_s, planned_m, time_s[seen], seen_m[seen])
+    within = taken_s >= time_s[0]  # the first frames to arrive were taken before the run
+    at_s = taken_s[within]
+    planned_at_m = _at(at_s, time_s, planned_m)
+    return Track(name, frozen(at_s - time_s[0]), frozen(planned_at_m), frozen(seen_m[seen][within]))
+
+
+def planned_tips_m(rows: np.ndarray, model: Model, ran: Run) -> np.ndarray:
+    """Planned tips (m, 3) at the rows' times. The first row of a run is one cycle into it."""
+    if ran.path is None:
+        joints = range(1, model.arm.joint_count + 1)
+        return model.tips(np.column_stack([rows[f"q{joint}_set_rad"] for joint in joints]))
+    time_s = np.asarray(rows["t_s"])
+    period_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    spline = ran.path.spline
+    at_s = (ran.pace * (time_s - time_s[0] + period_s)).tolist()
+    return model.seen(np.array([spline.at(t)[0] for t in at_s]))
+
+
+def recorded(recording: Path) -> np.ndarray:
+    """The rows of a recording and of its later parts, which may still be growing, as a structured array."""
+    return np.concatenate([_rows(part) for part in parts_from(recording)])
+
+
+def _rows(part: Path) -> np.ndarray:
+    opened = Recording.open(part)
+    return np.frombuffer(opened.packed(), dtype=row_type(opened.layout.names, opened.layout.packing))
+
+
+def wait_until_recorded(recording: Path, t_s: float, wait: Callable[[float], None]) -> None:
+    """Return when the recording has reached the loop's time `t_s`; ArmError if it does not."""
+    for _ in range(int(PATIENCE_S / 0.1)):
+        newest = _rows(parts_from(recording)[-1])
+        if len(newest) and newest["t_s"][-1] >= t_s:
+            return
+        wait(0.1)
+    raise ArmError(f"{recording}: has stopped growing: check for a full disk")
+
+
+def _at(time_s: np.ndarray, times_s: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    """Points (m, 3) between those of times_s."""
+    return np.column_stack([np.interp(time_s, times_s, points_m[:, axis]) for axis in range(3)])
+
+
+def _camera_delay_s(
+    time_s: np.ndarray, planned_m: np.ndarray, seen_s: np.ndarray, seen_m: np.ndarray
+) -> float:
+    """The delay with the least scatter of measured minus planned; a constant offset is not a delay."""
+    delays_s = np.arange(0.0, LONGEST_DELAY_S, DELAY_STEP_S)
+    scatter = []
+    for delay_s in delays_s:
+        error = seen_m - _at(seen_s - delay_s, time_s, planned_m)
+        scatter.append(float(np.sum((error - error.mean(axis=0)) ** 2)))
+    return float(delays_s[int(np.argmin(scatter))])
+
 
 PATH_SPEED_m_s = 0.15
 

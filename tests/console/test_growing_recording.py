@@ -12,7 +12,7 @@ from control.errors import ArmError
 from control.recording.record import Layout
 from control.recording.rotation import Parts, Policy, begin
 from procedures.tour import RunRows
-from procedures.verify.tracks import recorded, wait_until_recorded
+from procedures.verify.survey import recorded, wait_until_recorded
 
 LAYOUT = Layout.of(3)
 

@@ -38,8 +38,8 @@ from control.motion.waypoints import read_waypoints
 from control.recording.reading import Recording
 from hil_mocks.scenario import load_scenario
 from procedures.bringup.journal import Journal
-from procedures.gap.run_file import RunFile
-from procedures.session.dialogue import BadCommand, parse_command
+from procedures.gap.recording import RunFile
+from procedures.session.operator import BadCommand, parse_command
 
 RIGHT = load_arm("right")
 PLAN = SessionPlan("right", "00", 3, board_targets(["normal"], ["1", "2"]))

@@ -25,7 +25,7 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
 from procedures.gap.captured import on_one_clock, with_tips
-from procedures.gap.run_file import log_text
+from procedures.gap.recording import log_text
 
 
 def run(given: argparse.Namespace) -> int:

@@ -22,8 +22,8 @@ from procedures.folders import require_writable
 from procedures.ports import RuntimePort
 from procedures.session.interface import SPEED, Interface, last_s, ready, require_same, since_start_s
 from procedures.session.mock_session import SCENARIO, mock_session
+from procedures.session.operator import BoardWords
 from procedures.session.planning import plan_from_options
-from procedures.session.words import BoardWords
 
 
 def run(given: argparse.Namespace) -> int:

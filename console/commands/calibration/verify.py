@@ -25,8 +25,7 @@ from procedures.ports import camera_said
 from procedures.verify.models import Model, Pair, active_model, nominal_of
 from procedures.verify.places import places, ways
 from procedures.verify.procedure import Drive, driven, on_recorded, write
-from procedures.verify.survey import Programme
-from procedures.verify.tracks import wait_until_recorded
+from procedures.verify.survey import Programme, wait_until_recorded
 
 REAL_SPEED = 0.5  # of a real arm's joint limits
 

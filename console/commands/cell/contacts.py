@@ -17,11 +17,10 @@ from control.server.client import ArmClient
 from hil_mocks.scenario import load_scenario
 from procedures.folders import require_writable
 from procedures.session.interface import SPEED, Interface, last_s, ready, require_same, since_start_s
-from procedures.session.mock_pair import mock_pair
-from procedures.session.mock_session import SCENARIO
+from procedures.session.mock_session import SCENARIO, mock_pair
+from procedures.session.operator import ContactWords
 from procedures.session.pair_station import MockPairHand, Names, pair_station
 from procedures.session.planning import OPTIONS
-from procedures.session.words import ContactWords
 
 OF_BOTH = ("seat",)  # options that both kinds of session have
 

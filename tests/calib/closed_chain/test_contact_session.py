@@ -15,7 +15,7 @@ from calib.closed_chain.contacts import read_contacts
 from calib.closed_chain.room import Room
 from calib.closed_chain.watch import ContactWatch
 from calib.errors import SessionError
-from calib.session.dialogue import GO, Ask, Command, Do, Jog, Message, Question, Recorded, Saying
+from calib.session.conversation import GO, Ask, Command, Do, Jog, Message, Question, Recorded, Saying
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, Sample
 from calib.session.plan import Seating, Target

@@ -10,7 +10,7 @@ from calib.errors import SessionError, UnusablePointsError
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.session import SessionSettings, Stage, step_through, table
-from calib.session.standstill import StandstillWindow, wait_for_rest
+from calib.session.take import StandstillWindow, wait_for_rest
 from tests.calib.session.session_arm import SEED, NumericGeometry, ScriptedArm, board
 
 

@@ -14,7 +14,7 @@ from calib.boards import read_boards
 from calib.points.reading import read_points
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
-from calib.session.dialogue import GO, Ask, Command, Do, Jog, Message, Question, Recorded
+from calib.session.conversation import GO, Ask, Command, Do, Jog, Message, Question, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.plan import SessionPlan, Target, board_targets, free_targets
 from calib.session.residual_watch import ResidualWatch

@@ -11,8 +11,7 @@ import pytest
 from calib.closed_chain.candidates import Candidates, contact_candidates
 from calib.closed_chain.conduct import conduct, contact_plan
 from calib.closed_chain.contacts import read_contacts
-from calib.session.conversation import unattended
-from calib.session.dialogue import Recorded
+from calib.session.conversation import Recorded, unattended
 from calib.session.folder import SessionFolder
 from control.model.cell import load_cell
 from control.recording.reading import Recording

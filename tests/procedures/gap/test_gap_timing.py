@@ -11,7 +11,7 @@ import pytest
 
 from control.kinematics.kinematics import Kinematics
 from control.model.description import load_arm
-from procedures.gap.run_file import RunFile, write_log
+from procedures.gap.recording import RunFile, write_log
 from procedures.gap.timing import MEAN_s, Raw, aligned, clocks_of
 from procedures.on_boards import on_boards
 

@@ -13,7 +13,7 @@ import pytest
 from calib.errors import SessionError
 from calib.points.writer import Record
 from calib.session.boards_known import Boards
-from calib.session.dialogue import Ask, Command, Do, Jog, Message, Question, Recorded
+from calib.session.conversation import Ask, Command, Do, Jog, Message, Question, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.moves import chosen_free_poses, read_free_poses
 from calib.session.plan import SessionPlan, board_targets, free_targets
@@ -23,10 +23,17 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Link
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
-from procedures.session.dialogue import HELP, Auto, BadCommand, View, parse_command
-from procedures.session.drawing import board_text, status_text
-from procedures.session.operator import Operator
-from procedures.session.words import BoardWords
+from procedures.session.operator import (
+    HELP,
+    Auto,
+    BadCommand,
+    BoardWords,
+    Operator,
+    View,
+    board_text,
+    parse_command,
+    status_text,
+)
 
 RIGHT = load_arm("right")
 CAVITIES = board_cavities(table_of(RIGHT))

@@ -14,7 +14,7 @@ from calib.points.reading import read_points
 from calib.session import ArmGeometry, SeenTip
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
-from calib.session.dialogue import GO, Recorded
+from calib.session.conversation import GO, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.moves import chosen_free_poses
 from calib.session.plan import SessionPlan, fingerprint, free_targets

@@ -24,11 +24,20 @@ from control.model.fingerprint import fingerprint
 from control.recording.record import FileSink, Layout
 from procedures.verify import places as verify_places
 from procedures.verify import procedure
-from procedures.verify.driving import Run, handed_over, planned, poses_at
-from procedures.verify.driving import run as run_way
 from procedures.verify.models import Model, Pair, active_model, nominal_of
 from procedures.verify.places import places, ways
-from procedures.verify.tracks import MOVING, planned_tips_m, recorded, track_of, wait_until_recorded
+from procedures.verify.survey import (
+    MOVING,
+    Run,
+    handed_over,
+    planned,
+    planned_tips_m,
+    poses_at,
+    recorded,
+    track_of,
+    wait_until_recorded,
+)
+from procedures.verify.survey import run as run_way
 from tests.places import ARMS
 
 RIGHT = load_arm("right")
