@@ -39,6 +39,7 @@ FOLDER = re.compile(r"(?<![\w/{}<>-])((?:\w+/)+)(?=[\s`,;)]|$)", re.MULTILINE)
 WORDS_OF_CODE = re.compile(r'""".*?"""|#[^\n]*', re.DOTALL)
 OTHER_FILE = (".md", ".json", ".csv", ".toml", ".html")
 SETUPTOOLS = {"setup.py"}  # a name that setuptools asks for; no such file is needed
+MADE = {"so101_mine.py"}  # by a command of the page that names it
 MAKE = re.compile(r"\bmake ([a-z][a-z-]+)\b")
 
 
@@ -216,7 +217,7 @@ def strange_names(text: str) -> list[str]:
     return [
         *(name for name in paths if not (ROOT / name).exists()),
         *(name for name in dotted if not is_a_name(name)),
-        *(name for name in short if name not in tails() | SETUPTOOLS),
+        *(name for name in short if name not in tails() | SETUPTOOLS | MADE),
     ]
 
 

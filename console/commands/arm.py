@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
@@ -17,7 +17,7 @@ from control.model.description import load_arm, save_arm
 from control.model.effects import place_of
 from procedures.arm_sheet import Missing, Sheet, missing, sheet, sheet_lines, warnings
 
-LEROBOT: Final = "lerobot"
+LEROBOT, PYTHON = "lerobot", "python"
 
 
 def run(given: argparse.Namespace) -> int:
@@ -26,8 +26,12 @@ def run(given: argparse.Namespace) -> int:
         return _imported(given)
     arm = load_arm(given.arm)
     if given.command == "export-arm":
-        is_lerobot = given.export == LEROBOT
-        return _given_back(arm, given) if is_lerobot else _export(arm, given.export, Path(given.out))
+        own = {LEROBOT: _given_back, PYTHON: _compensation}
+        return (
+            own[given.export](arm, given)
+            if given.export in own
+            else _export(arm, given.export, Path(given.out))
+        )
     if given.lerobot:
         return _taken_over(arm, given)
     found, absent = sheet(arm), missing(arm)
@@ -97,6 +101,17 @@ def _given_back(arm: Arm, given: argparse.Namespace) -> int:
     motors, notes = given_back(arm, read_calibration(Path(given.lerobot)), generic)
     write_new(Path(given.out), f"{json.dumps(msgspec.to_builtins(motors), indent=4)}\n")
     return _told(f"{given.out}: arm {arm.name}, as LeRobot's calibration", notes)
+
+
+def _compensation(arm: Arm, given: argparse.Namespace) -> int:
+    """The function that makes a program that knows the published arm go where it wants."""
+    from calib.export import write_new
+    from calib.export.python_code import omitted, python_text
+
+    if not given.generic:
+        raise ArmError("--export python: give the arm that the program plans with, such as --generic so101")
+    write_new(Path(given.out), python_text(arm, load_arm(given.generic)))
+    return _told(f"{given.out}: arm {arm.name}, for programs that plan with {given.generic}", omitted(arm))
 
 
 def _told(what: str, notes: Sequence[str]) -> int:

@@ -53,20 +53,22 @@ FILES = (
     ),
     CommandSpec(
         "export-arm",
-        "export an arm as URDF, MJCF or JSON, or its zeros as LeRobot's calibration",
+        "export an arm as URDF, MJCF, JSON or Python, or its zeros as LeRobot's calibration",
         (
             ARM,
             option(
                 "--export",
                 required=True,
-                choices=("urdf", "mjcf", "json", "lerobot"),
-                help="URDF, MuJoCo's MJCF, plain DH with transforms, or LeRobot's calibration",
+                choices=("urdf", "mjcf", "json", "python", "lerobot"),
+                help="URDF, MuJoCo's MJCF, plain DH with transforms, a Python function that corrects joint angles, or LeRobot's"
+                " calibration",
             ),
             LEROBOT,
             option(
                 "--generic",
                 metavar="A",
-                help="with lerobot: the arm whose zeros LeRobot is to have, such as so101",
+                help="the published arm, such as so101: with lerobot, whose zeros LeRobot is to have; with python, the one that a"
+                " program plans with",
             ),
             option("--out", metavar="FILE", required=True, help="the new file; never overwritten"),
         ),
