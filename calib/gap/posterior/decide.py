@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import CERTAIN, CREDIBLE_LEAST, LAW_MOST, MARGIN
 from calib.gap.posterior.evidence import Evidence
@@ -75,7 +75,7 @@ def decide(
 def _credible(
     sets: Sequence[frozenset[Key]], weights: np.ndarray, chance: dict[Key, float]
 ) -> list[tuple[Key, ...]]:
-    """Smallest groups of keys of which at least one is in with CERTAIN probability."""
+    """Smallest groups of keys of which at least one is in with CERTAIN probability, each in the place of the others."""
     done: set[Key] = set()
     groups: list[tuple[Key, ...]] = []
     for key in sorted(chance, key=lambda one: -chance[one]):
@@ -84,7 +84,7 @@ def _credible(
         group, has = [key], np.array([key in keys for keys in sets])
         while weights[has].sum() < CERTAIN:
             gains = {
-                k: float(weights[~has & np.array([k in keys for keys in sets])].sum())
+                k: _in_place_of(np.array([k in keys for keys in sets]), has, weights)
                 for k in chance
                 if k not in done
             }
@@ -97,6 +97,11 @@ def _credible(
             groups.append(tuple(group))
             done |= set(group)
     return groups
+
+
+def _in_place_of(own: Mask, has: Mask, weights: Array) -> float:
+    """Probability that a key is there without a group (s,), beyond that of both: what acts beside the group is no other of it."""
+    return float(weights[own & ~has].sum() - weights[own & has].sum())
 
 
 def _near(

@@ -155,3 +155,15 @@ def test_a_name_that_leads_its_rivals_by_too_little_is_ambiguous_with_all_of_the
 def _weighed(columns: np.ndarray, y: np.ndarray, names: list[EffectName]) -> tuple[Evidence, list[Weighed]]:
     evidence = _evidence([_term(name) for name in names], columns, y)
     return evidence, Search(evidence).run()
+
+
+def test_what_acts_beside_a_name_is_not_taken_for_what_may_act_in_its_place() -> None:
+    columns, y = _world(4, 2.0)
+    names = [EffectName("encoder_scale", j + 1) for j in range(4)]
+    evidence = _evidence([_term(name) for name in names], columns, y)
+    likely = (((0, 2), 0.0), ((1, 2), -2.5), ((0, 3), -2.6))  # 1 and 3, or 2 for 1, or 4 for 3
+    found = [Weighed(tuple((k, 1) for k in numbers), 1.0, log) for numbers, log in likely]
+    assert {frozenset(group) for group in decide(evidence, found).ambiguous} == {
+        frozenset(names[:2]),
+        frozenset(names[2:]),
+    }
