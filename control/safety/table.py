@@ -191,17 +191,14 @@ def _transitions_in_words(event: Event) -> str:
 
 
 _NOTES: Final = (
-    "Beyond the table ([safety.md](safety.md) has what faults lead to, [socket.md](socket.md#jogging) what jogs do):",
+    "Beyond the table (what faults lead to: [safety.md](safety.md); jogs, and ways on and off: [socket.md](socket.md)):",
     "",
     "- CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.",
     "- A jog that is not renewed slows to rest (ARRIVED); one whose connection closes gets a STOP.",
     "- PAUSED begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED.",
-    "- A person acknowledges, after the controlled stop. It switches no drive on: one that is out of operation comes back with",
-    "  `enable`. In OFF it only clears the list.",
+    "- A person acknowledges, after the controlled stop. It switches no drive on; in OFF it only clears the list.",
     "- Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest. Ctrl-C in HELD leaves the arm held.",
-    "- In OFF no drive has torque. One that has it all the same is switched off, and is a fault after a second.",
+    "- A drive that has torque in OFF is switched off, and is a fault after a second.",
     "- From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then, and there is no step;",
     "  what is asked meanwhile, `stop` or `off`, is done from HOLDING.",
-    "- While the arm goes on or off by itself, nothing else begins. `stop`, `brake` and `off` end the way on: from OFF the arm",
-    "  is OFF again at once. `enable` and `hold` catch an arm that sinks on its way off, unless the runtime ends, too.",
 )
