@@ -60,7 +60,7 @@ def test_bash_completes_commands_options_choices_names_and_files(bash_script: Pa
     assert offers("pl") == {"plan-contacts", "plan-path", "plan-poses", "plot"}
     assert {command.name for command in COMMANDS} <= offers("")
     assert offers("plot", "--wh") == {"--what"}
-    assert offers("export-arm", "--export", "") == {"urdf", "mjcf", "json", "lerobot"}
+    assert offers("export-arm", "--export", "") == {"urdf", "mjcf", "json", "lerobot", "python"}
     assert offers("plot", "run") == {"run.armlog", "runs"}
     assert offers("export", "run.armlog", "--out", "run") == {"runs"}
     assert {"right", "left", "run.armlog"} <= offers("status", "--arm", "")
