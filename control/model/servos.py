@@ -16,8 +16,13 @@ RPM: Final = 2.0 * math.pi / 60.0
 KG_CM: Final = 0.0980665  # N m
 HORN_TEETH: Final = 25  # of an STS3215
 DRIVE_KEYS: Final = (
-    "gear_ratio", "encoder_counts_per_rev", "torque_constant_Nm_A", "resistance_ohm", "supply_V", "current_limit_A",
-)  # fmt: skip
+    "gear_ratio",
+    "encoder_counts_per_rev",
+    "torque_constant_Nm_A",
+    "resistance_ohm",
+    "supply_V",
+    "current_limit_A",
+)
 GRIPPER_KEYS: Final = ("encoder_counts_per_rev", "torque_constant_Nm_A", "resistance_ohm", "supply_V")
 
 

@@ -107,7 +107,7 @@ class PlannedPath:
             poses = tuple(map(tuple, angles.tolist()))
             slowdowns = tuple(Slowdown(float(f), int(w), str(limit)) for f, w, limit in message["slowdowns"])
             branch = str(message["branch"])
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
             raise PathError(
                 f"path message: expected what PlannedPath.to_message() gives ({error!r})"
             ) from None

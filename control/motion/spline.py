@@ -89,7 +89,7 @@ class CartesianSpline:
         try:
             times = np.asarray(message["times_s"], dtype=np.float64)
             coefficients = np.asarray(message["coefficients"], dtype=np.float64)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
             raise PathError(
                 f"path message: expected times_s and coefficients as lists of numbers ({error!r})"
             ) from None

@@ -96,8 +96,19 @@ class DynamixelServo(SmartServo):
     def identify(self) -> str:
         """Ask model, mode, and what is stored of its position, its answers and its errors. Raises BoardSilent, WrongIdentity."""
         (
-            self.model, firmware, delay, drive_mode, mode, offset, highest_100mV, lowest_100mV, most, least, self.frees_at, level,
-        ) = _STORED.unpack(self._read(*STORED_SPAN))  # fmt: skip
+            self.model,
+            firmware,
+            delay,
+            drive_mode,
+            mode,
+            offset,
+            highest_100mV,
+            lowest_100mV,
+            most,
+            least,
+            self.frees_at,
+            level,
+        ) = _STORED.unpack(self._read(*STORED_SPAN))
         if self.model not in MODELS:
             known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
             raise WrongIdentity(

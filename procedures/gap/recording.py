@@ -77,9 +77,15 @@ class RunFile:
             return np.column_stack([column[form.format(j)] for j in range(1, joint_count + 1)])
 
         return Raw(
-            column["t_s"], group("q{}_rad"), group("q{}_set_rad"), group("i{}_A"), group("u{}_V"), group("counted{}_s"),
-            np.column_stack([column[name] for name in TIP]), float(column["payload_kg"][0]),
-        )  # fmt: skip
+            column["t_s"],
+            group("q{}_rad"),
+            group("q{}_set_rad"),
+            group("i{}_A"),
+            group("u{}_V"),
+            group("counted{}_s"),
+            np.column_stack([column[name] for name in TIP]),
+            float(column["payload_kg"][0]),
+        )
 
 
 def write_log(out: Path, arm: Arm, names: Sequence[str]) -> tuple[str, ...]:

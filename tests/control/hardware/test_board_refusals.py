@@ -44,9 +44,10 @@ def test_a_roboclaw_whose_pins_tell_of_no_switch_is_refused_where_the_joint_has_
     monkeypatch.setattr(
         "hil_mocks.devices.roboclaw.Settings.copy", lambda settings: replace(settings, pin_modes=(0,) * 5)
     )
-    with pytest.raises(ConnectionFailed, match='expected S4 as "Home'), open_cell(
-        scenario(), on_boards(RIGHT, "roboclaw"), period_s=0.01
-    ):  # fmt: skip
+    with (
+        pytest.raises(ConnectionFailed, match='expected S4 as "Home'),
+        open_cell(scenario(), on_boards(RIGHT, "roboclaw"), period_s=0.01),
+    ):
         pass
 
 
@@ -54,17 +55,19 @@ def test_a_roboclaw_that_lets_its_motor_go_at_duty_0_is_refused(monkeypatch: pyt
     monkeypatch.setattr(
         "hil_mocks.devices.roboclaw.Settings.copy", lambda settings: replace(settings, pwm_idle=b"\0\x8f")
     )
-    with pytest.raises(ConnectionFailed, match=r"PWM idle of motor 2 off, it is on after 1.5 s at"), open_cell(
-        scenario(), on_boards(RIGHT, "roboclaw"), period_s=0.01
-    ):  # fmt: skip
+    with (
+        pytest.raises(ConnectionFailed, match=r"PWM idle of motor 2 off, it is on after 1.5 s at"),
+        open_cell(scenario(), on_boards(RIGHT, "roboclaw"), period_s=0.01),
+    ):
         pass
 
 
 def test_a_roboclaw_is_not_told_a_current_beyond_its_peak() -> None:
     arm = with_drives(on_boards(RIGHT, "roboclaw"), current_limit_A=40.0)
-    with pytest.raises(ConnectionFailed, match=r"current_limit_A = 40 is above the 30 A .*2x15A"), open_cell(
-        scenario(), arm, period_s=0.01
-    ):  # fmt: skip
+    with (
+        pytest.raises(ConnectionFailed, match=r"current_limit_A = 40 is above the 30 A .*2x15A"),
+        open_cell(scenario(), arm, period_s=0.01),
+    ):
         pass
 
 

@@ -135,6 +135,14 @@ def test_what_is_no_path_is_one_error(change: dict[str, Any], said: str) -> None
         read(asked(text))
 
 
+@pytest.mark.parametrize("name", ["spline", "q_waypoints_rad"])
+@pytest.mark.parametrize("value", [[0.0] * 9000, [[0.0] * 3] * 4000])
+def test_a_list_in_the_place_of_another_part_of_a_tip_path_is_one_error(name: str, value: list[Any]) -> None:
+    line = line_of("run_path", path=tip_path() | {name: value})
+    with pytest.raises(ArmError, match="path message"):
+        read(asked(line))
+
+
 @pytest.mark.parametrize("seed", range(40))
 def test_damage_anywhere_is_an_error_of_the_request_or_none(seed: int) -> None:
     pick = random.Random(seed)
