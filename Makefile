@@ -62,7 +62,7 @@ lint: dev  ## ruff, format check, mypy strict, import contracts
 	$(BIN)/lint-imports
 
 # Lint runs beside the suite, which leaves a part of two processors idle while it waits for processes.
-test: dev  ## everything that must hold, in some eight minutes on two cores
+test: dev  ## everything that must hold, in eight to twelve minutes on two cores
 	@$(MAKE) --no-print-directory -j2 lint suite
 
 # Bytecode is kept whatever the environment says: a test's child process would compile everything anew.
