@@ -169,8 +169,6 @@ class SteppedBench:
         if self._client is None or self._connection is None or self._sink is None:
             raise ArmError("the bench has no runtime to stop")
         self._client.off(quit_runtime=True)
-        while self._channel is not None and self._channel.is_running:
-            self._channel.wait(self._period_s)
         self._disconnect()
         return self._recordings[-1]
 
@@ -358,8 +356,6 @@ class CellBench:
         if self._connection is None:
             raise ArmError("the bench has no runtime to stop")
         next(iter(self.clients.values())).off(quit_runtime=True)
-        while self.channels[0].is_running:
-            self.wait(self.period_s)
         self._end()
         return self.recording
 

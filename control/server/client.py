@@ -5,6 +5,7 @@ socket (another process) and with a runtime in the same process on a stepped clo
 docs/socket.md lists every request.
 """
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -83,7 +84,7 @@ class ArmClient:
             if waited_s > timeout_s:
                 step = f" ({answer['step']})" if answer["step"] else ""
                 raise ArmLate(
-                    f"the arm is still {mode} after {waited_s:.1f} s{step}; expected {' or '.join(modes)}"
+                    f"the arm is still {mode} after {waited_s:.1f} s{step}; expected {' or '.join(modes) or 'its end'}"
                 )
             if self.on_wait is not None:
                 self.on_wait(answer)
@@ -261,16 +262,18 @@ class ArmClient:
                 raise ArmFaulted(f"acknowledged, but the cause persists: {fault_text(self.status())}")
 
     def off(self, quit_runtime: bool = False, timeout_s: float = 60.0, lets_go: bool = False) -> None:
-        """Stop, hold, brake until the arm has sunk to rest, drives off; optionally end the runtime.
+        """Stop, hold, brake until the arm has sunk to rest, drives off; optionally end the runtime, and wait for its end.
 
         `lets_go`: boards that hold the arm as they were found, too, so somebody must hold it. RequestRefused without it.
         """
         self.ask("off", quit=quit_runtime, lets_go=lets_go)
-        try:
+        if not quit_runtime:
             self.until(["OFF"], timeout_s, is_fault_known=True)
-        except RuntimeGone:
-            if not quit_runtime:
-                raise
+            return
+        with contextlib.suppress(
+            RuntimeGone
+        ):  # later than OFF: when every drive, of every arm, has confirmed it
+            self.until((), timeout_s, is_fault_known=True)
 
     def wait(self, duration_s: float) -> None:
         """Let time pass on the runtime's clock."""

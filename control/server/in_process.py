@@ -6,7 +6,7 @@ import msgspec
 
 from control.hardware.attended_clock import AttendedClock
 from control.loop.cell import Looped
-from control.server.channel import Message
+from control.server.channel import Message, RuntimeGone
 from control.server.messages import Asked, asked
 from control.server.periodic import PeriodicTimer
 from control.server.server import encoded
@@ -42,7 +42,9 @@ class SteppedLoop:
         self._beat = PeriodicTimer(AttendedClock(clock, served.runtime), served.runtime.period_s)
 
     def request(self, message: Message, client: int, arm: str) -> Message:
-        """Serve a request at once, between two cycles."""
+        """Serve a request at once, between two cycles. RuntimeGone after the last one, as over the socket."""
+        if not self.is_running:
+            raise RuntimeGone("the runtime has ended")
         request = asked(msgspec.json.encode(message))
         answer = self._served.requests.handle(request._replace(arm=request.arm or arm), client)
         if self._served.runtime.ended_wait(self._clock.now_s()):

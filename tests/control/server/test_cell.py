@@ -154,7 +154,7 @@ def test_a_client_that_goes_stops_what_it_began_and_nothing_else() -> None:
 def test_off_with_quit_ends_the_runtime_when_both_arms_are_off() -> None:
     with holding_pair() as pair:
         pair.clients["left"].off(quit_runtime=True)
-        pair.until(lambda: not pair.channels["left"].is_running, 30.0)
+        assert not pair.channels["left"].is_running
         assert (pair.mode("left"), pair.mode("right")) == (Mode.OFF, Mode.OFF)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from control.server.channel import Message
+from control.server.channel import Message, RuntimeGone
 from control.server.client import AVERAGE_LIMIT_S, ArmClient, ArmLate, RequestRefused
 
 
@@ -47,3 +47,22 @@ def test_an_average_that_the_runtime_gave_up_is_not_waited_for() -> None:
 def test_a_refusal_carries_the_runtimes_reason() -> None:
     with pytest.raises(RequestRefused, match="not homed"):
         ArmClient(Script(average={"ok": False, "error": "not homed"})).average(0.5)
+
+
+def test_the_end_of_a_runtime_is_waited_for_beyond_off() -> None:
+    script = Script(mode={"ok": True, "mode": "OFF", "step": "", "progress": 0.0, "pace": 1.0})
+
+    def request(message: Message) -> Message:
+        if message["do"] == "mode" and script.now_s > 0.5:  # its drives have confirmed it
+            raise RuntimeGone("the runtime has ended")
+        return Script.request(script, message)
+
+    script.request = request  # type: ignore[method-assign]
+    ArmClient(script).off(quit_runtime=True)
+    assert script.now_s == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_runtime_that_does_not_end_is_said() -> None:
+    script = Script(mode={"ok": True, "mode": "OFF", "step": "", "progress": 0.0, "pace": 1.0})
+    with pytest.raises(ArmLate, match=r"still OFF after .* expected its end"):
+        ArmClient(script).off(quit_runtime=True, timeout_s=1.0)
