@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.gap.effects.catalogue import role_of
-from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown
+from calib.gap.finding import EffectName, GapFinding, MeasuredMaps, Nameable, NamedEffect, Unknown
 
 # Standard deviations, or share of the value, that two estimates of one parameter may differ by.
 AGREE_sd, AGREE_SHARE = 3.0, 0.2
@@ -148,11 +148,20 @@ def _sets(poses: Level, series: Level) -> tuple[tuple[EffectName, ...], ...]:
 
 
 def _named_later(finding: GapFinding, other: Level) -> GapFinding:
-    """Without a gap afterwards where the other level names what this one left open: nobody has looked with that name added."""
-    if not any(name in other.names() for names in finding.ambiguous for name in names):
+    """Without a gap afterwards where the other level names what this one left open: nobody has looked with that name added. It
+    takes the place of the map that the set had.
+    """
+    later = [name for names in finding.ambiguous for name in names if name in other.names()]
+    if not later:
         return finding
-    nothing = dict.fromkeys(finding.after_si, math.nan)
-    return dataclasses.replace(finding, gap_after=math.nan, gap_explained=math.nan, after_si=nothing)
+    maps, nothing = finding.maps, dict.fromkeys(finding.after_si, math.nan)
+    if maps is not None:
+        named = {name.acts_on for name in later}
+        kept = tuple(one for one in maps.maps if one.joint not in named)
+        maps = MeasuredMaps(kept, ()) if kept else None
+    return dataclasses.replace(
+        finding, gap_after=math.nan, gap_explained=math.nan, after_si=nothing, maps=maps
+    )
 
 
 def _without(finding: GapFinding, denied: dict[EffectName, str]) -> GapFinding:
@@ -206,6 +215,7 @@ def _merged(
         is_held_out=static.is_held_out and dynamic.is_held_out,
         remainder=(*static.remainder, *dynamic.remainder),
         open_questions=(*static.open_questions, *dynamic.open_questions),
+        maps=static.maps,
     )
 
 

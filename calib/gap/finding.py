@@ -131,9 +131,9 @@ class GapFinding:
     """All that gap.json holds. `noise_floor`, `before_si`, `after_si`: by channel, as tip_m, current_A, q_rad.
 
     `gap_before` and `gap_after`: root mean square over the noise floor, on recordings that were used for nothing else;
-    `is_held_out` is False where there were none to spare and the gap is that of what was fitted. `maps`: None if not asked for.
-    `gap_after` is what arm.toml leaves, read back; `gap_explained` counts how each named part departs from its law, which no file
-    holds.
+    `is_held_out` is False where there were none to spare and the gap is that of what was fitted. `maps`: of what sets share
+    and, if asked for, of what is left; None where there are neither. `gap_after` is what arm.toml leaves, read back;
+    `gap_explained` counts how each named part departs from its law, which no file holds.
     """
 
     arm: str

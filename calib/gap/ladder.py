@@ -20,8 +20,12 @@ UNITS = {
 
 
 def steps_of(found: GapFinding) -> list[tuple[str, float]]:
-    """The nominal model, then with one effect more at a time; the gap after each, where there is one."""
+    """The nominal model, then with one effect more at a time, last with maps of what sets share; the gap after each, where there
+    is one.
+    """
     steps = [("nominal model", found.gap_before), *((str(one.name), one.gap_after) for one in found.effects)]
+    if found.maps is not None:
+        steps.append(("what sets share", found.gap_after))
     return [(name, gap) for name, gap in steps if math.isfinite(gap) and gap > 0.0]
 
 

@@ -13,15 +13,16 @@ from control.model.effects import EFFECTS, total
 
 
 def updated_arm(arm: Arm, found: GapFinding) -> Arm:
-    """The arm with what was named, which is a total, in place of what its file has.
+    """The arm with what was named, which is a total, and with the maps that were found, in place of what its file has.
 
-    An effect whose total is none is taken out, and so are measured maps: they were measured beside other effects.
+    An effect whose total is none is taken out, and so are maps that were measured beside other effects.
     """
     effects = [one for one in found.effects if one.name.effect != GEOMETRY]
     named = [effect_of(one.name, one.parameters) for one in effects if not one.is_nothing]
     gone = {(one.name.effect, one.name.joint) for one in effects if one.is_nothing}
     kept = tuple(one for one in arm.effects if (one.effect, one.joint) not in gone)
-    return with_totals(dataclasses.replace(arm, effects=kept, maps=()), named)
+    maps = () if found.maps is None else found.maps.maps
+    return with_totals(dataclasses.replace(arm, effects=kept, maps=maps), named)
 
 
 def with_geometry(arm: Arm, found: GapFinding) -> Arm:

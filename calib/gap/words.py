@@ -31,7 +31,7 @@ def _sentences(found: GapFinding) -> Iterator[str]:
     if not named and found.unknown is None and not found.ambiguous:
         yield "Nothing is named: apart from the geometry, no known effect is needed to explain this data."
     for names in found.ambiguous:
-        yield f"This data cannot distinguish {listed(names)}; none of them is added."
+        yield f"This data cannot distinguish {listed(names)}; none of them is named.{_shared(found, names)}"
     if found.unknown is not None:
         yield f"Unknown: {found.unknown.where}.{_nearest(found.unknown)}"
     after = "at the noise" if found.gap_after <= AT_FLOOR else f"{found.gap_after:.2f} times the noise"
@@ -58,6 +58,14 @@ def _sentences(found: GapFinding) -> Iterator[str]:
         )
     if found.next_experiment:
         yield found.next_experiment
+
+
+def _shared(found: GapFinding, names: Sequence[EffectName]) -> str:
+    """The map of what a set of effects shares, where it has one."""
+    maps = () if found.maps is None else found.maps.maps
+    joints = {name.joint for name in names}
+    own = [str(one) for one in maps if one.corrects == "angle_rad" and one.joint in joints]
+    return f" What they share is in arm.toml as a map: {' and '.join(own)}." if own else ""
 
 
 def _departing(found: GapFinding) -> Iterator[str]:

@@ -13,7 +13,7 @@ from calib.errors import CalibrationError
 from calib.gap.both import brought_together
 from calib.gap.consistent import consistent
 from calib.gap.effects.catalogue import needing_drives
-from calib.gap.finding import EffectName, GapFinding, write_gap_json
+from calib.gap.finding import EffectName, GapFinding, MeasuredMaps, write_gap_json
 from calib.gap.log import Log, joined_logs, read_log
 from calib.gap.maps.angles import angle_maps
 from calib.gap.maps.outcome import MapsFound
@@ -187,7 +187,9 @@ def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
     if found.dynamic is not None:
         model, torques = torque_maps(model, found.dynamic)
         maps += torques
-    finding = dataclasses.replace(found.finding, maps=maps.summary)
+    shared = found.finding.maps or MeasuredMaps()
+    summary = MeasuredMaps((*shared.maps, *maps.maps), (*shared.checks, *maps.checks))
+    finding = dataclasses.replace(found.finding, maps=summary)
     return dataclasses.replace(
         found, finding=finding, maps=maps, mapped=model, warnings=(*found.warnings, *maps.sentences)
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,13 +36,13 @@ NONE = "no map of the joints' angles helps poses that were held out: none is wri
 def angle_maps(arm: Arm, gap: StaticGap) -> tuple[Arm, MapsFound]:
     """The arm with maps of its joints' angles, where these help poses that were held out, and what they do.
 
-    `arm`: as the finding leaves it. Its geometry and base frame are fitted anew beside the maps: what departs from every law has
-    bent them.
+    `arm`: as the finding leaves it, with the maps that sets have. Its geometry and base frame are fitted anew beside the maps:
+    what departs from every law has bent them.
     """
     problem = problem_of(arm, gap.points)
     x = minimise(problem.of_rows(gap.split.known), LeastSquares(), 1).x
     there = _Poses(gap.points, load_of(arm, gap.points), by_joints(Fit(problem, x, None))[0])
-    measured = _measured(problem, x, gap, there)
+    measured = _measured(problem, x, gap, there, {(one.joint, one.over) for one in arm.maps})
     found = chosen(measured)
     if found is None:
         return arm, MapsFound((), (), (NONE,))
@@ -83,10 +84,12 @@ class _Poses:
         return DrawnMap(one, at, table + own, table)
 
 
-def _measured(problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses) -> Measured:
+def _measured(
+    problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, taken: Set[tuple[int, str]]
+) -> Measured:
     residual, jacobian = problem.residuals_and_jacobian(x)
     rows, noise = 3 * len(gap.points), gap.floor.tip_m
-    candidates = _candidates(there)
+    candidates = tuple(one for one in _candidates(there) if (one.joint, one.over) not in taken)
     tables = []
     for one in candidates:
         columns = one.columns(there.place(one.joint, one.over), there.direction(one.joint)).toarray()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.finding import MapCheck, MeasuredMaps
+from calib.gap.finding import MapCheck
 from control.model.maps import CorrectionMap
 
 
@@ -33,11 +33,6 @@ class MapsFound:
     def maps(self) -> tuple[CorrectionMap, ...]:
         """As arm.toml has them."""
         return tuple(one.map for one in self.drawn)
-
-    @property
-    def summary(self) -> MeasuredMaps:
-        """For gap.json."""
-        return MeasuredMaps(self.maps, self.checks)
 
     def __add__(self, other: MapsFound) -> MapsFound:
         """Both."""

@@ -19,6 +19,8 @@ from calib.gap.finding import (
     LINK_KEYS,
     EffectName,
     GapFinding,
+    MapCheck,
+    MeasuredMaps,
     NamedEffect,
     Parameters,
 )
@@ -26,7 +28,7 @@ from calib.gap.poses.cautions import about_fit
 from calib.gap.poses.currents import Currents
 from calib.gap.poses.drawn_laws import drawn_laws
 from calib.gap.poses.experiments import next_experiment, open_questions
-from calib.gap.poses.file import File, placed
+from calib.gap.poses.file import File, follows, placed
 from calib.gap.poses.floor import Floor, noise_floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
 from calib.gap.poses.measured import Fit, Left
@@ -79,11 +81,9 @@ def answered(
         floor = dataclasses.replace(floor, tip_m=floor.tip_m * best.kappa)
     changed = [name for name in decision.names if _is_new(looked.arm, name, estimates[name])]
     order = _ordered(around, best, changed)
-    beside = {
-        name: estimated(around.evidence, best, name).parameters for name in _open_members(around, decision)
-    }
+    beside = _open_members(around, decision)
     decision, files, reasons = _files(
-        looked, decision, {name: estimates[name] for name in order}, beside, reasons
+        looked, decision, {name: estimates[name] for name in order}, beside, floor, reasons
     )
     order = [name for name in order if name in decision.names]
     last, nominal = files[-1], placed(looked.arm, points, parts.known).left()
@@ -92,7 +92,7 @@ def answered(
     gaps = [left.times(floor.tip_m, floor.turn_rad, told) for left in lefts]
     effects = [
         _named(around, decision, last, name, estimates[name], gap)
-        for name, gap in zip(order, gaps[1:], strict=True)
+        for name, gap in zip(order, gaps[1 : len(order) + 1], strict=True)
     ]
     freed = parts.known.sum() * (_square(nominal, floor, parts.known) - _square(lefts[0], floor, parts.known))
     if 3 * freed > GEOMETRY_PAYS:
@@ -100,15 +100,22 @@ def answered(
     finding = _finding(
         looked, around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]), told, source
     )
-    departing = around.fitted(_named_alone(around, best, decision.names))[1]
-    finding = dataclasses.replace(finding, gap_explained=departing.times(floor.tip_m, floor.turn_rad, told))
+    corrected = {one.joint for one in last.arm.maps}
+    held = (*decision.names, *(name for name in beside if name.joint in corrected))
+    departing = around.fitted(_named_alone(around, best, held))[1]
+    finding = dataclasses.replace(
+        finding,
+        gap_explained=departing.times(floor.tip_m, floor.turn_rad, told),
+        maps=_maps(last, told),
+    )
     if (open_count := int((parts.report & ~told).sum())) > 0:
         warnings += (
             f"{open_count} of {int(parts.report.sum())} held-out poses do not count: on which flank a loose gear lies there is"
             " not known",
         )
     warnings += tuple(about_fit(looked.arm, last.found, floor, around.noise_m * best.kappa))
-    grown = [(str(name), own.tip_m) for name, own in zip(order, lefts[1:], strict=True)]
+    steps = [*map(str, order), *map(str, last.arm.maps[:1])]
+    grown = [(step, own.tip_m) for step, own in zip(steps, lefts[1:], strict=True)]
     return StaticGap(
         looked.arm, last.arm, finding, points, parts, floor,
         (("nominal", nominal.tip_m), ("link geometry", lefts[0].tip_m), *grown), last.fit.problem, last.fit.x, warnings,
@@ -121,43 +128,58 @@ def _files(
     decision: Decision,
     found: Mapping[EffectName, Estimated],
     beside: Mapping[EffectName, Parameters],
+    floor: Floor,
     reasons: Mapping[EffectName, str],
 ) -> tuple[Decision, list[File], Mapping[EffectName, str]]:
-    """The file with the geometry alone, then with one name more at a time; without names that it cannot hold."""
+    """The file with the geometry alone, then with one name more at a time, last with the maps of what sets share, if these help
+    poses that nobody fitted; without names that it cannot hold.
+    """
     named = {name: {} if _is_nothing(own) else own.parameters for name, own in found.items()}
-    keys = list(named)
-    files = [
-        File.of(
-            looked.arm,
-            looked.points,
-            looked.parts.known,
-            {key: named[key] for key in keys[:count]},
-            beside if 0 < count == len(keys) else {},
-            count == len(keys),
+    arm, points, rows, keys = looked.arm, looked.points, looked.parts.known, list(named)
+    last = File.of(arm, points, rows, named, beside)
+    impossible = [name for name in keys if named[name] and not last.has(name)]
+    if impossible:
+        why = {name: f"{name} comes out as none that can be" for name in impossible}
+        names = tuple(name for name in decision.names if name not in why)
+        decision = dataclasses.replace(
+            decision, names=names, remainders=(*decision.remainders, *((name,) for name in why))
         )
-        for count in range(len(keys) + 1)
+        kept = {name: own for name, own in found.items() if name not in why}
+        return _files(looked, decision, kept, beside, floor, {**reasons, **why})
+    if last.unshared is not None:
+        told = last.told(points, looked.parts.report)
+        with_maps, without = (_square(one.fit.left(), floor, told) for one in (last, last.unshared))
+        last = last if with_maps < without else last.unshared
+    files = [
+        File.of(arm, points, rows, {key: named[key] for key in keys[:count]}, {}, False)
+        for count in range(len(keys) + bool(last.arm.maps))
     ]
-    impossible = [name for name in keys if named[name] and not files[-1].has(name)]
-    if not impossible:
-        return decision, files, reasons
-    why = {name: f"{name} comes out as none that can be" for name in impossible}
-    names = tuple(name for name in decision.names if name not in why)
-    decision = dataclasses.replace(
-        decision, names=names, remainders=(*decision.remainders, *((name,) for name in why))
-    )
-    kept = {name: own for name, own in found.items() if name not in why}
-    return _files(looked, decision, kept, beside, {**reasons, **why})
+    return decision, [*files, last], reasons
 
 
-def _open_members(around: Around, decision: Decision) -> list[EffectName]:
-    """Of every ambiguous set what the best set has, beside the names."""
-    present = dict.fromkeys(around.terms[k].key for k, _ in decision.best.members)
-    return [
-        name
-        for group in decision.ambiguous
-        for name in group
-        if name in present and name not in decision.names
-    ]
+def _maps(file: File, told: Mask) -> MeasuredMaps | None:
+    """What sets share as the file's maps, and what these are worth at the poses (m,) that report; None where there are none."""
+    if file.unshared is None:
+        return None
+    before, after = (one.fit.left().sizes(told)["tip_m"] for one in (file.unshared, file))
+    return MeasuredMaps(file.arm.maps, (MapCheck("tip_m", None, before, after),))
+
+
+def _open_members(around: Around, decision: Decision) -> dict[EffectName, Parameters]:
+    """Of every ambiguous set one beside the names, with its first estimate, if there is one: the likeliest that a map can follow,
+    else what the best set has.
+    """
+    best, found = decision.best, {}
+    present = {around.terms[k].key for k, _ in best.members}
+    for group in decision.ambiguous:
+        some = sorted(group, key=lambda name: (name not in present, -decision.probability.get(name, 0.0)))
+        for name in [name for name in some if follows(name)][:1] or [
+            name for name in some if name in present
+        ]:
+            if name not in decision.names:
+                own = estimated(around.evidence, best, name).parameters if name in present else {}
+                found[name] = own
+    return found
 
 
 def _named_alone(around: Around, best: Weighed, names: Sequence[EffectName]) -> Weighed:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,10 +16,13 @@ import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.joint_laws import LAWS, RestingPoints
+from calib.arm_problem.measured_maps import node_values, spline_columns
 from calib.arrays import Mask
 from calib.calibration.calibrate import CalibrationPlan, identified
 from calib.calibration.outcome import calibrated_arm
+from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.frame import FRAME
+from calib.gap.effects.pose_scene import load_of
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.model_update import effect_of, with_totals
 from calib.gap.poses.measured import Fit
@@ -30,20 +33,24 @@ from calib.points.points import Points
 from control.model.arm import Arm, Effect
 from control.model.description import arm_text, parse_arm
 from control.model.effects import linear_values
+from control.model.maps import CorrectionMap, LARGEST_rad, Over
 
 STEPS = 2  # of the places of frames, tool and boards, which follow in nearly a straight line
+NODES = 33  # of a map that stands for a law: its ends, which are level, cost a line next to nothing
+SMOOTH = 1e-3  # of a map's bend beside what a pose says: it only settles nodes without a pose
 
 
 @dataclass(frozen=True, slots=True)
 class File:
     """An arm as its file says it, what `calibrate` says of its parameters, the names' standard deviations by linear unknown, and
-    the file's own fit to all poses.
+    the file's own fit to all poses. `unshared`: the file without the maps of what sets share, where it has any.
     """
 
     arm: Arm
     found: Identification
     sd: Mapping[str, float]
     fit: Fit
+    unshared: File | None = None
 
     @classmethod
     def of(
@@ -58,8 +65,10 @@ class File:
         """`arm` with what is named in place of its own, all identified at the poses of a mask (m,).
 
         `named`: first estimates, which stay where poses do not show the effect (loads); without parameters it is taken out.
-        `beside`: what acts, but is in no file, as one of an ambiguous set: it is identified with the names, which else took its
-        part; then, with their values kept, the rest of the arm follows the poses as far as it can without it.
+        `beside`: what acts, but has no name, as one of an ambiguous set: it is identified with the names, which else took its
+        part. The members of a set agree about the correction where poses were recorded, else the poses told them apart: for that
+        range it stands in the file, as a map; what no map can do stays out. Then, with all that kept, the rest of the arm
+        follows.
         Stages on the way to the last file are fitted from one start, as they are only drawn.
         """
         gone = {(name.effect, name.joint) for name, own in named.items() if not own}
@@ -67,12 +76,14 @@ class File:
         bare = dataclasses.replace(arm, effects=kept, maps=())
         freed = (BASE,) if EffectName(FRAME) in {**named, **beside} else ()
 
-        def identify(started: Sequence[Effect], is_free: bool) -> tuple[Identification, Arm]:
-            begun = with_totals(bare, started)
+        def identify(
+            begun: Arm, own: Mapping[EffectName, Parameters], is_free: bool
+        ) -> tuple[Identification, Arm]:
+            begun = with_totals(begun, [effect_of(name, found) for name, found in own.items() if found])
             keys = [
-                one.effect if one.joint is None else f"{one.effect}:{one.joint}"
-                for one in started
-                if is_free and one.effect in LAWS
+                name.effect if name.joint is None else f"{name.effect}:{name.joint}"
+                for name in own
+                if is_free and (own[name] or name in beside) and name.effect in LAWS
             ]
             choice = Choice(effects=tuple(keys), freed=freed).for_points(begun, points)
             plan = (
@@ -83,20 +94,26 @@ class File:
             _, found = identified(begun, points, plan, rows)
             return found, calibrated_arm(begun, found, points)
 
-        acting = {**named, **beside}
-        found, made = identify(
-            [effect_of(name, own) for name, own in acting.items() if own and name.effect != FRAME], True
-        )
+        acting = {name: own for name, own in {**named, **beside}.items() if name.effect != FRAME}
+        found, made = identify(bare, acting, True)
         sd = {one.parameter.name: one.sd for one in found.estimates}
-        if beside:
-            values = [
-                one
-                for one in made.effects
-                if EffectName(one.effect, one.joint) in named and one.effect != FRAME
-            ]
-            found, made = identify(values, False)
-        read = parse_arm(arm_text(made), Path(f"{arm.name}.toml"))
-        return cls(dataclasses.replace(read, path=arm.path), found, sd, placed(read, points, rows))
+
+        def file(found: Identification, made: Arm, unshared: File | None = None) -> File:
+            read = parse_arm(arm_text(made), Path(f"{arm.name}.toml"))
+            return cls(
+                dataclasses.replace(read, path=arm.path), found, sd, placed(read, points, rows), unshared
+            )
+
+        if not beside:
+            return file(found, made)
+        values = [one for one in made.effects if EffectName(one.effect, one.joint) in named]
+        without = file(*identify(with_totals(bare, values), {}, False))
+        maps = _shared(made, beside, points, rows)
+        if not maps:
+            return without
+        rest = tuple(one for one in bare.effects if (one.effect, one.joint) not in maps)
+        shared = dataclasses.replace(bare, effects=rest, maps=tuple(maps.values()))
+        return file(*identify(with_totals(shared, values), {}, False), without)
 
     def has(self, name: EffectName) -> bool:
         """Whether the file has the effect: a width or a softness below nought is none."""
@@ -132,6 +149,39 @@ class File:
             else np.ones(len(points), dtype=bool)
         )
         return among & told if told[among].mean() > 0.5 else among
+
+
+def _shared(
+    arm: Arm, beside: Mapping[EffectName, Parameters], points: Points, rows: Mask
+) -> dict[tuple[str, int | None], CorrectionMap]:
+    """What effects of an arm do to their joints' angles at poses of a mask (m,), as maps, at most one a joint and variable."""
+    found: dict[tuple[str, int | None], CorrectionMap] = {}
+    for one in arm.effects:
+        name = EffectName(one.effect, one.joint)
+        over = follows(name)
+        variable = points.q_rad if over == "angle_rad" else load_of(arm, points)
+        if name not in beside or over is None or one.joint is None or variable is None:
+            continue
+        x, at = variable[rows, one.joint - 1], RestingPoints(arm, points)
+        laws = [law.slope(at, one.joint)[rows] for law in LAWS[one.effect] if not law.is_side]
+        added = linear_values(one.effect, one.parameters) @ np.array(laws)
+        lower, upper = float(x.min()), float(x.max())
+        taken = {(other.joint, other.over) for other in found.values()}
+        if lower < upper and (one.joint, over) not in taken and np.abs(added).max() < LARGEST_rad:
+            columns = spline_columns(NODES, lower, upper, False, x).toarray()
+            bends = SMOOTH * np.diff(np.eye(NODES), 2, axis=0)
+            whole = np.vstack((columns, bends)), np.concatenate((added, np.zeros(len(bends))))
+            values = node_values(np.linalg.lstsq(*whole)[0], False)
+            found[one.effect, one.joint] = CorrectionMap(
+                one.joint, "angle_rad", over, tuple(values.tolist()), lower, upper
+            )
+    return found
+
+
+def follows(name: EffectName) -> Over | None:
+    """The variable of a map that can do what an effect does: its joint's angle or load; None for a play, time, a beam."""
+    variables: dict[str, Over] = {"q{j}": "angle_rad", "load": "load_Nm"}
+    return variables.get(RECORDS[name.effect].traits.blocks) if name.effect in LAWS else None
 
 
 def _of(arm: Arm, name: EffectName) -> Effect:

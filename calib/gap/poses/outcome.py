@@ -41,7 +41,7 @@ class StaticGap:
 
     @property
     def fitted_arm(self) -> Arm:
-        """The arm with the fitted geometry, and the frame of the tips where nobody knew it: without what else is named."""
+        """The arm with the fitted geometry, and the frame of the tips where nobody knew it: without what else was found."""
         frame = [one for one in self.file.effects if one.effect == FRAME]
         others = [one for one in self.arm.effects if one.effect != FRAME or not frame]
-        return dataclasses.replace(self.file, effects=(*others, *frame))
+        return dataclasses.replace(self.file, effects=(*others, *frame), maps=())

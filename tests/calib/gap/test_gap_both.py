@@ -1,13 +1,26 @@
 """Poses and time series of one arm: they must agree about what both can see, and one resolves what the other leaves open."""
 
+import dataclasses
 import math
 from functools import partial
 
 import pytest
 
 from calib.gap.both import brought_together, disagreements
-from calib.gap.finding import EffectName, GapFinding, Nameable, NamedEffect, Unknown, gap_content
+from calib.gap.finding import (
+    EffectName,
+    GapFinding,
+    MapCheck,
+    MeasuredMaps,
+    Nameable,
+    NamedEffect,
+    Unknown,
+    gap_content,
+)
+from calib.gap.model_update import updated_arm
 from calib.gap.words import in_words
+from control.model.description import load_arm
+from control.model.maps import CorrectionMap
 
 PLAY, SPRING = EffectName("backlash", 1), EffectName("joint_compliance", 1)
 DRAG, SCALE = EffectName("coulomb_friction", 2), EffectName("encoder_scale", 1)
@@ -105,6 +118,18 @@ def test_a_set_that_one_level_leaves_open_is_resolved_by_the_other(is_swapped: b
     assert content["after_si"]["tip_m"] is None
     assert content["after_si"]["current_A"] == 1e-3
     assert "not evaluated" in " ".join(in_words(both))
+
+
+@pytest.mark.parametrize("sure", [PLAY, EffectName("encoder_scale", 2)])
+def test_the_map_of_a_set_stands_until_other_recordings_name_what_it_stands_for(sure: EffectName) -> None:
+    table = CorrectionMap(1, "angle_rad", "angle_rad", (0.0, 1e-3, 2e-3, 1e-3), -1.0, 1.0)
+    maps = MeasuredMaps((table,), (MapCheck("tip_m", None, 2e-3, 1e-3),))
+    unsure = dataclasses.replace(finding("tip_m", ambiguous=[(PLAY, SCALE)]), maps=maps)
+    named = NamedEffect(sure, {"width_rad" if sure == PLAY else "scale": (0.005, 1e-4)}, 1.0)
+    both, _ = brought_together(unsure, finding("current_A", [named]))
+    assert both.maps == (None if sure == PLAY else maps)
+    written = updated_arm(load_arm("right"), both)
+    assert written.maps == (() if sure == PLAY else (table,))
 
 
 def test_two_open_sets_become_what_they_share() -> None:

@@ -16,6 +16,7 @@ from calib.calibration.outcome import calibrated_arm
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.log import Log
 from calib.gap.model_update import as_totals, updated_arm
+from calib.gap.poses.file import follows
 from calib.gap.poses.find import find
 from calib.gap.series.find import examine
 from calib.gap.series.split import split
@@ -65,28 +66,60 @@ def test_calibrate_with_the_names_of_gap_makes_the_same_arm_of_the_same_poses() 
     np.testing.assert_allclose(errors_of(found.file, apart), errors_of(other, apart), atol=5e-6)
 
 
-def test_what_one_of_a_set_does_is_not_taken_by_the_names_and_the_file_leaves_no_more_for_it() -> None:
-    case = rough_case(
-        "many", 92_000
-    )  # a joint's eccentricity, which its short travel does not tell from a scale
-    found = find(case.arm, case.points)
-    assert [{one.joint for one in group} for group in found.finding.ambiguous] == [{1}]
-    keys = ("joint_compliance:2", "backlash:3")
-    assert {f"{one.effect}:{one.joint}" for one in found.file.effects} == set(keys)
-    some, apart = (
-        case.points.chosen(np.flatnonzero(rows)) for rows in (found.split.known, found.split.report)
+SETS = {
+    "reference, a zero's scale or an eccentricity": lambda: (
+        (case := rough_case("many", 92_000)).arm,
+        case.points,
+        ("joint_compliance:2", "backlash:3", "encoder_eccentricity:1"),
+    ),
+    "six joints, short travel": lambda: (
+        *designed(49, SHORT, Design(rig="six", free=45, visits=4)),
+        ("encoder_scale:1", "encoder_eccentricity:5"),
+    ),
+}
+SHORT = (Hidden("encoder_scale", 1, 0.006), Hidden("encoder_eccentricity", 5, 0.003, 0.4))
+
+
+@pytest.mark.parametrize("which", SETS)
+def test_a_set_that_stays_open_corrects_what_its_members_share(which: str) -> None:
+    """The names beside it have their values as if one acts, and the file predicts as one that knows which."""
+    arm, points, truth = SETS[which]()
+    found = find(arm, points)
+    assert found.finding.ambiguous
+    open_joints = {one.joint for group in found.finding.ambiguous for one in group}
+    assert {(one.joint, one.over) for one in found.file.maps} == {(j, "angle_rad") for j in open_joints}
+    named = {f"{one.effect}:{one.joint}" for one in found.file.effects if one.joint}
+    assert named == {key for key in truth if int(key[-1]) not in open_joints}
+    some, apart = (points.chosen(np.flatnonzero(rows)) for rows in (found.split.known, found.split.report))
+    left = [np.sqrt(np.mean(errors_of(found.file, apart) ** 2))]
+    for keys in (truth, tuple(named)):
+        plan = CalibrationPlan(Choice(effects=keys).for_points(arm, some))
+        left.append(
+            np.sqrt(np.mean(errors_of(calibrated_arm(arm, identified(arm, some, plan)[1], some), apart) ** 2))
+        )
+    assert left[0] < 1.02 * left[1] < 0.9 * left[2]
+    assert found.finding.maps is not None
+    (check,) = found.finding.maps.checks
+    assert check.after == found.finding.after_si["tip_m"] < check.before
+
+
+def test_a_map_can_follow_what_depends_on_a_joints_angle_or_load_and_nothing_else() -> None:
+    assert (
+        follows(EffectName("encoder_scale", 4))
+        == follows(EffectName("encoder_eccentricity", 1))
+        == "angle_rad"
     )
-    plan = CalibrationPlan(Choice(effects=keys).for_points(case.arm, some))
-    names_alone = calibrated_arm(case.arm, identified(case.arm, some, plan)[1], some)
-    off = [
-        abs(next(one for one in arm.effects if one.effect == "backlash").parameters["width_rad"] / true - 1.0)
-        for arm in (found.file, names_alone)
-        for true in (one.value for one in case.hidden if one.effect == "backlash")
-    ]
-    assert off[0] < 0.03
-    assert off[1] > 0.08
-    left = [np.sqrt(np.mean(errors_of(arm, apart) ** 2)) for arm in (found.file, names_alone)]
-    assert left[0] < 1.01 * left[1]
+    assert follows(EffectName("joint_compliance", 2)) == "load_Nm"
+    others = (
+        "thermal_drift",
+        "belt_coupling",
+        "link_flexure",
+        "backlash",
+        "payload",
+        "link_inertia",
+        "base_frame",
+    )
+    assert not any(follows(EffectName(other, 2)) for other in others)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +251,7 @@ def test_a_name_that_other_recordings_take_back_is_not_in_the_file_and_no_drive_
     static = SimpleNamespace(
         file=searched, finding=SimpleNamespace(effects=(SimpleNamespace(name=played), scaled))
     )
-    outcome = SimpleNamespace(static=static, finding=SimpleNamespace(effects=(scaled,)))
+    outcome = SimpleNamespace(static=static, finding=SimpleNamespace(effects=(scaled,), maps=None))
     written = _updated(arm, cast(Any, outcome))
     assert [(one.effect, one.joint) for one in written.effects] == [("encoder_scale", 2)]
     assert written.drives == arm.drives
