@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, rotation_of
-from calib.arm_problem.joint_effects import corrections, effect_key, known_corrections
+from calib.arm_problem.joint_effects import corrections, effect_key, known_corrections, resting_points
 from calib.arm_problem.link_bending import FLEXURE, known_bending
 from calib.arm_problem.observations import Correction, Observations
 from calib.arm_problem.parameters import Bounds
@@ -138,7 +138,8 @@ def observations_of(arm: Arm, points: Points, choice: Choice, shaped: Arm | None
         made = tuple(replace(one, nominal=nominal.get(one.name, 0.0)) for one in made)
     keys = [effect_key(text, arm) for text in choice.effects]
     wanted = [link for effect, link in keys if effect == FLEXURE]
-    bent = known_bending(acting, points.q_rad, points.payload_kg, wanted)
+    joint_rad = resting_points(acting, points).joint_rad
+    bent = known_bending(acting, joint_rad, points.payload_kg, wanted)
     return Observations(
         frozen(points.q_rad + known_corrections(acting, points, choice.effects)),
         frozen(position),

@@ -44,7 +44,10 @@ def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correc
     CalibrationError for an unknown effect or joint; MissingModel if a flank or torque is needed and the
     arm's file lacks masses.
     """
-    at = RestingPoints(arm, points)
+    return _corrections(arm, resting_points(arm, points), wanted)
+
+
+def _corrections(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> tuple[Correction, ...]:
     has = {(effect.effect, effect.joint): effect for effect in arm.effects}
     made = []
     for key in dict.fromkeys(effect_key(text, arm) for text in wanted):
@@ -70,7 +73,21 @@ def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> A
 
     What a link's bending does is `link_bending.known_bending`.
     """
-    left_out = {effect_key(text, arm) for text in wanted}
+    return _known(arm, resting_points(arm, points), wanted)
+
+
+def resting_points(arm: Arm, points: Points) -> RestingPoints:
+    """The points at the joints' angles that the arm's own effects and maps give.
+
+    Loads act there, and soft and loose gears follow loads: those are evaluated at the encoders' angles first.
+    """
+    first = RestingPoints(arm, points, points.q_rad)
+    added = _known(arm, first, ())
+    return RestingPoints(arm, points, frozen(points.q_rad + added)) if added.any() else first
+
+
+def _known(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> Array:
+    points, left_out = at.points, {effect_key(text, arm) for text in wanted}
     known = [
         f"{effect.effect}:{effect.joint}" if effect.joint is not None else effect.effect
         for effect in arm.effects
@@ -80,9 +97,8 @@ def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> A
         if effect.joint is not None or effect.effect == COUPLING
     ]
     shift = np.zeros(points.q_rad.shape)
-    for correction in corrections(arm, points, known):
+    for correction in _corrections(arm, at, known):
         shift += correction.nominal * correction.slope_rad
-    at = RestingPoints(arm, points)
     for one in arm.maps:
         if one.corrects == "angle_rad":
             place = at.gravity_Nm(one.joint) if one.over == "load_Nm" else at.q_rad(one.joint)
@@ -132,7 +148,7 @@ def unphysical(values: Mapping[str, float]) -> tuple[str, ...]:
 
 def unclear_flanks(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[str, ...]:
     """A sentence for each requested backlash whose flank is unknown in some poses, or never changes."""
-    at = RestingPoints(arm, points)
+    at = resting_points(arm, points)
     sentences = []
     for name, joint in (effect_key(text, arm) for text in wanted):
         if name == "backlash" and joint is not None:

@@ -26,17 +26,17 @@ SHARE_PARTS: Final = 8
 
 
 class RestingPoints:
-    """The points and, computed on demand from masses and drives, the state of their gears."""
+    """The points and, computed on demand from masses and drives, the state of their gears at joint angles joint_rad (m, n)."""
 
-    def __init__(self, arm: Arm, points: Points) -> None:
-        self.points, self._arm = points, arm
+    def __init__(self, arm: Arm, points: Points, joint_rad: Array) -> None:
+        self.points, self.joint_rad, self._arm = points, joint_rad, arm
 
     @cached_property
     def resting(self) -> RestingPose:
         """The state of the gears. MissingModel if the arm's file lacks masses."""
         seen = self.points
         payload_kg = np.nan_to_num(seen.payload_kg)
-        return resting(self._arm, seen.q_rad, seen.direction, seen.current_A, payload_kg)
+        return resting(self._arm, self.joint_rad, seen.direction, seen.current_A, payload_kg)
 
     def q_rad(self, joint: int) -> Array:
         """Encoder angles (m,) of a joint, 1-based."""
@@ -71,7 +71,7 @@ class RestingPoints:
         """What a link's bending does to the tip and to the last link, per 1 / EI."""
         arm = with_link_inertia(self._arm)
         loads_kg = np.nan_to_num(self.points.payload_kg) + own_payload_kg(arm)
-        return bending(arm, arm.dh, self.points.q_rad, loads_kg, link)
+        return bending(arm, arm.dh, self.joint_rad, loads_kg, link)
 
     def led_side(self, joint: int) -> Array:
         """The flank (m,) near which the gear lies after hand guiding, if the motor does not push it, else 0."""

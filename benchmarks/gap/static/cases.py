@@ -151,7 +151,7 @@ def _measured(
     last, stated = np.array([row[4] for row in rows]), np.array([row[5] for row in rows])
     t_s: Array = np.arange(0.0, 8.0 * m, 8.0)
     loads, masses, constants = known_wrong(rig, hidden)
-    gravity = gravity_torques(rig, rig.arm.dh, joint_rad, stated + loads, masses)
+    gravity = gravity_torques(rig, true_dh, joint_rad, stated + loads, masses)
     held = gravity + rig.friction_Nm * last * rng.uniform(0.7, 1.0, (m, n))
     transmitted = gravity + LINK_SHARE * (held - gravity)
     poses = Poses(

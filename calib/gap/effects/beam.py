@@ -28,7 +28,7 @@ def _flexure(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     arm, size = with_link_inertia(scene.arm), in_poses(record).size
     if not any(link.mass_kg for link in arm.links):
         return
-    q, hung = scene.points.q_rad, stated_kg(scene.points) + own_payload_kg(arm)
+    q, hung = scene.joint_rad, stated_kg(scene.points) + own_payload_kg(arm)
     for link in beams(arm):
         bare = _both(bending(arm, arm.dh, q, np.zeros(len(q)), link))
         payload = _both(bending(arm, arm.dh, q, hung, link)) - bare

@@ -119,7 +119,7 @@ def _compliance(record: EffectRecord, scene: Scene) -> Iterator[Term]:
 
 def tip_mass_Nm(scene: Scene) -> Array:
     """What a mass at the tip that no file states adds to the joints' torques, (m, n): no part has the masses of its CAD."""
-    q = scene.points.q_rad
+    q = scene.joint_rad
     return gravity_Nm(scene.arm, q, 1.0) - gravity_Nm(scene.arm, q, 0.0)
 
 

@@ -51,7 +51,7 @@ def _payload(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     """A mass at the tip that nobody stated."""
     if scene.gravity_Nm is not None and _has_currents(scene):
         arm = scene.nominal
-        frames = link_frames(ArmModel(arm), arm.dh, scene.points.q_rad)
+        frames = link_frames(ArmModel(arm), arm.dh, scene.joint_rad)
         yield _mass(record, None, _torque_Nm(arm, frames, frames.tip_m, len(arm.links)))
 
 
@@ -60,7 +60,7 @@ def _masses(record: EffectRecord, scene: Scene) -> Iterator[Term]:
     if scene.gravity_Nm is None or not _has_currents(scene):
         return
     arm = scene.nominal
-    frames = link_frames(ArmModel(arm), arm.dh, scene.points.q_rad)
+    frames = link_frames(ArmModel(arm), arm.dh, scene.joint_rad)
     for k, link in enumerate(arm.links, start=1):
         if link.mass_kg and link.com_m is not None:
             torque = _torque_Nm(arm, frames, frames.point_m(k, np.asarray(link.com_m)), k)

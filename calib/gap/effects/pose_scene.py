@@ -17,22 +17,24 @@ from control.model.arm import Arm
 class Scene:
     """Poses of the arm at its fitted geometry under the loads found so far.
 
-    `nominal`: the same geometry without those loads; `pose`: what the gears transmit, None without masses.
+    `nominal`: the same geometry without those loads; `joint_rad` (m, n): the joints' angles, at which loads act, while
+    encoders' errors follow those of the points; `pose`: what the gears transmit, None without masses.
     """
 
     nominal: Arm
     arm: Arm
     points: Points
+    joint_rad: Array
     pose: RestingPose | None
 
     @classmethod
-    def of(cls, nominal: Arm, arm: Arm, points: Points) -> Scene:
+    def of(cls, nominal: Arm, arm: Arm, points: Points, joint_rad: Array) -> Scene:
         """With what the gears transmit, where the arm's file has masses and drives."""
         try:
-            pose = resting(arm, points.q_rad, points.direction, points.current_A, stated_kg(points))
+            pose = resting(arm, joint_rad, points.direction, points.current_A, stated_kg(points))
         except MissingModel:
             pose = None
-        return cls(nominal, arm, points, pose)
+        return cls(nominal, arm, points, joint_rad, pose)
 
     @property
     def gravity_Nm(self) -> Array | None:

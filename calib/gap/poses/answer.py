@@ -25,7 +25,6 @@ from calib.gap.finding import (
     Parameters,
 )
 from calib.gap.poses.cautions import about_fit
-from calib.gap.poses.currents import Currents
 from calib.gap.poses.drawn_laws import drawn_laws
 from calib.gap.poses.experiments import next_experiment, open_questions
 from calib.gap.poses.file import File, follows, placed
@@ -50,7 +49,7 @@ from control.model.effects import linear_values
 @dataclass(frozen=True, slots=True)
 class Looked:
     """What the posterior looks at: the arm, without and with only the loads of the effects that are looked for, the poses and
-    their split, the geometry fitted alone, the noise floor, the holding currents, and the outliers (m,).
+    their split, the geometry fitted alone, the noise floor, and the outliers (m,).
     """
 
     arm: Arm
@@ -60,7 +59,6 @@ class Looked:
     parts: Split
     fit: Fit
     floor: Floor
-    currents: Currents | None
     out: Mask
 
     def refloored(self, left: Left) -> Looked:

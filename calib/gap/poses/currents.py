@@ -8,12 +8,16 @@ anywhere in its band; it is measured, not assumed.
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.gap.effects.pose_scene import stated_kg
+from calib.gap.poses.measured import Fit
+from calib.gap.posterior.term import Term
 from calib.points.points import Points
 from control.dynamics.static_pose import gravity_Nm, torque_per_A
 from control.errors import MissingModel
@@ -24,52 +28,63 @@ CAUTION = 1.5  # neighbouring poses share their friction: fewer independent valu
 POSES_LEAST = 24
 RESOLUTION = 1e-3  # of a joint's largest torque: no motor current tells more
 LEVER_m = 0.002  # what nominal lengths and centres of mass are off by: no torque constant is told beyond that
+STEP = 1e-4  # of a derivative: of a bound, or in radians
 SWAY = 3.0  # of a joint's largest torque: the prior of the friction's part
 
 
 @dataclass(frozen=True, slots=True)
 class Currents:
-    """torque_Nm (m, n): motor torque minus gravity; `usable` (m, n); friction (n, m, b) and the scatter sd_Nm (n,); the model's
-    gravity_Nm (m, n).
+    """Motor torque beyond gravity over geometry and terms, as columns (K + p + 1, m, n) [N m], the values last; `usable` (m, n);
+    friction (n, m, b) and the scatter sd_Nm (n,).
     """
 
-    torque_Nm: Array
+    columns_Nm: Array
     usable: Mask
     friction: Array
     sd_Nm: Array
-    gravity_Nm: Array
 
-    def seen(self, columns_Nm: Array, rows: Mask) -> tuple[Array, Array]:
-        """G (c, c) and h (c,) of columns (c, m, n) at the poses `rows` (m,); friction is integrated out."""
-        gram, pull = np.zeros((len(columns_Nm), len(columns_Nm))), np.zeros(len(columns_Nm))
+    def seen(self, rows: Mask) -> Array:
+        """All columns at the poses `rows` (m,), joint after joint, in standard deviations; friction is integrated out."""
+        found = [np.zeros((0, len(self.columns_Nm)))]
         for j, sd in enumerate(self.sd_Nm):
             keep = rows & self.usable[:, j]
             if keep.sum() >= POSES_LEAST and np.isfinite(sd):
-                own = np.column_stack((columns_Nm[:, keep, j].T, self.torque_Nm[keep, j])) / sd
-                square = _beside(self.friction[j][keep] / sd, own)
-                gram, pull = gram + square[:-1, :-1], pull + square[:-1, -1]
-        return gram, pull
+                along, size, _ = np.linalg.svd(self.friction[j][keep] / sd, full_matrices=False)
+                own = self.columns_Nm[:, keep, j].T / sd
+                found.append(own + along @ (((1.0 + size**2) ** -0.5 - 1.0)[:, None] * (along.T @ own)))
+        return np.concatenate(found)
 
 
-def _beside(base: Array, columns: Array) -> Array:
-    """C' (I + B B')^-1 C as a sum of squares, which keeps its sign where B all but explains C."""
-    inner = np.linalg.cholesky(base.T @ base + np.eye(base.shape[1]))
-    taken = np.linalg.solve(inner.T, np.linalg.solve(inner, base.T @ columns))
-    rest = columns - base @ taken
-    return np.asarray(rest.T @ rest + taken.T @ taken)
+def holding_currents(
+    fit: Fit, arm: Arm, points: Points, joint_rad: Array, turn_rad: Array, terms: Sequence[Term]
+) -> Currents | None:
+    """None where the arm's file lacks masses, or the data currents.
 
-
-def holding_currents(arm: Arm, points: Points, columns_Nm: Array) -> Currents | None:
-    """None where the arm's file lacks masses, or the data currents; columns_Nm (c, m, n) of all that may act."""
+    Around a fitted geometry x and joint angles q, of which the effects found so far are `turn_rad` (m, n):
+      torque - gravity(x, q) + gravity_x x + gravity_q turn = gravity_x x' + sum of terms' (torque + gravity_q angle) + friction,
+    with x' and the terms' coefficients around zero, as in `Linear`.
+    """
+    shaped = fit.shaped(arm)
     try:
-        gravity, per_A = gravity_Nm(arm, points.q_rad, stated_kg(points)), torque_per_A(arm)
+        gravity, per_A = gravity_Nm(shaped, joint_rad, stated_kg(points)), torque_per_A(arm)
     except MissingModel:
         return None
     limits = np.array([arm.drive(j + 1).current_limit_A for j in range(points.joint_count)])
     usable = np.isfinite(points.current_A) & (np.abs(points.current_A) < SATURATED * limits)
-    torque = np.where(usable, points.current_A * per_A - gravity, 0.0)
     if not (usable.sum(axis=0) >= POSES_LEAST).any():
         return None
+    by_geometry = _by_geometry(fit, arm, points, joint_rad, gravity)
+    by_joint = _by_joint(shaped, points, joint_rad, gravity)
+    torque = np.where(usable, points.current_A * per_A - gravity, 0.0)
+    y = torque + np.einsum("kmn,k->mn", by_geometry, fit.x) + np.einsum("mni,mi->mn", by_joint, turn_rad)
+    own = [np.zeros((one.count, *torque.shape)) if one.slope_Nm is None else one.slope_Nm for one in terms]
+    moved = [
+        0.0 if one.slope_rad is None else np.einsum("mni,cmi->cmn", by_joint, one.slope_rad) for one in terms
+    ]
+    target = 0 if fit.target is None else 3
+    columns = np.concatenate(
+        [by_geometry, np.zeros((target, *torque.shape)), *map(np.add, own, moved), y[None]]
+    )
     unsure = _lever_errors_Nm(arm, points, gravity)
     friction = np.stack(
         [
@@ -77,10 +92,32 @@ def holding_currents(arm: Arm, points: Points, columns_Nm: Array) -> Currents | 
             for j in range(points.joint_count)
         ]
     )
+    laws = [one.slope_Nm[: one.laws] for one in terms if one.is_name and one.slope_Nm is not None]
+    acting = np.concatenate([by_geometry, *laws])
     sd = np.array(
-        [_scatter(friction[j], columns_Nm[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))]
+        [_scatter(friction[j], acting[:, :, j], torque[:, j], usable[:, j]) for j in range(len(friction))]
     )
-    return Currents(torque, usable, friction, CAUTION * sd, gravity)
+    return Currents(columns, usable, friction, CAUTION * sd)
+
+
+def _by_geometry(fit: Fit, arm: Arm, points: Points, joint_rad: Array, gravity: Array) -> Array:
+    """How gravity's torques follow the unknowns of a fit, (K, m, n): lengths and angles of links, and the tool with its load."""
+    found = np.zeros((len(fit.x), *gravity.shape))
+    here = fit.problem.solution(fit.x)
+    for k in range(len(fit.x)):
+        there = dataclasses.replace(fit, x=fit.x + STEP * (np.arange(len(fit.x)) == k))
+        solution = fit.problem.solution(there.x)
+        if (solution.dh != here.dh).any() or (solution.tool_m != here.tool_m).any():
+            found[k] = (gravity_Nm(there.shaped(arm), joint_rad, stated_kg(points)) - gravity) / STEP
+    return found
+
+
+def _by_joint(arm: Arm, points: Points, joint_rad: Array, gravity: Array) -> Array:
+    """How gravity's torques follow the joints' angles, (m, n, n) [N m/rad]."""
+    ahead = STEP * np.eye(points.joint_count)
+    return np.stack(
+        [(gravity_Nm(arm, joint_rad + one, stated_kg(points)) - gravity) / STEP for one in ahead], axis=2
+    )
 
 
 def _friction(points: Points, gravity: Array, torque: Array, j: int) -> Array:

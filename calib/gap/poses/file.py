@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arm_problem.joint_laws import LAWS, RestingPoints
+from calib.arm_problem.joint_effects import resting_points
+from calib.arm_problem.joint_laws import LAWS
 from calib.arm_problem.measured_maps import node_values, spline_columns
 from calib.arrays import Mask
 from calib.calibration.calibrate import CalibrationPlan, identified
 from calib.calibration.outcome import calibrated_arm
 from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.frame import FRAME
-from calib.gap.effects.pose_scene import load_of
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.model_update import effect_of, with_totals
 from calib.gap.poses.measured import Fit
@@ -142,7 +142,7 @@ class File:
     def told(self, points: Points, among: Mask) -> Mask:
         """Those poses (m,) of `among` of which the flank of its loose gears is known; all of them, where that is so of few."""
         loose = [one.joint for one in self.arm.effects if one.effect == "backlash" and one.joint is not None]
-        at = RestingPoints(self.arm, points)
+        at = resting_points(self.arm, points)
         told = (
             np.all([at.flank(joint) != 0.0 for joint in loose], axis=0)
             if loose
@@ -156,13 +156,13 @@ def _shared(
 ) -> dict[tuple[str, int | None], CorrectionMap]:
     """What effects of an arm do to their joints' angles at poses of a mask (m,), as maps, at most one a joint and variable."""
     found: dict[tuple[str, int | None], CorrectionMap] = {}
+    at = resting_points(arm, points)
     for one in arm.effects:
         name = EffectName(one.effect, one.joint)
         over = follows(name)
-        variable = points.q_rad if over == "angle_rad" else load_of(arm, points)
-        if name not in beside or over is None or one.joint is None or variable is None:
+        if name not in beside or over is None or one.joint is None:
             continue
-        x, at = variable[rows, one.joint - 1], RestingPoints(arm, points)
+        x = (at.q_rad(one.joint) if over == "angle_rad" else at.gravity_Nm(one.joint))[rows]
         laws = [law.slope(at, one.joint)[rows] for law in LAWS[one.effect] if not law.is_side]
         added = linear_values(one.effect, one.parameters) @ np.array(laws)
         lower, upper = float(x.min()), float(x.max())

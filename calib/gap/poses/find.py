@@ -17,7 +17,6 @@ from calib.gap.effects.pose_scene import Scene
 from calib.gap.finding import EffectName
 from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_orientations, about_outliers, cleaned, require_posed
-from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.floor import FINEST_m, Floor, noise_floor
 from calib.gap.poses.linear import Linear
 from calib.gap.poses.measured import Fit
@@ -90,7 +89,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     parts = split(points)
     fit = Fit.to(problem_of(bare_arm, points, Choice().for_points(bare_arm, points)), parts.known)
     fitted = fit.shaped(bare_arm)
-    scene = Scene.of(fitted, replace(fitted, effects=loaded.effects), points)
+    scene = Scene.of(fitted, replace(fitted, effects=loaded.effects), points, fit.problem.observed.q_rad)
     variants = _laws(scene, without)
     laws = [middle(same) for same in variants]
     left = fit.left()
@@ -106,11 +105,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     if not math.isfinite(floor.tip_m):
         richest = _from_the_richest(Linear.around(fit, 0.0, laws), parts, left.tip_m)
         floor = replace(richest, turn_rad=floor.turn_rad)
-    torques = [one.slope_Nm for one in laws if one.slope_Nm is not None]
-    columns = np.concatenate(torques) if torques else np.zeros((0, *points.q_rad.shape))
-    # nominal lengths are right to LEVER_m; those of a geometry alone have taken up what effects do
-    currents = holding_currents(replace(bare_arm, tool=fitted.tool), points, columns)
-    return Looked(arm, bare_arm, loaded, points, parts, fit, floor, currents, out)
+    return Looked(arm, bare_arm, loaded, points, parts, fit, floor, out)
 
 
 def _laws(scene: Scene, without: Collection[str]) -> list[list[Term]]:
@@ -161,7 +156,7 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
         advance("weighing effects", 0.2 + 0.2 * look)
         noise = looked.floor.tip_m, max(looked.floor.doubt, FLOOR_DOUBT)
         around = Around.of(
-            state, looked.bare_arm, looked.points, looked.parts.known, noise, looked.currents, without, blocks,
+            state, looked.bare_arm, looked.points, looked.parts.known, noise, without, blocks,
             looked.floor.lever_m,
         )  # fmt: skip
         blocks = around.blocks

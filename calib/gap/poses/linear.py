@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, Mask
-from calib.gap.poses.currents import Currents
 from calib.gap.poses.measured import Fit, Measured
 from calib.gap.posterior.evidence import Gram
 from calib.gap.posterior.term import Term
@@ -55,22 +54,31 @@ class Linear:
         root = np.tile(np.eye(3), (len(measured.pose), 1, 1)) if weight is None else weight
         return cls(base, precision, y, columns.reshape(len(columns), -1).T, root, places, measured)
 
-    def projected(self, poses: Mask, noise_m: float, more: tuple[Array, Array] | None = None) -> Gram:
-        """What evidence needs, from some poses (m,); `more`: Gram and pull of the currents' channel."""
+    def projected(self, poses: Mask, noise_m: float, held: Array | None = None) -> Gram:
+        """What evidence needs, from some poses (m,).
+
+        `held` (r, K + p + 1): the holding currents' channel, geometry, columns and values in standard deviations. Both channels
+        see one geometry: what the tips leave open of it is integrated out of the currents.
+        """
         base, columns, y = (
             self.whitened(values, poses, noise_m) for values in (self.base, self.columns, self.y[:, None])
         )
         inner = np.linalg.cholesky(base.T @ base + np.diag(self.precision))
-        taken = np.linalg.solve(inner, base.T @ columns)
-        own = np.linalg.solve(inner, base.T @ y[:, 0])
+        values = np.column_stack((columns, y))
+        fit = np.linalg.solve(inner.T, np.linalg.solve(inner, base.T @ values))
         # as residual plus prior's share, not as a difference of large numbers
-        fit = np.linalg.solve(inner.T, np.column_stack((taken, own)))
-        rest = np.column_stack((columns, y)) - base @ fit
-        prior = np.sqrt(self.precision)[:, None] * fit
+        rest, prior = values - base @ fit, np.sqrt(self.precision)[:, None] * fit
         seen = rest.T @ rest + prior.T @ prior
         used = float(np.sum(np.linalg.solve(inner, base.T) ** 2))
-        zero = np.zeros((len(seen) - 1, len(seen) - 1)), np.zeros(len(seen) - 1)
-        return Gram(seen[:-1, :-1], seen[:-1, -1], *(more or zero), float(seen[-1, -1]), len(base) - used)
+        more = np.zeros_like(seen) if held is None else _beside(inner @ inner.T, fit, held)
+        return Gram(
+            seen[:-1, :-1],
+            seen[:-1, -1],
+            more[:-1, :-1],
+            more[:-1, -1],
+            float(seen[-1, -1]),
+            len(base) - used,
+        )
 
     def geometry(self, poses: Mask, noise_m: float, total: Array) -> Array:
         """Unknowns (K,) of the geometry beside the terms' move `total` (3R,)."""
@@ -85,18 +93,13 @@ class Linear:
         return np.asarray((self.weight[rows] / noise_m @ own).reshape(3 * int(rows.sum()), -1))
 
 
-def of_currents(currents: Currents | None, terms: Sequence[Term], rows: Mask) -> tuple[Array, Array] | None:
-    """Gram and pull of the holding currents; friction, which shows in direction, is integrated out there."""
-    if currents is None:
-        return None
-    shape = currents.torque_Nm.shape
-    own = [k for k, one in enumerate(terms) if one.slope_Nm is not None]
-    if not own:
-        return None
-    counts = np.array([one.count for one in terms])
-    ends = np.cumsum(counts)
-    which = np.concatenate([np.arange(ends[k] - counts[k], ends[k]) for k in own])
-    columns = np.concatenate([terms[k].slope_Nm for k in own]).reshape(-1, *shape)
-    gram, pull = np.zeros((ends[-1], ends[-1])), np.zeros(ends[-1])
-    gram[np.ix_(which, which)], pull[which] = currents.seen(columns, rows)
-    return gram, pull
+def _beside(known: Array, fit: Array, held: Array) -> Array:
+    """Sums of squares of a second channel, whose values have their base where a first one fits it: `fit` (K, v) with the inverse
+    covariance `known` (K, K). `held` (r, K + v): base and values.
+
+    E' (I + B known^-1 B')^-1 E with E = values - B fit, by Woodbury's identity.
+    """
+    base = held[:, : len(known)]
+    left = held[:, len(known) :] - base @ fit
+    taken = np.linalg.solve(np.linalg.cholesky(known + base.T @ base), base.T @ left)
+    return np.asarray(left.T @ left - taken.T @ taken)

@@ -15,8 +15,8 @@ from calib.gap.effects.frame import FRAME, beyond_linear_m
 from calib.gap.effects.pose_scene import Scene, load_of
 from calib.gap.finding import EffectName
 from calib.gap.model_update import effect_of, with_totals
-from calib.gap.poses.currents import Currents
-from calib.gap.poses.linear import Linear, of_currents
+from calib.gap.poses.currents import holding_currents
+from calib.gap.poses.linear import Linear
 from calib.gap.poses.measured import Fit, Left, by_joints
 from calib.gap.poses.nameless import blocks_of
 from calib.gap.poses.outlying import flank_covariance
@@ -49,13 +49,18 @@ class State:
         still = np.zeros((m, 6))
         return cls(fit, np.zeros((m, n)), still, still, None, fit.shaped(arm))
 
+    @property
+    def joint_rad(self) -> Array:
+        """The joints' angles (m, n): the encoders', with what the file and the effects found so far add."""
+        return frozen(self.fit.problem.observed.q_rad + self.turn_rad)
+
     def posed(self) -> Fit:
         """The fit of the problem with what the effects move."""
         moved = copy.copy(self.fit.problem)
         observed = moved.observed
         moved.observed = dataclasses.replace(
             observed,
-            q_rad=frozen(observed.q_rad + self.turn_rad),
+            q_rad=self.joint_rad,
             known_shift_m=_beside(observed.known_shift_m, self.moved[:, :3]),
             known_turn_rad=_beside(observed.known_turn_rad, self.moved[:, 3:]),
         )
@@ -92,7 +97,6 @@ class Around:
         points: Points,
         rows: Mask,
         noise: tuple[float, float],
-        currents: Currents | None,
         without: Collection[str],
         blocks: Sequence[Term] = (),
         lever_m: float = 0.0,
@@ -101,11 +105,12 @@ class Around:
 
         `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used.
         """
-        scene = Scene.of(state.fit.shaped(arm), state.loaded, points)
+        scene = Scene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
         names = [_unlisted(one, without) for one in pose_terms(scene)]
         terms = [*names, *(blocks or blocks_of(scene, names))]
         linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight)
-        gram = linear.projected(rows, noise[0], of_currents(currents, terms, rows))
+        held = holding_currents(state.fit, arm, points, state.joint_rad, state.turn_rad, terms)
+        gram = linear.projected(rows, noise[0], None if held is None else held.seen(rows))
         return cls(state, arm, points, rows, noise[0], linear, Evidence(gram, terms, noise[1]))
 
     @property

@@ -1,0 +1,42 @@
+"""Holding currents and tips see one geometry: what an arm carries follows its lengths and angles."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from benchmarks.gap.static.cases import Design, designed
+from benchmarks.gap.static.rough_cases import case
+from calib.arm_problem.assembly import Choice, problem_of
+from calib.gap.poses.currents import holding_currents
+from calib.gap.poses.find import find
+from calib.gap.poses.measured import Fit
+from control.dynamics.static_pose import gravity_Nm, torque_per_A
+
+
+@pytest.mark.parametrize("rig", ["six", "planar"])
+def test_what_motors_hold_follows_the_geometry_that_the_fit_has(rig: str) -> None:
+    arm, points = designed(62, (), Design(rig=rig, free=30, visits=7))
+    problem = problem_of(arm, points, Choice().for_points(arm, points))
+    bounded = np.array([one.has_bound for one in problem.parameters])
+    x = 0.2 * np.random.default_rng(62).standard_normal(len(bounded)) * bounded
+    there = dataclasses.replace(Fit.nominal(problem), x=x)
+    load_Nm = gravity_Nm(there.shaped(arm), points.q_rad, points.payload_kg)
+    points = dataclasses.replace(points, current_A=load_Nm / torque_per_A(arm))
+    still = np.zeros(points.q_rad.shape)
+    for fit in (Fit.nominal(problem), there):
+        held = holding_currents(fit, arm, points, points.q_rad, still, ())
+        assert held is not None
+        *by_geometry, torque_Nm = held.columns_Nm
+        left = torque_Nm - np.einsum("kmn,k->mn", by_geometry[: len(x)], x)
+        assert np.abs(left).max() < 0.05 * np.abs(torque_Nm).max()
+
+
+@pytest.mark.parametrize("seed", [93_015, 93_023])
+def test_an_arm_off_its_drawing_carries_what_its_geometry_says_and_nothing_is_named_or_left(
+    seed: int,
+) -> None:
+    one = case("null", seed)
+    found = find(one.arm, one.points).finding
+    assert {effect.name.effect for effect in found.effects} <= {"link_geometry"}
+    assert found.unknown is None
