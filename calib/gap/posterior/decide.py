@@ -107,11 +107,12 @@ def _in_place_of(own: Mask, has: Mask, weights: Array) -> float:
 def _near(
     sets: Sequence[frozenset[Key]], logs: Array, name: EffectName, rivals: Collection[EffectName]
 ) -> tuple[EffectName, ...]:
-    """Rivals with which a set without the name is nearly as likely as the best."""
+    """Rivals that a set without the name, nearly as likely as the best, has in its place: what the best has beside it is none."""
     likely = [
         keys for keys, log in zip(sets, logs, strict=True) if name not in keys and log > logs[0] - MARGIN
     ]
-    return tuple(other for other in rivals if any(other in keys for keys in likely))
+    beside = sets[0] if name in sets[0] else ()
+    return tuple(other for other in rivals if other not in beside and any(other in keys for keys in likely))
 
 
 def _is_own(evidence: Evidence, name: EffectName, block: Block) -> bool:

@@ -167,3 +167,12 @@ def test_what_acts_beside_a_name_is_not_taken_for_what_may_act_in_its_place() ->
         frozenset(names[:2]),
         frozenset(names[2:]),
     }
+
+
+def test_a_rival_of_a_name_acts_in_its_place_and_not_beside_it() -> None:
+    columns, y = _world(4, 2.0)
+    names = [EffectName("encoder_scale", j + 1) for j in range(4)]
+    evidence = _evidence([_term(name) for name in names], columns, y)
+    likely = (((0, 2), 0.0), ((2,), -3.7), ((1, 2), -3.9))  # 1 and 3; or 3 alone, or 2 for 1
+    found = [Weighed(tuple((k, 1) for k in numbers), 1.0, log) for numbers, log in likely]
+    assert decide(evidence, found, {names[0]: names[1:]}).ambiguous == ((names[0], names[1]),)
