@@ -24,6 +24,7 @@ from calib.gap.finding import (
     NamedEffect,
     Parameters,
 )
+from calib.gap.model_update import is_possible
 from calib.gap.poses.cautions import about_fit
 from calib.gap.poses.drawn_laws import drawn_laws
 from calib.gap.poses.experiments import next_experiment, open_questions
@@ -176,7 +177,7 @@ def _open_members(around: Around, decision: Decision) -> dict[EffectName, Parame
         ]:
             if name not in decision.names:
                 own = estimated(around.evidence, best, name).parameters if name in present else {}
-                found[name] = own
+                found[name] = own if is_possible(name.effect, own) else {}
     return found
 
 
@@ -246,6 +247,8 @@ def _why_not(
             if is_known or name.effect == FRAME
             else f"{name} acts, but these poses do not tell how large it is"
         )
+    if not is_possible(name.effect, own.parameters):
+        return f"{name} comes out as none that can be"
     if own.departure > LAW_MOST:
         return f"{name} departs too far from its law"
     if not is_known and not holds_on_others(around, best, name, names):

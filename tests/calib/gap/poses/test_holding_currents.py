@@ -32,6 +32,18 @@ def test_what_motors_hold_follows_the_geometry_that_the_fit_has(rig: str) -> Non
         assert np.abs(left).max() < 0.05 * np.abs(torque_Nm).max()
 
 
+@pytest.mark.parametrize(("rig", "joint"), [("planar", 1), ("six", 2)])
+def test_a_motor_whose_current_has_the_other_sign_is_said_and_never_written(rig: str, joint: int) -> None:
+    arm, points = designed(63, (), Design(rig=rig, free=40, visits=7))
+    current_A = np.array(points.current_A)
+    current_A[:, joint - 1] *= -0.7
+    found = find(arm, dataclasses.replace(points, current_A=current_A))
+    assert {effect.name.effect for effect in found.finding.effects} <= {"link_geometry"}
+    assert "torque_constant" not in {effect.effect for effect in found.file.effects}
+    assert found.finding.unknown is not None
+    assert f"torque_constant on joint {joint}" in found.finding.unknown.where
+
+
 @pytest.mark.parametrize("seed", [93_015, 93_023])
 def test_an_arm_off_its_drawing_carries_what_its_geometry_says_and_nothing_is_named_or_left(
     seed: int,
