@@ -24,7 +24,10 @@ class _CommandLine(argparse.ArgumentParser):
         if isinstance(action, argparse._SubParsersAction) and value not in action.choices:
             from difflib import get_close_matches
 
-            near = " or ".join(FOR_TASKS.get(value.lower()) or get_close_matches(value, action.choices, 2))
+            words = FOR_TASKS | {name: (name,) for name in action.choices}
+            word = value.lower()
+            alike = [word] if word in words else get_close_matches(word, words, 2)
+            near = " or ".join(dict.fromkeys(command for each in alike for command in words[each]))
             meant = f" (did you mean {near}?)" if near else ""
             raise argparse.ArgumentError(
                 action, f"no command {value!r}{meant}; `armwright --help` lists them"

@@ -16,22 +16,19 @@ import numpy as np
 from calib.arrays import Array
 from calib.design.candidates import joint_box, spread_poses
 from control.dynamics.dynamics import Dynamics
-from control.end_effector.bus_load import end_frames_Hz
 from control.errors import MissingModel
 from control.kinematics.corners import Corners
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Drive
+from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz
 from control.model.joint_map import JointMap
 from firmware_iface.encoder.wire import REPORT_WIRE_BYTES
-from procedures.doctor.judging import CAN_FRAME_bits
 
 # Figures of an arm from its file alone: by sampled poses within its limits, nothing connected.
 
 
 POSES: Final = 4000
 BITS_A_BYTE: Final = 10  # 8N1
-RATE_Hz: Final = 500.0  # of `armwright serve`, where nothing else is said
-BUSY: Final = 0.7  # of a CAN bus: what `doctor` calls good
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +65,14 @@ class JointFigures:
 class Payload:
     """Masses at the tip, in kg, that all motors hold: in every pose above the floor, and in half of them; and move.
 
-    moving_kg: in every pose, whichever way all joints accelerate at their limits. Friction is left out.
+    moving_kg: in every pose, whichever way all joints accelerate at their limits; moving_joint: the joint that has no torque
+    for more. Friction is left out.
     """
 
     everywhere_kg: float
     in_half_kg: float
     moving_kg: float
+    moving_joint: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +95,8 @@ class Sheet:
     buses: Buses | None
 
 
-def sheet(arm: Arm, rate_Hz: float = RATE_Hz) -> Sheet:
-    """The figures of an arm at a cycle rate."""
+def sheet(arm: Arm) -> Sheet:
+    """The figures of an arm, at its usual cycle rate."""
     q = spread_poses(joint_box(arm, margin_rad=0.0), POSES)
     above = _above_floor(arm, q)
     kept = q[above] if above.any() else q
@@ -109,7 +108,7 @@ def sheet(arm: Arm, rate_Hz: float = RATE_Hz) -> Sheet:
         reach=_reach(arm, kept, float(above.mean())),
         joints=tuple(_joint(arm, joint, kept, gravity) for joint in range(1, arm.joint_count + 1)),
         payload=payload,
-        buses=_buses(arm, rate_Hz),
+        buses=_buses(arm, arm.usual_rate_Hz),
     )
 
 
@@ -198,20 +197,20 @@ def _payload(arm: Arm, q: Array, empty: Array, laden: Array | None) -> Payload |
     )  # 0: the mass takes from the coupling of joints
     with np.errstate(divide="ignore"):
         moved = (limits - np.abs(empty) - light) / needed_per_kg
-    return Payload(float(held.min()), float(np.median(held)), max(0.0, float(moved.min())))
+    least = moved.min(axis=0)
+    joint = int(least.argmin()) + 1
+    return Payload(float(held.min()), float(np.median(held)), max(0.0, float(least.min())), joint)
 
 
 def _buses(arm: Arm, rate_Hz: float) -> Buses | None:
     if arm.can is None or not arm.drives or not arm.encoder_boards:
         return None
-    a_cycle_bits = 2 * len(arm.drives) * CAN_FRAME_bits
-    end_bits_s = end_frames_Hz(arm) * CAN_FRAME_bits
     reports = 2 * REPORT_WIRE_BYTES * BITS_A_BYTE  # two a cycle
     return Buses(
         rate_Hz=rate_Hz,
-        can=(a_cycle_bits * rate_Hz + end_bits_s) / arm.can.bitrate,
+        can=bus_load([arm], rate_Hz),
         serial=tuple(reports * rate_Hz / board.baud for board in arm.encoder_boards),
-        can_rate_Hz=max(0.0, BUSY * arm.can.bitrate - end_bits_s) / a_cycle_bits,
+        can_rate_Hz=good_rate_Hz([arm], rate_Hz),
     )
 
 
@@ -334,7 +333,10 @@ def sheet_lines(arm: Arm, found: Sheet, absent: tuple[Missing, ...]) -> Iterator
     if found.payload is not None:
         payload = found.payload
         yield f"payload: {payload.everywhere_kg:.2f} kg held in every pose, {payload.in_half_kg:.2f} kg in half of them;"
-        yield f"  {payload.moving_kg:.2f} kg moved in every pose, with all joints at their acceleration limits"
+        yield (
+            f"  {payload.moving_kg:.2f} kg moved in every pose, with all joints at their acceleration limits at once:"
+            f" joint {payload.moving_joint} has no torque for more"
+        )
     if found.buses is not None:
         yield _buses_in_words(arm, found.buses)
     yield from (f"warning: {text}" for text in warnings(found))
@@ -356,8 +358,8 @@ def warnings(found: Sheet) -> Iterator[str]:
         if math.isfinite(joint.speed_rad_s) and joint.speed_rad_s > joint.free_speed_rad_s:
             yield f"joint {joint.joint} is slower than its speed limit, even without load"
     if found.buses is not None:
-        if found.buses.can > BUSY:
-            yield f"the CAN bus is too busy: serve with --rate {found.buses.can_rate_Hz:.0f} or less"
+        if found.buses.can > USUAL_LOAD:
+            yield "the CAN bus is too slow for its boards: choose a higher bitrate"
         if max(found.buses.serial) > FULL:
             yield "an encoder board's line is too slow: choose a higher baud rate"
 

@@ -22,7 +22,6 @@ import numpy as np
 
 from calib.arm_problem.frames import rotation_of
 from calib.errors import CalibrationError
-from control.end_effector.bus_load import usual_rate_Hz
 from control.errors import ArmError
 from control.files import write_whole
 from control.hardware.connect import Connection, connect
@@ -30,6 +29,7 @@ from control.hardware.shared_bus import CellConnection, connect_cell
 from control.kinematics.rotation import quaternion_of
 from control.loop.runtime import Runtime
 from control.model.arm import Arm, Camera, CanBus, EncoderBoardPort, Vector3
+from control.model.can_bus import usual_rate_Hz
 from control.model.cell import Cell, Placed
 from control.model.description import arm_text, save_arm
 from control.recording.layout import about_cell, about_columns, layout_of
@@ -281,7 +281,7 @@ class CellBench:
 
     def __init__(self, standing: Cell, scenario: Scenario, log_folder: Path, wired: Wired = wired_to) -> None:
         """`wired`: an arm with the mock's ports, and with the limits that the drives are to have."""
-        self.period_s = 1.0 / usual_rate_Hz(standing)
+        self.period_s = 1.0 / usual_rate_Hz([placed.arm for placed in standing.arms])
         self.standing, self._log_folder, self._wired = standing, log_folder, wired
         self.rig = SteppedCell(standing, scenario)
         self.clients: Mapping[str, ArmClient] = {}

@@ -14,10 +14,10 @@ import msgspec
 from benchmarks.arms import RIGHT, SEVEN, SIX
 from benchmarks.loop.control_cycle import PARTS, WHOLE, DrainedPipe, Durations, Stopwatch, as_the_loop_runs
 from benchmarks.table import BenchRow
-from control.end_effector.bus_load import usual_rate_Hz
 from control.hardware.connect import connect
 from control.hardware.shared_bus import connect_cell
 from control.model.arm import Arm
+from control.model.can_bus import usual_rate_Hz
 from control.model.cell import Cell, load_cell
 from control.server.assemble import assemble, assemble_cell
 from control.server.client import ArmClient
@@ -116,7 +116,7 @@ def _client(
 
 def _cell_clients(cell: Cell, pipe: DrainedPipe, stopwatch: Stopwatch, ending: ExitStack) -> list[ArmClient]:
     """Both arms' rows go into one pipe, which nobody reads as a recording."""
-    period_s = 1.0 / usual_rate_Hz(cell)
+    period_s = 1.0 / usual_rate_Hz([placed.arm for placed in cell.arms])
     rig = ending.enter_context(SteppedCell(cell))
     wired = cell.with_arms([wired_to(placed.arm, rig.ports[placed.name]) for placed in cell.arms])
     connection = connect_cell(

@@ -5,10 +5,10 @@ import sys
 from pathlib import Path
 
 from console.commands.connection import socket_path
-from control.end_effector.bus_load import USUAL_LOAD, bus_load, usual_rate_Hz
 from control.errors import ArmError
 from control.hardware.connect import with_links
 from control.model.arm import Arm
+from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz, usual_rate_Hz
 from control.model.cell import Cell, cell_of_one, load_cell
 from control.model.description import load_arm
 from control.server.process import ServeOptions, serve
@@ -30,19 +30,18 @@ def run(given: argparse.Namespace) -> int:
     else:
         arm = with_links(load_arm(given.arm), link_options(given))
         cell, sockets = cell_of_one(arm), {arm.name: socket_path(given, arm)}
-    rate_Hz = given.rate or usual_rate_Hz(cell)
-    load = bus_load(cell, rate_Hz)
+    arms = [placed.arm for placed in cell.arms]
+    rate_Hz = given.rate or usual_rate_Hz(arms)
+    load = bus_load(arms, rate_Hz)
     if given.cell is not None and load > LARGEST_LOAD:
         raise ArmError(
             f"--rate: at {rate_Hz:g} Hz the arms' boards would need {100 * load:.0f} % of their CAN bus (at most"
             f" {100 * LARGEST_LOAD:.0f} %): give a lower rate, or each arm a bus of its own"
         )
     if load > USUAL_LOAD:
-        fixed = bus_load(cell, 0.0)
-        good_Hz = (USUAL_LOAD - fixed) / (load - fixed) * rate_Hz
         sys.stderr.write(
             f"armwright: --rate {rate_Hz:g}: the boards need {100 * load:.0f} % of their CAN bus, good is up to"
-            f" {100 * USUAL_LOAD:.0f} % (--rate {good_Hz:.0f}): frames may come late, which is a fault\n"
+            f" {100 * USUAL_LOAD:.0f} % (--rate {good_rate_Hz(arms, rate_Hz):.0f}): frames may come late, which is a fault\n"
         )
     ports = {placed.name: camera_port(given, placed.arm) for placed in cell.arms}
     serve(cell, ServeOptions(sockets, Path(given.log), 1.0 / rate_Hz, ports))

@@ -7,8 +7,8 @@ from typing import Any
 
 from console.screen.drawing import Row, Span, row, width_of, wrapped
 from console.screen.events import stale_s
-from control.end_effector.bus_load import FRAME_bits, end_frames_Hz
 from control.model.arm import Arm, Drive
+from control.model.can_bus import bus_load
 
 Message = dict[str, Any]
 NEAR = 0.8  # of a limit: warn above
@@ -73,13 +73,8 @@ def _others(status: Message) -> Row:
 
 def _bus(status: Message, arm: Arm) -> tuple[str, ...]:
     """The load of its CAN bus; in a cell, other arms may use it too."""
-    return () if status.get("cell") else (f"  bus {100 * bus_load(arm, status['period_s']):.0f} %",)
-
-
-def bus_load(arm: Arm, period_s: float) -> float:
-    """Worst-case share of the CAN bus used by commands and replies: of joints, gripper (its count, too) and pins."""
-    bitrate = arm.can.bitrate if arm.can is not None and arm.can.bitrate else 1_000_000
-    return (2 * arm.joint_count / period_s + end_frames_Hz(arm)) * FRAME_bits / bitrate
+    load = bus_load([arm], 1.0 / status["period_s"])
+    return () if status.get("cell") or not load else (f"  bus {100 * load:.0f} %",)
 
 
 def joint_rows(status: Message, arm: Arm, selected: str, width: int, in_degrees: bool = False) -> list[Row]:

@@ -87,7 +87,11 @@ ASSESSING = (
                 help="points.csv of the calibration: what the arm did before; may be repeated",
             ),
             AS_GIVEN,
-            option("--out", metavar="DIR", required=True, help="folder for the recording and check-up.json"),
+            option(
+                "--out",
+                metavar="DIR",
+                help="folder for the recording and check-up.json; --plan-only needs none",
+            ),
             option("--poses", type=int, metavar="N", help="how many, each from two sides (default: 8)"),
             option(
                 "--recorded",

@@ -13,12 +13,12 @@ from typing import Final
 from control.end_effector.grip_state import Goal, State
 from control.errors import ArmError
 from control.hardware.gripper_board import GripperFeedback, GripperHardware
+from control.model.can_bus import GRIPPER_PERIOD_s
 from control.model.end_effector import Gripper
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import voltage_range
 from firmware_iface.errors import BoardReset
 
-PERIOD_s: Final = 0.01  # two frames and their answers in this time are 5 % of a bus of 1 Mbit/s
 SILENT_s: Final = 0.06  # of the loop's attention: six COMMANDs without an answer
 UNCOUNTED_s: Final = 0.15  # the same of a count, which comes after its question
 ENABLE_LIMIT_s: Final = 1.0
@@ -42,7 +42,7 @@ THERE_LEAST_m: Final = 1e-4
 
 
 class GripperControl:
-    """One gripper. `cycle` is called in each control cycle, and works every PERIOD_s."""
+    """One gripper. `cycle` is called in each control cycle, and works every GRIPPER_PERIOD_s."""
 
     def __init__(self, described: Gripper, board: GripperHardware) -> None:
         self.state = State.OFF
@@ -121,8 +121,10 @@ class GripperControl:
         is_early = now_s < self._next_s and feedback.problem is None  # which is said once
         if is_early and (feedback.is_enabled or not is_ready):
             return None  # on its way to OPERATION ENABLED it is as quick as the joints' boards
-        self._next_s = now_s + PERIOD_s - 1e-6
-        elapsed_s = PERIOD_s if self._last_s is None else min(now_s - self._last_s, 3.0 * PERIOD_s)
+        self._next_s = now_s + GRIPPER_PERIOD_s - 1e-6
+        elapsed_s = (
+            GRIPPER_PERIOD_s if self._last_s is None else min(now_s - self._last_s, 3.0 * GRIPPER_PERIOD_s)
+        )
         self._last_s = now_s
         self._listen(feedback)
         fault = None if is_off else self._trouble(now_s, is_ready, feedback)
@@ -179,8 +181,8 @@ class GripperControl:
     def _listen(self, feedback: GripperFeedback) -> None:
         """How long nothing has come, while the loop asked: a pause of the host makes no board silent."""
         heard = feedback.reply_at_s, feedback.moved_at_s
-        self._unheard_s = 0.0 if heard[0] != self._heard[0] else self._unheard_s + PERIOD_s
-        self._uncounted_s = 0.0 if heard[1] != self._heard[1] else self._uncounted_s + PERIOD_s
+        self._unheard_s = 0.0 if heard[0] != self._heard[0] else self._unheard_s + GRIPPER_PERIOD_s
+        self._uncounted_s = 0.0 if heard[1] != self._heard[1] else self._uncounted_s + GRIPPER_PERIOD_s
         self._heard = heard
 
     def _fail(self, code: str, message: str) -> Fault:

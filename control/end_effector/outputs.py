@@ -6,13 +6,11 @@ there until it is set anew: nothing comes on again by itself. The boards do the 
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 from control.errors import ArmError
 from control.hardware.pins import NamedPins
+from control.model.can_bus import PIN_PERIOD_s
 from control.model.end_effector import Digital
-
-PERIOD_s: Final = 0.02  # between questions: 1.4 % of a bus of 1 Mbit/s for each board with pins
 
 
 class Outputs:
@@ -53,5 +51,5 @@ class Outputs:
         self._was_safe = is_safe
         self.levels = self._pins.levels(now_s)
         if now_s >= self._next_s:
-            self._next_s = now_s + PERIOD_s - 1e-6
+            self._next_s = now_s + PIN_PERIOD_s - 1e-6
             self._pins.command(self._wanted)

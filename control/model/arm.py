@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from control.errors import ArmError, MissingModel
 from control.model.board_kinds import KINDS, REFERENCE, BoardKind
 from control.model.camera import Camera as Camera
+from control.model.can_bus import CanBus as CanBus
+from control.model.can_bus import usual_rate_Hz
 from control.model.drive import ENCODER_CHANNELS as ENCODER_CHANNELS
 from control.model.drive import Drive as Drive
 from control.model.drive import DrivePid as DrivePid
@@ -116,18 +118,6 @@ class EncoderBoardPort:
     baud: Annotated[int, ONE_OR_MORE, "of the port"] = 1_000_000
     serial_number: Annotated[Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"] = (
         None
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class CanBus:
-    """The bus of the motor boards, in python-can's terms."""
-
-    interface: Annotated[str, "socketcan, slcan, ..."]
-    channel: Annotated[str, "can0, /dev/ttyACM1, ..."]
-    bitrate: Annotated[int, ONE_OR_MORE, "of the bus, in bit/s"] = 1_000_000
-    options: Annotated[Mapping[str, str | int | float | bool], "passed to the interface unchanged"] = field(
-        default_factory=dict
     )
 
 
@@ -324,7 +314,12 @@ class Arm:
 
     @property
     def usual_rate_Hz(self) -> float:
-        """The loop's rate if none is asked for: what the slowest kind of board carries."""
+        """The loop's rate if none is asked for: what the slowest kind of board carries, and its CAN bus."""
+        return usual_rate_Hz([self])
+
+    @property
+    def boards_rate_Hz(self) -> float:
+        """What the slowest kind of its boards carries."""
         return min(
             (self.kind_of(drive).usual_rate_Hz for drive in self.motors), default=REFERENCE.usual_rate_Hz
         )

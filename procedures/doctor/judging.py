@@ -7,11 +7,11 @@ from statistics import fmean, median, pstdev
 from control.hardware.words import QUADRATURE_ERROR, SIGNAL_LOST
 from control.loop.watch import DRIVE_FAULTS
 from control.model.arm import Arm, Drive
+from control.model.can_bus import FRAME_bits
 from firmware_iface.encoder import wire
 from procedures.doctor.finding import Finding, Level, graded, percentile
 from procedures.doctor.sampling import EncoderSamples, MotorSamples, Samples
 
-CAN_FRAME_bits = 135  # an 8-byte frame with worst stuffing, docs/motor_board.md
 REPLY_S = 0.0005  # within which a board replies
 CLOCK_LIMITS_ppm = (500.0, 5000.0)  # speeds are computed by board time: half a percent off is bad
 MOVED_counts = 20  # more than the dither of an encoder at rest
@@ -152,8 +152,8 @@ def _buses(samples: Samples, arm: Arm) -> Iterator[Finding]:
     if arm.can is None or not samples.motors:
         return
     frames = 2 * len(arm.drives)
-    computed = frames * CAN_FRAME_bits / arm.can.bitrate / samples.period_s
-    measured = samples.can_frames * CAN_FRAME_bits / arm.can.bitrate / samples.duration_s
+    computed = frames * FRAME_bits / arm.can.bitrate / samples.period_s
+    measured = samples.can_frames * FRAME_bits / arm.can.bitrate / samples.duration_s
     load = max(computed, measured)
     yield graded(
         "timing", "CAN bus load", load, (0.7, 0.9),

@@ -205,7 +205,7 @@ def stage(arm: Arm | None = None, scenario: Scenario | None = None) -> Iterator[
 
 def _started(arm: Arm, rig: SteppedRig) -> tuple[Connection, Assembly]:
     model = wired_as_real(arm, rig)
-    period_s = 1.0 / arm.usual_rate_Hz if arm.boards else PERIOD_S
+    period_s = 1.0 / arm.usual_rate_Hz
     connection = connect(model, rig.clock, period_s)
     return connection, assemble(model, connection.hardware, period_s, stopwatch_s=rig.clock.now_s)
 

@@ -9,8 +9,9 @@ from console.commands import end_effector
 from console.commands.status import described
 from console.main import main
 from console.screen.drawing import Row
-from console.screen.texts import bus_load, end_rows
+from console.screen.texts import end_rows
 from control.model.arm import Tool
+from control.model.can_bus import bus_load
 from control.model.end_effector import Digital
 from tests.cell import GRIPPER, RIGHT, Cell, holding_cell, scenario
 
@@ -114,4 +115,4 @@ def text_of(row: Row) -> str:
 
 def test_the_load_of_the_bus_counts_gripper_and_pins() -> None:
     """4 frames each 10 ms, and 2 each 20 ms for two boards, of 135 bits at 1 Mbit/s."""
-    assert bus_load(ARM, 0.002) - bus_load(RIGHT, 0.002) == pytest.approx((400 + 200) * 135e-6)
+    assert bus_load([ARM], 500.0) - bus_load([RIGHT], 500.0) == pytest.approx((400 + 200) * 135e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import tempfile
 from collections import Counter
@@ -20,6 +21,7 @@ def main() -> int:
     parser.add_argument("--arms", nargs="*", choices=[*ARMS], default=[*ARMS], metavar="ARM")
     given = parser.parse_args()
     stumbled = 0
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # killed, it ends what it has started
     for name, journey in JOURNEYS.items():
         for arm in journey.arms():
             if arm not in given.arms or (given.journeys and name not in given.journeys):

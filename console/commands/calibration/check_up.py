@@ -27,8 +27,9 @@ LEAST_EARLIER = 10  # points: fewer do not say what is usual
 def run(given: argparse.Namespace) -> int:
     """Plan, record, decide. Exit status 0: fine; 1: something is to be done; 2: wrong input."""
     _require_consistent(given)
-    arm, out = load_arm(given.arm), Path(given.out)
-    require_new(out, (RESULT,))
+    arm = load_arm(given.arm)
+    if not given.plan_only:
+        require_new(Path(given.out), (RESULT,))
     earlier = _measured(arm, given.points, LEAST_EARLIER, given.as_given)
     if given.recorded is not None:
         new = _measured(arm, [given.recorded], POSES_LEAST, given.as_given)
@@ -37,15 +38,20 @@ def run(given: argparse.Namespace) -> int:
         if given.plan_only:
             sys.stdout.write(_plan_text(plan))
             return 0
+        out = Path(given.out)
         _record(given, arm, plan, out)
         new = _measured(arm, [str(out / "points.csv")], POSES_LEAST, given.as_given)
     found = decide(expectation_of(arm, earlier, new))
-    replace_file(out / RESULT, (_json(found) + "\n").encode())
+    replace_file(Path(given.out) / RESULT, (_json(found) + "\n").encode())
     sys.stdout.write(_json(found) + "\n" if given.json else "".join(f"{one}\n" for one in sentences(found)))
     return 0 if found.action == "fine" and found.is_sure else 1
 
 
 def _require_consistent(given: argparse.Namespace) -> None:
+    if given.out is None and not given.plan_only:
+        raise CalibrationError(
+            "--out: expected a folder for the recording and check-up.json; only --plan-only needs none"
+        )
     if given.poses is not None and not POSES_LEAST <= given.poses <= POSES_MOST:
         raise CalibrationError(f"--poses: expected {POSES_LEAST} to {POSES_MOST}, got {given.poses}")
     if given.recorded is not None and (given.mock or given.plan_only or given.poses is not None):

@@ -197,6 +197,19 @@ def test_wrong_input_moves_nothing(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_plan_needs_no_folder_and_a_check_up_asks_for_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_points(tmp_path / "points.csv", session(SEED, (), np.zeros((1, 3))).points)
+    asked = ["check-up", "--arm", "right", "--points", "points.csv"]
+    assert main([*asked, "--plan-only"]) == 0
+    assert "minutes" in capsys.readouterr().out
+    assert main(asked) == 2
+    assert "--out: expected a folder" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["points.csv"]
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_tips_that_are_all_somewhat_farther_off_than_expected_are_no_change(seed: int) -> None:
     at = quiet()

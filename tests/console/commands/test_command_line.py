@@ -126,6 +126,18 @@ def test_a_word_for_a_task_leads_to_commands_that_there_are(
     assert f"did you mean {' or '.join(FOR_TASKS[word])}?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("recrod", "gap or session"), ("Urfd", "new or export-arm"), ("calibrat", "calibrate")],
+)
+def test_a_mistyped_word_leads_where_the_right_one_does(
+    word: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([word])
+    assert f"did you mean {meant}" in capsys.readouterr().err
+
+
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("armwright 0.")

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from console.commands import serve
 from console.main import main
-from control.end_effector.bus_load import bus_load
+from control.model.can_bus import bus_load
 from control.model.cell import Cell
 from control.server.process import ServeOptions
+from procedures.arm_sheet import sheet, warnings
 from tests.pair import PAIR
 
 
@@ -30,14 +32,23 @@ def test_six_boards_on_one_bus_are_served_at_a_rate_that_it_carries(served: list
     assert sorted(options.sockets) == ["left", "right"]
     assert options.camera_ports == {"left": 47310, "right": 47311}
     # 12 frames of 135 bits a cycle.
-    assert bus_load(cell, 400.0) == pytest.approx(12 * 400 * 135e-6)
+    assert bus_load([placed.arm for placed in cell.arms], 400.0) == pytest.approx(12 * 400 * 135e-6)
+
+
+def test_six_boards_of_one_arm_are_served_as_fast_as_those_of_two(tmp_path: Path, served: list[Any]) -> None:
+    assert main(["new", "--out", str(tmp_path / "my.toml"), "--joints", "6", "--yes"]) == 0
+    assert main(["serve", "--arm", str(tmp_path / "my.toml")]) == 0
+    ((cell, options),) = served
+    assert 1.0 / options.period_s == pytest.approx(400.0)
+    assert cell.arms[0].arm.usual_rate_Hz == 400.0
+    assert not [said for said in warnings(sheet(cell.arms[0].arm)) if "bus" in said]
 
 
 def test_with_a_bus_for_each_arm_nothing_is_slower() -> None:
     left, right = PAIR.arms
     assert right.arm.can is not None
     alone = replace(right, arm=replace(right.arm, can=replace(right.arm.can, channel="can1")))
-    assert bus_load(replace(PAIR, arms=(left, alone)), 500.0) == pytest.approx(6 * 500 * 135e-6)
+    assert bus_load([left.arm, alone.arm], 500.0) == pytest.approx(6 * 500 * 135e-6)
 
 
 @pytest.mark.parametrize(
