@@ -34,7 +34,7 @@ from calib.points.points import Points
 from control.model.arm import Arm
 from control.progress import Advance, silent
 
-LOOKS = 6  # linearisations, at most: a soft gear moves far from where encoders are
+LOOKS = 3  # linearisations, at most
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
 
 
@@ -153,7 +153,7 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
     known: list[frozenset[Key]] = []
     blocks: tuple[Term, ...] = ()
     for look in range(LOOKS):
-        advance("weighing effects", 0.2 + 0.6 * look / LOOKS)
+        advance("weighing effects", 0.2 + 0.2 * look)
         noise = looked.floor.tip_m, max(looked.floor.doubt, FLOOR_DOUBT)
         around = Around.of(
             state, looked.bare_arm, looked.points, looked.parts.known, noise, without, blocks,
