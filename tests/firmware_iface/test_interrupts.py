@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import signal
 import subprocess
 import sys
@@ -34,10 +35,34 @@ sys.exit(run_command())
 """
 
 
-# `armwright arm` imports some 400 modules: 125 until the command line is read, the others with and within the command.
-@pytest.mark.parametrize("count", [1, 3, 10, 30, 90, 150, 200, 250, 300, 350, 380])
-def test_an_interrupt_at_any_import_of_a_command_leaves_one_line(count: int) -> None:
-    number = (signal.SIGINT, signal.SIGTERM)[count // 10 % 2]
+@pytest.fixture(scope="module")
+def imports() -> int:
+    """How many imports `armwright arm` makes when nobody interrupts it."""
+    counted = PROGRAM.replace("sys.exit(run_command())", "run_command()\nprint(-left)")
+    ended = subprocess.run(
+        [sys.executable, "-c", counted, "0", "0", "arm", "right"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    return int(ended.stdout.split()[-1])
+
+
+# A third of the imports stand before the command line is read. At the first ones only Python itself listens,
+# and to SIGINT alone.
+@pytest.mark.parametrize(
+    ("part", "number"),
+    [
+        (0.0, signal.SIGINT),
+        (0.01, signal.SIGINT),
+        *itertools.product([0.1, 0.25, 0.4, 0.6, 0.8, 0.95], interrupts.NUMBERS),
+    ],
+)
+def test_an_interrupt_at_any_import_of_a_command_leaves_one_line(
+    part: float, number: signal.Signals, imports: int
+) -> None:
+    count = 1 + int(part * imports)
     ended = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(int(number)), str(count), "arm", "right"],
         capture_output=True,
