@@ -59,7 +59,7 @@ class SmartServo(ABC):
         """
         self.model_name = ""
         self.bears_V = (0.0, math.inf)
-        """Its supply, by the limits that are stored in it."""
+        """Its supply, by the limits that are stored in it; 0 and 0 where none are."""
         self.return_delay_s = 0.0
         """By which it waits with each answer."""
         self.is_watchdog_expired = False

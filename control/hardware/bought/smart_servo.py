@@ -296,7 +296,7 @@ def _require_type(servo: SmartServo, drive: Drive) -> None:
             " another order? Give each servo its own, or correct `servo`"
         )
     lowest_V, highest_V = servo.bears_V
-    if not lowest_V <= drive.supply_V <= highest_V:
+    if highest_V > 0.0 and not lowest_V <= drive.supply_V <= highest_V:
         raise WrongIdentity(
             f"{servo.where}: expected a servo for {drive.supply_V:g} V, as arm.toml has it, what is stored in it allows"
             f" {lowest_V:.1f} to {highest_V:.1f} V: is it the version for another voltage? Check the plate before you switch the"

@@ -20,6 +20,7 @@ LOWEST_dV = 237  # the servo allows no less than 23.7 V, of 24
 SAGGED_V = 23.5
 VOLTAGE = 0x01
 MOCKS = {"dynamixel": dynamixel_mock, "feetech": feetech_mock}
+VOLTAGES = {"dynamixel": slice(32, 36), "feetech": slice(14, 16)}  # highest and lowest, as stored
 LOWEST_VOLTAGE = {"dynamixel": 34, "feetech": 15}  # registers
 UNLOADS_AT = {"dynamixel": 63, "feetech": 19}
 AT_DELIVERY = {"dynamixel": 52, "feetech": 44}
@@ -102,3 +103,13 @@ def test_answers_that_servos_delay_cost_a_rate_that_is_told_or_refused(kind: str
         with pytest.raises(ConnectionFailed) as refused:
             connect(wired, rig.clock, 1.0 / (slow_Hz + 10))
         assert f"serve with --rate {slow_Hz} or less, or {remedy}" in str(refused.value)
+
+
+def test_a_servo_that_stores_no_voltage_limits_is_taken_at_any_supply(kind: str) -> None:
+    """Zeros say nothing of its version, so they are no reason to refuse it."""
+    on = ON_BOARDS[kind]
+    with SteppedRig(on.arm, scenario()) as rig:
+        for servo in rig.robot.bought.lines[0].servos.values():
+            at = VOLTAGES[kind]
+            servo.table[at] = bytes(at.stop - at.start)
+        connect(wired_to(on.arm, rig), rig.clock, on.period_s).close()
