@@ -15,7 +15,9 @@ from typing import Annotated, Final
 
 import msgspec
 
+from calib.arm_problem.parallel_axes import in_the_same_rows
 from calib.errors import ImportedModelError
+from control.errors import ArmError
 from control.files import read_bytes
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
@@ -89,11 +91,10 @@ def given_back(
     """
     given, notes = dict(motors), []
     names = {motor.id: name for name, motor in motors.items()}
-    if arm.joints != generic.joints:
-        raise ImportedModelError(
-            f"arm {generic.name} is another arm than {arm.name}: their links do not turn in the same places"
-        )
-    both = zip(arm.links, generic.links, strict=True)
+    try:
+        both = zip(*(one.links for one in in_the_same_rows(arm, generic)), strict=True)
+    except ArmError as problem:
+        raise ImportedModelError(f"arm {generic.name} is another arm than {arm.name}: {problem}") from None
     moved = [link.theta_rad - other.theta_rad for link, other in both if link.joint == "revolute"]
     for (drive, called), shift_rad in zip(_named_drives(arm), moved, strict=True):
         motor, counts = _motor_of(arm, drive, motors), _counts_per_rad()

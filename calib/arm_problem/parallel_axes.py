@@ -13,6 +13,7 @@ from typing import Final
 
 from control.errors import ArmError
 from control.model.arm import Arm, Link
+from control.model.effects import place_of
 
 PARALLEL_rad: Final = math.radians(3.0)  # beyond, the common normal is where the rows put it
 
@@ -36,13 +37,44 @@ def with_tilt_behind(arm: Arm, joint: int) -> Arm:
             f"arm {arm.name}: the axes of joints {joint} and {joint + 1} are not parallel, or have a fixed row between"
         )
     row = _rows_of_joints(arm)[joint - 1] + 1
-    across = Link("fixed", 0.0, math.pi / 2.0, 0.0, 0.0)
+    added = [Link("fixed", 0.0, math.pi / 2.0, 0.0, 0.0)]
     before, after = arm.links[:row], arm.links[row:]
     if arm.dh_convention == "modified":  # here a row turns about x before it turns about z
-        back = Link("fixed", 0.0, -math.pi / 2.0, 0.0, 0.0)
-        return dataclasses.replace(arm, links=(*before, across, back, *after))
-    turned = dataclasses.replace(after[0], theta_rad=after[0].theta_rad - math.pi / 2.0)
-    return dataclasses.replace(arm, links=(*before, across, turned, *after[1:]))
+        added.append(Link("fixed", 0.0, -math.pi / 2.0, 0.0, 0.0))
+    else:
+        turned = dataclasses.replace(after[0], theta_rad=after[0].theta_rad - math.pi / 2.0)
+        after = (turned, *after[1:])
+    effects = tuple(
+        dataclasses.replace(effect, joint=effect.joint + len(added))
+        if place_of(effect.effect) == "link" and effect.joint is not None and effect.joint > row
+        else effect
+        for effect in arm.effects
+    )
+    return dataclasses.replace(arm, links=(*before, *added, *after), effects=effects)
+
+
+def in_the_same_rows(one: Arm, other: Arm) -> tuple[Arm, Arm]:
+    """Both arms with every row of `with_tilt_behind` that either of them has, so that their rows compare one by one.
+
+    ArmError where their rows differ otherwise.
+    """
+    for joint in _only_in(other, one):
+        one = with_tilt_behind(one, joint)
+    for joint in _only_in(one, other):
+        other = with_tilt_behind(other, joint)
+    if (one.joints, one.dh_convention) != (other.joints, other.dh_convention):
+        raise ArmError(
+            f"arms {one.name} and {other.name} have other rows: no row of one stands for one of the other"
+        )
+    return one, other
+
+
+def _only_in(rows_of: Arm, arm: Arm) -> list[int]:
+    """Joints with a fixed row behind them in `rows_of`, and none in `arm` where its axes are parallel."""
+    rows = _rows_of_joints(rows_of)
+    return [
+        joint for joint in parallel_joints(arm) if joint < len(rows) and rows[joint] > rows[joint - 1] + 1
+    ]
 
 
 def frame_behind(arm: Arm, joint: int) -> int:

@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 
 from calib.arm_problem.frames import rotation_vector
+from calib.arm_problem.parallel_axes import in_the_same_rows
 from calib.identify.estimates import Estimate
 from calib.identify.identification import Identification
 from calib.inputs import InputFile
 from calib.report.page import Cell, Section, bullets, escaped, heading, paragraph, table
+from control.errors import ArmError
 from control.model.arm import Arm
 
 NO_EFFECT = 0.999  # undetermined share from which a parameter is reported to have no effect
@@ -106,7 +108,12 @@ def _remark(estimate: Estimate) -> str:
 
 
 def dh_section(nominal: Arm, calibrated: Arm) -> Section:
-    """DH parameters and tool before and after: SpringerPlus 5:1771, Table 5."""
+    """DH parameters and tool before and after: SpringerPlus 5:1771, Table 5; or that their rows are not the same."""
+    title = "DH parameters before and after"
+    try:
+        nominal, calibrated = in_the_same_rows(nominal, calibrated)
+    except ArmError as problem:
+        return Section(title, paragraph(f"{problem}."))
     rows: list[Sequence[Cell]] = []
     keys = (("d_m", "m"), ("theta_rad", "rad"), ("L_m", "m"), ("alpha_rad", "rad"))
     links = zip(nominal.links, calibrated.links, strict=True)
@@ -119,7 +126,7 @@ def dh_section(nominal: Arm, calibrated: Arm) -> Section:
         rows.append(("", ("soft", "difference"), *_spelled(moved, units, "+")))
     header = ("", "", "d [mm]", "theta [deg]", "L [mm]", "alpha [deg]")
     tool = _tool(nominal, calibrated)
-    return Section("DH parameters before and after", table(header, rows) + (paragraph(tool) if tool else ""))
+    return Section(title, table(header, rows) + (paragraph(tool) if tool else ""))
 
 
 def _spelled(values: Sequence[float], units: Sequence[str], sign: str = "") -> list[str]:

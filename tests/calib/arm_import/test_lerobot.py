@@ -92,7 +92,9 @@ def test_what_does_not_fit_is_said(tmp_path: Path) -> None:
         taken_over(SO101, {"gripper": MOTORS["gripper"]})
     with pytest.raises(ImportedModelError, match="joint 1 is on no smart servo"):
         taken_over(load_arm("right"), MOTORS)
-    with pytest.raises(ImportedModelError, match="arm right is another arm than so101"):
+    with pytest.raises(
+        ImportedModelError, match="arm right is another arm than so101: arms so101 and right have other rows"
+    ):
         given_back(SO101, MOTORS, load_arm("right"))
     with pytest.raises(ImportedModelError, match="each of its 5 joints, it has 0"):
         taken_over(dataclasses.replace(SO101, drives=()), MOTORS)

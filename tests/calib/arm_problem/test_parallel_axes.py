@@ -7,9 +7,15 @@ import pytest
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_frames import link_frames
-from calib.arm_problem.parallel_axes import frame_behind, parallel_joints, tilt_row, with_tilt_behind
+from calib.arm_problem.parallel_axes import (
+    frame_behind,
+    in_the_same_rows,
+    parallel_joints,
+    tilt_row,
+    with_tilt_behind,
+)
 from control.errors import ArmError
-from control.model.arm import Arm
+from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 
 RIGHT = load_arm("right")
@@ -42,3 +48,29 @@ def test_a_pair_with_a_row_between_is_left_alone_and_crossing_axes_are() -> None
         with_tilt_behind(RIGHT, 1)
     twisted = dataclasses.replace(RIGHT.links[1], alpha_rad=0.1)
     assert parallel_joints(dataclasses.replace(RIGHT, links=(RIGHT.links[0], twisted, RIGHT.links[2]))) == ()
+
+
+@pytest.mark.parametrize("arm", [RIGHT, MODIFIED], ids=["standard", "modified"])
+def test_an_arm_is_put_in_the_rows_of_one_that_gap_gave_a_tilt(arm: Arm) -> None:
+    (joint, *_) = parallel_joints(arm)
+    more = with_tilt_behind(arm, joint)
+    row = tilt_row(more, joint)
+    tilted = dataclasses.replace(more.links[row], alpha_rad=0.003)
+    rows = (*more.links[:row], tilted, *more.links[row + 1 :])
+    tilted_arm = dataclasses.replace(more, links=rows)
+    assert in_the_same_rows(arm, tilted_arm) == (more, tilted_arm)
+    assert in_the_same_rows(tilted_arm, arm) == (tilted_arm, more)
+    assert in_the_same_rows(arm, arm) == (arm, arm)
+    with pytest.raises(ArmError, match="no row of one stands for one of the other"):
+        in_the_same_rows(arm, load_arm("so101"))
+
+
+@pytest.mark.parametrize(("arm", "added"), [(RIGHT, 1), (MODIFIED, 2)], ids=["standard", "modified"])
+def test_effects_of_links_stay_with_their_links_when_a_row_comes_between(arm: Arm, added: int) -> None:
+    (joint, *_) = parallel_joints(arm)
+    effects = tuple(Effect("link_flexure", link, {"EI_Nm2": 100.0 * link}) for link in (joint, joint + 1))
+    more = with_tilt_behind(
+        dataclasses.replace(arm, effects=(*effects, Effect("backlash", joint + 1))), joint
+    )
+    assert [effect.joint for effect in more.effects] == [joint, joint + 1 + added, joint + 1]
+    assert more.links[joint + added].L_m == arm.links[joint].L_m

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, board_session
+from calib.arm_problem.parallel_axes import with_tilt_behind
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.errors import CalibrationError
 from calib.identify import ArmModel
@@ -18,7 +19,7 @@ from calib.report.page import list_section
 from calib.report.path_pictures import SAMPLES_DRAWN, thinned
 from calib.report.report import report_html, write_report
 from calib.report.report_data import ReportData
-from calib.report.report_sections import parameters_section
+from calib.report.report_sections import dh_section, parameters_section
 from calib.validation.statistics import Finding, difference, student_t
 from calib.validation.verify import (
     PARTS,
@@ -301,3 +302,12 @@ def test_the_arms_own_kinematics_serve_identification() -> None:
     np.testing.assert_allclose(model.tips(REFERENCE_DH, q), wanted_tips, atol=1e-14)
     np.testing.assert_allclose(tips, wanted_tips, atol=1e-14)
     np.testing.assert_allclose(jacobian, wanted_jacobian, atol=1e-14)
+
+
+def test_the_rows_of_an_arm_with_a_tilt_stand_beside_those_that_it_had() -> None:
+    """`gap` adds a fixed row where two axes are not parallel: the table shows it on both sides, before and after."""
+    arm = load_arm("right")
+    html = dh_section(arm, with_tilt_behind(arm, 2)).html
+    assert html == dh_section(with_tilt_behind(arm, 2), arm).html
+    assert "link 4" in html
+    assert "have other rows" in dh_section(arm, load_arm("so101")).html
