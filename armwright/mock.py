@@ -14,8 +14,8 @@ from armwright.connection import RunningArm
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
 from control.server.client import ArmClient
-from hil_mocks.rig import MockArm as Rig
-from procedures.mock import Bench, RealTimeBench, SteppedBench
+from hil_mocks.rig import SimulatedArm as Rig
+from procedures.mock import MockBench, RealTimeBench, SteppedBench
 
 Array = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def mock_arm(
         yield running
 
 
-def _bench(arm: Arm, scenario: Path, log: Path, work: Path, realtime: bool) -> Bench:
+def _bench(arm: Arm, scenario: Path, log: Path, work: Path, realtime: bool) -> MockBench:
     if not realtime:
         return SteppedBench(arm, scenario, log)
     file = work / "mock.toml"

@@ -46,7 +46,7 @@ class HistoryFileError(CalibrationError):
     """An invalid history.jsonl; the message names file and line."""
 
 
-class Geometry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class GeometryRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Parameters with a nominal value: names, values in their units, scales, and the information matrix of value / scale."""
 
     names: tuple[str, ...]
@@ -78,7 +78,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     arm: str
     program_version: str
     inputs: dict[str, str] = {}
-    geometry: Geometry | None = None
+    geometry: GeometryRecord | None = None
     quantities: dict[str, Quantity] = {}
 
     @property
@@ -87,7 +87,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.measured.timestamp() / 86400.0
 
 
-def geometry_of(problem: ArmProblem, found: Identification) -> Geometry:
+def geometry_of(problem: ArmProblem, found: Identification) -> GeometryRecord:
     """What a calibration determined; tool, boards and other unknowns without a nominal value are projected out."""
     known = determinability(problem.sensitivity(found.x), problem.parameters)
     inner = known.basis.T @ known.covariance(found.noise.variance_m2) @ known.basis
@@ -95,7 +95,7 @@ def geometry_of(problem: ArmProblem, found: Identification) -> Geometry:
     bounded = [k for k, one in enumerate(problem.parameters) if one.has_bound]
     free = [k for k, one in enumerate(problem.parameters) if not one.has_bound]
     own = _without(information, bounded, free)
-    return Geometry(
+    return GeometryRecord(
         tuple(problem.parameters[k].name for k in bounded),
         tuple(found.estimates[k].value for k in bounded),
         tuple(problem.parameters[k].scale for k in bounded),
@@ -199,7 +199,7 @@ KNOWN: Final = 1e-10  # of the largest eigenvalue of an information matrix, belo
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class DriftLine:
     """Coordinates (r,) [m sqrt(poses)]: start at the last calibration, and rate [1/day], or a step's change;
     covariance (2 r, 2 r) of both.
 
@@ -228,7 +228,7 @@ class Line:
         return np.asarray(np.linalg.pinv(self.covariance[size:, size:], rcond=KNOWN, hermitian=True))
 
 
-def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -> Line | None:
+def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -> DriftLine | None:
     """Through all entries that have a geometry, or a step that the entries from that day on are behind; None with fewer than two
     days.
     """
@@ -249,7 +249,7 @@ def line_of(arm: Arm, entries: Sequence[Entry], step_day: float | None = None) -
 class _View:
     """The coordinates of what geometry does at the tip, about the last calibration's."""
 
-    def __init__(self, arm: Arm, first: Geometry, last: Geometry) -> None:
+    def __init__(self, arm: Arm, first: GeometryRecord, last: GeometryRecord) -> None:
         self._arm, self._model = arm, ArmModel(arm)
         self._every = dh_names(len(arm.links))
         self._q = workspace_poses(arm, (), DRAWN * POSES)[:POSES]
@@ -271,7 +271,7 @@ class _View:
         self.toward[:, [self._every[place] not in last.names for place in thetas]] = np.nan
         self.zeros_rad = self._dh.ravel()[thetas]
 
-    def seen(self, one: Geometry) -> tuple[Array, Array]:
+    def seen(self, one: GeometryRecord) -> tuple[Array, Array]:
         """A calibration's coordinates (r,) and their information (r, r)."""
         dh = self._table(one)
         slopes = self._model.slopes(dh, self._q)
@@ -283,7 +283,7 @@ class _View:
         information = lift.T @ _about(np.array(one.information), rows) @ lift
         return self._basis.T @ (slopes.tips - self._tips).ravel(), information
 
-    def _table(self, one: Geometry) -> Array:
+    def _table(self, one: GeometryRecord) -> Array:
         """The DH table (links, 4); what the record lacks is as in arm.toml."""
         flat = self._arm.dh.ravel().copy()
         for name, value in zip(one.names, one.values, strict=True):
@@ -305,7 +305,7 @@ def _about(information: Array, rows: list[int]) -> Array:
 
 def _fitted(
     view: _View, time: tuple[Array, float, float], values: list[Array], informations: list[Array]
-) -> Line:
+) -> DriftLine:
     """`time`: what has passed until each calibration, -1 to 0; what the rate is per, in days; and the days of the record."""
     size, (passed, unit, span) = len(values[-1]), time
     normal, moment = np.zeros((2 * size, 2 * size)), np.zeros(2 * size)
@@ -321,7 +321,7 @@ def _fitted(
     scatter = math.sqrt(max(1.0, chi_squared / freedom)) if freedom else 1.0
     by_day = np.repeat([1.0, 1.0 / unit], size)
     of_both: Array = covariance * np.outer(by_day, by_day) * scatter**2
-    return Line(
+    return DriftLine(
         poses_count=view.count,
         days=span,
         count=len(values),
@@ -352,7 +352,7 @@ LEFT_MOST: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ZeroStep:
     """The calibrations on its two sides; changes of zeros; has_rest: other geometry changed; since: the calibrations behind it;
     alone: the only calibration of a side, which may be a spoilt one instead.
     """
@@ -365,7 +365,7 @@ class Step:
     alone: Entry | None
 
 
-def step_of(arm: Arm, entries: Sequence[Entry], line: Line) -> Step | None:
+def step_of(arm: Arm, entries: Sequence[Entry], line: DriftLine) -> ZeroStep | None:
     """The step that explains the calibrations far better than their line; None if none does. Entries are sorted by date."""
     known = [one for one in entries if one.geometry is not None]
     places = [k for k in range(1, len(known)) if known[k].day > known[k - 1].day]
@@ -376,15 +376,15 @@ def step_of(arm: Arm, entries: Sequence[Entry], line: Line) -> Step | None:
     changes, has_rest = by_zeros(step, 1.0)
     sides = known[:place], known[place:]
     alone = next((side[0] for side in reversed(sides) if len(side) == 1), None)
-    return Step(known[place - 1], known[place], changes, has_rest, tuple(sides[1]), alone)
+    return ZeroStep(known[place - 1], known[place], changes, has_rest, tuple(sides[1]), alone)
 
 
-def _excess(line: Line) -> float:
+def _excess(line: DriftLine) -> float:
     """Chi-squared beyond what the calibrations' own intervals explain."""
     return max(0.0, line.chi_squared - line.freedom)
 
 
-def step_json(step: Step) -> dict[str, object]:
+def step_json(step: ZeroStep) -> dict[str, object]:
     """For programs; SI units."""
     return {
         "between": [one.measured.isoformat() for one in (step.before, step.after)],
@@ -435,7 +435,7 @@ class GeometryTrend:
     they do not, the one without which the others do, if there is one.
     """
 
-    line: Line
+    line: DriftLine
     zeros: tuple[Rate, ...]
     rest_drifts: bool
     is_steady: bool
@@ -452,7 +452,7 @@ def geometry_trend(arm: Arm, entries: Sequence[Entry]) -> GeometryTrend | None:
     return GeometryTrend(line, zeros, rest_drifts, is_steady, None if is_steady else _odd(arm, entries))
 
 
-def by_zeros(line: Line, days: float) -> tuple[tuple[Rate, ...], bool]:
+def by_zeros(line: DriftLine, days: float) -> tuple[tuple[Rate, ...], bool]:
     """The line's rate over so many `days` as changes of the joints' zeros, and whether they leave more than uncertainty."""
     from scipy.stats import chi2
 
@@ -469,7 +469,7 @@ def by_zeros(line: Line, days: float) -> tuple[tuple[Rate, ...], bool]:
     return zeros, freedom > 0 and float(chi2.sf(float(rest @ info @ rest), freedom)) < 1.0 - SURE
 
 
-def _is_steady(line: Line) -> bool:
+def _is_steady(line: DriftLine) -> bool:
     from scipy.stats import chi2
 
     return not line.freedom or float(chi2.sf(line.chi_squared, line.freedom)) >= UNSTEADY
@@ -485,7 +485,7 @@ def _odd(arm: Arm, entries: Sequence[Entry]) -> Entry | None:
     return found[0] if len(found) == 1 else None
 
 
-def _zero(line: Line, joint: int, change: float, sd: float) -> Rate:
+def _zero(line: DriftLine, joint: int, change: float, sd: float) -> Rate:
     half, sure = (_quantile(level, line.freedom) * sd for level in (LEVEL, SURE))
     return Rate(
         f"joint {joint + 1}: zero",
@@ -575,7 +575,7 @@ class Due:
         return self.days >= self.furthest_days
 
 
-def due(line: Line, tolerance_m: float) -> Due | None:
+def due(line: DriftLine, tolerance_m: float) -> Due | None:
     """By the drift of the geometry, root mean square over the workspace; None with fewer than LEAST calibrations."""
     if line.count < LEAST:
         return None
@@ -590,7 +590,7 @@ def due(line: Line, tolerance_m: float) -> Due | None:
     return Due(tolerance_m, early, middle, furthest, math.sqrt(float(constant.mean())))
 
 
-def _drawn(line: Line) -> tuple[Array, Array]:
+def _drawn(line: DriftLine) -> tuple[Array, Array]:
     """Draws of the line's start and rate, (draws, r) each."""
     size, rng = len(line.rate), np.random.default_rng(0)
     values, vectors = np.linalg.eigh(line.covariance)
@@ -627,7 +627,7 @@ class Trend:
     quantities: tuple[Rate, ...]
     tolerance_m: float | None
     due: Due | None
-    step: Step | None
+    step: ZeroStep | None
     now: datetime.datetime
 
     @property
@@ -693,7 +693,7 @@ def _about_dates(trend: Trend) -> Iterator[str]:
         )
 
 
-def _about_step(step: Step) -> Iterator[str]:
+def _about_step(step: ZeroStep) -> Iterator[str]:
     changes = [f"{one.name} by {_rate(one)}" for one in step.changes if one.drifts]
     if step.has_rest:
         changes.append("other geometry")

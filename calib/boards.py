@@ -190,7 +190,7 @@ def markers_text(markers: Markers) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class RigidMotion:
     """Seen = rotation @ board + shift_m, for one set or a stack of sets: rotation (..., 3, 3), shift_m (..., 3)."""
 
     rotation: Array
@@ -202,7 +202,7 @@ class Motion:
         return np.asarray(moved)
 
 
-def best_motion(board_m: Array, seen_m: Array, may_mirror: bool = False) -> Motion:
+def best_motion(board_m: Array, seen_m: Array, may_mirror: bool = False) -> RigidMotion:
     """The motion with the least sum of squared distances; board_m and seen_m (..., k, 3).
 
     With `may_mirror` a reflection is used if it fits better.
@@ -217,10 +217,10 @@ def best_motion(board_m: Array, seen_m: Array, may_mirror: bool = False) -> Moti
         u = turned
     rotation = np.asarray(u @ vt)
     shift = seen_centre - board_centre @ np.swapaxes(rotation, -1, -2)
-    return Motion(rotation, shift[..., 0, :])
+    return RigidMotion(rotation, shift[..., 0, :])
 
 
-def squares_m2(motion: Motion, board_m: Array, seen_m: Array) -> Array:
+def squares_m2(motion: RigidMotion, board_m: Array, seen_m: Array) -> Array:
     """Squared distance of every point: (..., k)."""
     return np.asarray(np.sum((seen_m - motion.of(board_m)) ** 2, axis=-1))
 
@@ -267,7 +267,7 @@ def outlying(board_m: Array, seen_m: Array) -> tuple[int, ...]:
     return tuple(sorted(set(range(k)) - set(agreeing[max(passed)]))) if passed else ()
 
 
-def _starts(board_m: Array, seen_m: Array) -> Motion:
+def _starts(board_m: Array, seen_m: Array) -> RigidMotion:
     """The motions of many triples of markers."""
     triples = np.array(list(combinations(range(len(board_m)), 3)))
     if len(triples) > TRIPLES:
@@ -275,17 +275,18 @@ def _starts(board_m: Array, seen_m: Array) -> Motion:
     return best_motion(board_m[triples], seen_m[triples])
 
 
-def _agreeing(motions: Motion, board_m: Array, seen_m: Array, count: int) -> tuple[int, ...]:
+def _agreeing(motions: RigidMotion, board_m: Array, seen_m: Array, count: int) -> tuple[int, ...]:
     """The `count` markers with the least sum of squares under one motion."""
     squares = np.sort(squares_m2(motions, board_m, seen_m), axis=-1)
     promising = np.argsort(squares[:, :count].sum(axis=-1))[:REFINED]
     candidates = {
-        _refined(Motion(motions.rotation[i], motions.shift_m[i]), board_m, seen_m, count) for i in promising
+        _refined(RigidMotion(motions.rotation[i], motions.shift_m[i]), board_m, seen_m, count)
+        for i in promising
     }
     return min(sorted(candidates), key=lambda rows: _sum_of_squares(board_m, seen_m, rows))
 
 
-def _refined(motion: Motion, board_m: Array, seen_m: Array, count: int) -> tuple[int, ...]:
+def _refined(motion: RigidMotion, board_m: Array, seen_m: Array, count: int) -> tuple[int, ...]:
     """Fit the best markers and select again, until the selection is stable."""
     rows: tuple[int, ...] = ()
     for _ in range(10):

@@ -21,8 +21,8 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.frames import cross_matrix
 from calib.arrays import Array, Mask
 from calib.gap.plan.collision_free_box import collision_free_box
-from calib.gap.plan.plan import MARGIN_rad, RecordingPlan, Visit, plan_of
-from calib.gap.plan.poses import Extent, Pose, static_poses
+from calib.gap.plan.plan import MARGIN_rad, PlannedVisit, RecordingPlan, plan_of
+from calib.gap.plan.poses import NamedPose, PoseCounts, static_poses
 from calib.points.points import Points, joined, make_points
 from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.posterior import linearised, loose_play_m2, posterior_of
@@ -40,7 +40,7 @@ LOAD_LEAST_Nm: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Expectation:
+class ExpectedTips:
     """At m new poses: `left_m` (m, 3), measured minus expected tips; covariance (3 m, 3 m) if nothing has changed.
 
     scatter_m2 (m, 3, 3): its part that is another in each visit. by_joint (m, 3, n): the tip per angle; by_link (m, 3, 4 links):
@@ -72,7 +72,7 @@ class Expectation:
         """How many poses."""
         return len(self.left_m)
 
-    def chosen(self, rows: list[int]) -> Expectation:
+    def chosen(self, rows: list[int]) -> ExpectedTips:
         """Of some poses."""
         flat = (3 * np.array(rows)[:, None] + np.arange(3)).ravel()
         return replace(
@@ -90,7 +90,7 @@ class Expectation:
         )
 
 
-def expectation_of(arm: Arm, earlier: Points, new: Points) -> Expectation:
+def expectation_of(arm: Arm, earlier: Points, new: Points) -> ExpectedTips:
     """By the posterior of the `earlier` points (`calib.trust.posterior`). UnusablePointsError for a pose without a reference."""
     points = joined((earlier, new))
     problem = problem_of(arm, points, Choice().for_points(arm, points))
@@ -106,7 +106,7 @@ def expectation_of(arm: Arm, earlier: Points, new: Points) -> Expectation:
     model = ArmModel(arm)
     slopes = model.slopes(solved.dh, new.q_rad, solved.tool_m)
     flank, load, held = _gears(arm, at, is_new)
-    return Expectation(
+    return ExpectedTips(
         left_m=rows @ found.mean - wanted[is_new],
         covariance=flat @ found.covariance @ flat.T + _blocks(scatter),
         scatter_m2=scatter,
@@ -195,12 +195,12 @@ class Judged:
     misfit: float
 
 
-def causes_of(at: Expectation) -> tuple[Cause, ...]:
+def causes_of(at: ExpectedTips) -> tuple[Cause, ...]:
     """All causes that poses can show; the first is nothing."""
     return tuple(_causes(at))
 
 
-def _causes(at: Expectation) -> Iterator[Cause]:
+def _causes(at: ExpectedTips) -> Iterator[Cause]:
     count = len(at)
     yield Cause("nothing", 0, np.zeros((count, 3, 0)), None, (1.0,))
     for j in range(at.by_joint.shape[2]):
@@ -221,7 +221,7 @@ def _causes(at: Expectation) -> Iterator[Cause]:
     yield Cause("frame", 0, np.concatenate((shifts, turns), axis=2), None, LENGTHS_m)
 
 
-def judged(at: Expectation) -> tuple[Judged, ...]:
+def judged(at: ExpectedTips) -> tuple[Judged, ...]:
     """Every cause, the most probable first."""
     singles = [_along_circle(at, cause) for cause in causes_of(at)]
     causes = [*singles, _several(singles)]
@@ -256,7 +256,7 @@ def _several(singles: Sequence[Cause]) -> Cause:
     return Cause("several", 0, np.concatenate(columns, axis=2), None, ANGLES_rad)
 
 
-def _along_circle(at: Expectation, cause: Cause) -> Cause:
+def _along_circle(at: ExpectedTips, cause: Cause) -> Cause:
     """A turned joint moves the tip on a circle: its column as the chord to where it turned, not the tangent."""
     if cause.kind != "zero":
         return cause
@@ -276,7 +276,7 @@ class _Tried:
     misfit: float
 
 
-def _tried(at: Expectation, cause: Cause, size: float) -> _Tried:
+def _tried(at: ExpectedTips, cause: Cause, size: float) -> _Tried:
     """The evidence of a cause of one size."""
     y, x = at.left_m.ravel(), cause.columns.reshape(3 * len(at), -1) * size
     noise = at.covariance.copy()
@@ -315,7 +315,7 @@ FINE, RECALIBRATE = "fine", "recalibrate"
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class CheckupDecision:
     """`action`: fine, recalibrate, or "inspect joint 2"; its probability; other actions that are left open, with theirs.
 
     is_one_cause: the first cause explains most; is_all: it explains everything. expected_m: root mean square of what the tips
@@ -338,7 +338,7 @@ class Decision:
         return self.probability >= SURE
 
 
-def decide(at: Expectation) -> Decision:
+def decide(at: ExpectedTips) -> CheckupDecision:
     """By poses that were measured."""
     found = judged(at)
     single = next(one for one in found if one.cause.kind != "several")
@@ -351,7 +351,7 @@ def decide(at: Expectation) -> Decision:
         action = action_of(single if is_several and is_one_cause else one, noise_m)
         actions[action] = actions.get(action, 0.0) + one.probability
     first, *others = sorted(actions.items(), key=lambda item: -item[1])
-    return Decision(
+    return CheckupDecision(
         first[0],
         first[1],
         tuple((action, share) for action, share in others if share >= 1.0 - SURE),
@@ -394,12 +394,12 @@ def words_of(one: Judged) -> str:
     return texts[kind]
 
 
-def sentences(found: Decision) -> tuple[str, ...]:
+def sentences(found: CheckupDecision) -> tuple[str, ...]:
     """The decision in words."""
     return tuple(_sentences(found))
 
 
-def _sentences(found: Decision) -> Iterator[str]:
+def _sentences(found: CheckupDecision) -> Iterator[str]:
     yield (
         f"{found.poses_count} visits: the tip is {1e3 * found.left_m:.2g} mm from where it is expected; if nothing has changed,"
         f" {1e3 * found.expected_m:.2g} mm are usual (root mean square)."
@@ -445,7 +445,7 @@ def _percent(share: float) -> str:
     return "> 99 %" if share > 0.99 else f"{100 * share:.0f} %"
 
 
-def decision_json(found: Decision) -> dict[str, object]:
+def decision_json(found: CheckupDecision) -> dict[str, object]:
     """For programs; SI units."""
     return {
         "format": "checkup/1",
@@ -475,7 +475,7 @@ def decision_json(found: Decision) -> dict[str, object]:
 
 POSES: Final = 8  # each is visited from two opposite sides
 SIZE_rad: Final = 3e-3  # of a change that is to be told: three times what parts of a sound arm do
-CANDIDATES: Final = Extent(levels=3, spread=24, outside=8, pulled=2)
+CANDIDATES: Final = PoseCounts(levels=3, spread=24, outside=8, pulled=2)
 SETUP: Final = "free"
 
 
@@ -494,16 +494,16 @@ def checkup_plan(arm: Arm, earlier: Points, count: int = POSES, speed: float = 1
     return plan_of(arm, room, visits, speed)
 
 
-def _visits(pose: Pose, side: tuple[int, ...]) -> tuple[Visit, Visit]:
+def _visits(pose: NamedPose, side: tuple[int, ...]) -> tuple[PlannedVisit, PlannedVisit]:
     ways = (side, _against(side))
     first, second = (
-        Visit(pose.name, repeat, pose.q_rad, way, 0.0, pose.via_rad, SETUP)
+        PlannedVisit(pose.name, repeat, pose.q_rad, way, 0.0, pose.via_rad, SETUP)
         for repeat, way in enumerate(ways, 1)
     )
     return first, second
 
 
-def _best(at: Expectation, count: int) -> list[int]:
+def _best(at: ExpectedTips, count: int) -> list[int]:
     """Greedy: the pose (two rows) that adds most to the logarithm of the information's determinant."""
     columns = np.concatenate(
         [
@@ -523,7 +523,7 @@ def _best(at: Expectation, count: int) -> list[int]:
     return chosen
 
 
-def _information(at: Expectation, columns: Array, rows: list[int]) -> Array:
+def _information(at: ExpectedTips, columns: Array, rows: list[int]) -> Array:
     own = at.chosen(rows)
     flat = columns[rows].reshape(6, -1)
     return np.asarray(flat.T @ np.linalg.solve(own.covariance, flat))

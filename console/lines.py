@@ -38,7 +38,7 @@ class LineError(ArmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ParsedLine:
     """A parsed line: the command's name and its parsed options."""
 
     text: str
@@ -67,7 +67,7 @@ class Grammar:
         """The commands that a line may start with."""
         return tuple(self._specs)
 
-    def line(self, text: str) -> Line | None:
+    def line(self, text: str) -> ParsedLine | None:
         """The command of a line; None for a comment. LineError."""
         try:
             words = shlex.split(text, comments=True)
@@ -85,7 +85,7 @@ class Grammar:
         self._check_arm(name, given)
         given.command, given.module, given.waits = name, self._specs[name].module_name, not in_background
         text = shlex.join([name, *rest]) + (f" {BACKGROUND}" if in_background else "")
-        return Line(text, name, given)
+        return ParsedLine(text, name, given)
 
     def _check_arm(self, name: str, given: argparse.Namespace) -> None:
         """LineError for another arm: lines share one runtime, and a motion planned for another arm must not run on it."""
@@ -119,7 +119,7 @@ NAMED_MOST = 5  # invalid lines of a script
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class LineOutcome:
     """The outcome of a line: its number in the file, the subcommand's exit status, its output, its duration.
 
     `transcript` is standard output and error; `output` is standard output only, as errors were shown immediately.
@@ -133,9 +133,9 @@ class Outcome:
     took_s: float
 
 
-def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Line]]:
+def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, ParsedLine]]:
     """All lines with their numbers, from 1. LineError names the invalid ones, before anything is done."""
-    parsed: list[tuple[int, Line]] = []
+    parsed: list[tuple[int, ParsedLine]] = []
     wrong: list[str] = []
     for number, text in enumerate(lines, 1):
         try:
@@ -152,7 +152,9 @@ def parse_lines(lines: Iterable[str], grammar: Grammar) -> list[tuple[int, Line]
 
 
 def replay(
-    lines: Iterable[tuple[int, Line]], connect: Callable[[], ArmClient], say: Callable[[Outcome], None]
+    lines: Iterable[tuple[int, ParsedLine]],
+    connect: Callable[[], ArmClient],
+    say: Callable[[LineOutcome], None],
 ) -> int:
     """Run lines until the first that fails; returns its exit status, or 0.
 
@@ -188,7 +190,7 @@ class _SharedClient:
             self._client.close()
 
 
-def _run(number: int, line: Line, connect: Callable[[], ArmClient]) -> Outcome:
+def _run(number: int, line: ParsedLine, connect: Callable[[], ArmClient]) -> LineOutcome:
     from console.main import run
 
     line.given.connect = connect
@@ -198,7 +200,7 @@ def _run(number: int, line: Line, connect: Callable[[], ArmClient]) -> Outcome:
     with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
         module = importlib.import_module(f"console.commands.{line.given.module}")
         status = run(module.run, line.given)
-    return Outcome(
+    return LineOutcome(
         number, line.text, status, transcript.getvalue(), output.getvalue(), time.monotonic() - begun_s
     )
 

@@ -25,7 +25,7 @@ class PlacesError(ArmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class NamedPlace:
     """Joint angles, or a tip position in the base frame."""
 
     name: str
@@ -33,16 +33,18 @@ class Place:
     tip_m: tuple[float, float, float] | None
 
 
-def read_places(file: Path) -> dict[str, Place]:
+def read_places(file: Path) -> dict[str, NamedPlace]:
     """The places of a file by name. PlacesError names file and place."""
     return {name: _place(file, name, table) for name, table in _tables(file).items()}
 
 
-def find_place(file: Path, name: str, rest_rad: Sequence[float] | None = None) -> Place:
+def find_place(file: Path, name: str, rest_rad: Sequence[float] | None = None) -> NamedPlace:
     """One place; `rest` is the arm's own, where the file has none. PlacesError lists the known places."""
     if name == "rest" and rest_rad is not None and not file.exists():
-        return Place(name, tuple(rest_rad), None)
-    places = ({} if rest_rad is None else {"rest": Place("rest", tuple(rest_rad), None)}) | read_places(file)
+        return NamedPlace(name, tuple(rest_rad), None)
+    places = ({} if rest_rad is None else {"rest": NamedPlace("rest", tuple(rest_rad), None)}) | read_places(
+        file
+    )
     if name not in places:
         raise PlacesError(f"{file}: no place {name!r}; expected one of {', '.join(places) or 'none'}")
     return places[name]
@@ -76,7 +78,7 @@ def _tables(file: Path) -> dict[str, Any]:
         ) from None
 
 
-def _place(file: Path, name: str, table: object) -> Place:
+def _place(file: Path, name: str, table: object) -> NamedPlace:
     if not isinstance(table, dict) or len(table) != 1 or not set(table) <= KEYS:
         got = ", ".join(table) if isinstance(table, dict) else repr(table)
         raise PlacesError(f"{file}, [{name}]: expected q_rad or tip_m, got {got or 'nothing'}")
@@ -88,5 +90,5 @@ def _place(file: Path, name: str, table: object) -> Place:
     if not is_good or (key == "tip_m" and len(numbers) != 3):
         raise PlacesError(f"{file}, [{name}]: expected {key} to be a list of finite numbers, got {values!r}")
     if key == "tip_m":
-        return Place(name, None, (float(numbers[0]), float(numbers[1]), float(numbers[2])))
-    return Place(name, tuple(float(v) for v in numbers), None)
+        return NamedPlace(name, None, (float(numbers[0]), float(numbers[1]), float(numbers[2])))
+    return NamedPlace(name, tuple(float(v) for v in numbers), None)

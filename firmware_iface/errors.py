@@ -48,7 +48,7 @@ class WrongIdentity(LinkError):
     """A board answers but is not the expected one: serial number, protocol version or type."""
 
 
-class RequestRefused(LinkError):
+class BoardRefused(LinkError):
     """A board rejected a valid request; its state is unchanged."""
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple, Protocol
 
 from firmware_iface.clock import Clock
@@ -12,7 +13,18 @@ from firmware_iface.polled_line import WRONG, PolledLine, Question, Unfinished
 ANSWER_TIMEOUT_s = 0.01  # return delay 0.5 ms by default, and the latency of a USB adapter
 
 
-class Status(NamedTuple):
+class Instruction(IntEnum):
+    """Instructions that are used here. Dynamixel's protocol 2.0 and Feetech's have one set of numbers."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REBOOT = 0x08
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+
+
+class StatusPacket(NamedTuple):
     """A status packet: who, the error byte, and the parameters; and how many bytes it took."""
 
     servo: int
@@ -32,7 +44,7 @@ class ServoQuestion:
     made: Callable[[], bytes]
     parameter_bytes: int
     taken: Callable[[bytes, float], None]
-    status_in: Callable[[bytes], Status | None]
+    status_in: Callable[[bytes], StatusPacket | None]
     overhead: int
 
     @property
@@ -49,7 +61,7 @@ class ServoQuestion:
         status = self.status(received.removeprefix(self.made()))
         return WRONG if status is None else bytes((status.error,)) + status.parameters
 
-    def status(self, received: bytes) -> Status | None:
+    def status(self, received: bytes) -> StatusPacket | None:
         """The servo's status packet at the begin of what was received, None if it is not right. Raises Unfinished."""
         try:
             status = self.status_in(received)

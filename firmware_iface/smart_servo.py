@@ -5,8 +5,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Final, Protocol
 
-from firmware_iface.errors import BoardReset, LinkError, MisuseError, Problems, RequestRefused
-from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion, Status
+from firmware_iface.errors import BoardRefused, BoardReset, LinkError, MisuseError, Problems
+from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion, StatusPacket
 
 
 class ServoWire(Protocol):
@@ -18,7 +18,7 @@ class ServoWire(Protocol):
     def STATUS_OVERHEAD(self) -> int: ...
     def read(self, servo: int, address: int, count: int) -> bytes: ...
     def write(self, servo: int, address: int, data: bytes) -> bytes: ...
-    def status_in(self, received: bytes) -> Status | None: ...
+    def status_in(self, received: bytes) -> StatusPacket | None: ...
     def refusal(self, error: int) -> str | None: ...
 
 
@@ -138,8 +138,8 @@ class SmartServo(ABC):
             raise self._refused(what, why)
         return answer[1:]
 
-    def _refused(self, what: str, why: str) -> RequestRefused:
-        return RequestRefused(f"{self.where}: refused {what}: {why}")
+    def _refused(self, what: str, why: str) -> BoardRefused:
+        return BoardRefused(f"{self.where}: refused {what}: {why}")
 
     def _writing(self, address: int, made: Callable[[], bytes], then: Callable[[], None]) -> ServoQuestion:
         """The instruction that writes in the cycle; `then` is called when it was obeyed. `made`: the bytes, when it is sent."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 from control.model.arm import Drive
 from control.model.description import Arm
-from hil_mocks.bought_can import KINDS, SWITCHED, CanBoards, Driven, Seen
+from hil_mocks.bought_can import KINDS, SWITCHED, CanBoards, Driven, PlantState
 from hil_mocks.devices import dynamixel
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 from hil_mocks.devices.dynamixel_table import CURRENT_BASED, EXTENDED, POSITION
@@ -21,7 +21,7 @@ from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import JointWiring
 
 
-class PacketLine(Protocol):
+class AnsweringLine(Protocol):
     """A serial line whose boards answer; `outgoing` has bytes and when they arrive at the host."""
 
     outgoing: list[tuple[float, bytes]]
@@ -58,7 +58,7 @@ class ServoKind(NamedTuple):
 
     prefix: str
     mock: Callable[[int, Drive, Callable[[], float], bool], Any]  # the last: whether it drives a gripper
-    line: Callable[[list[Any], int], PacketLine]
+    line: Callable[[list[Any], int], AnsweringLine]
 
 
 SERVO_KINDS = {
@@ -98,7 +98,7 @@ class Servos:
         ]
         self.line_of = [self.ports.index(board.port) for board in boards]
 
-    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+    def tick(self, now_s: float, seen: PlantState) -> list[Driven]:
         """Advance the servos."""
         outputs: list[Driven] = []
         for j, mock in zip(self.joints, self.mocks, strict=True):
@@ -160,7 +160,7 @@ class RoboClaws:
         """The joint at the channel of a fault."""
         return self._of_mock[self.names.index(fault.board)].get(fault.channel)
 
-    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+    def tick(self, now_s: float, seen: PlantState) -> list[Driven]:
         """Advance the boards."""
         outputs: list[Driven] = []
         for mock, joints in zip(self._mocks, self._of_mock, strict=True):
@@ -223,7 +223,7 @@ class Bought:
         self.joints = [joint for owner in self._owners for joint in owner.joints]
         self.names = [name for owner in self._owners for name in owner.names]
         on_lines: tuple[RoboClaws | Servos, ...] = (claws, *servos)
-        self.lines: list[PacketLine] = [line for owner in on_lines for line in owner.lines]
+        self.lines: list[AnsweringLine] = [line for owner in on_lines for line in owner.lines]
         self.ports = [port for owner in on_lines for port in owner.ports]
         self.line_names = [
             owner.names[owner.line_of.index(line)]
@@ -231,7 +231,7 @@ class Bought:
             for line in dict.fromkeys(owner.line_of)
         ]
 
-    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+    def tick(self, now_s: float, seen: PlantState) -> list[Driven]:
         """Advance all boards; what each joint is driven with."""
         return [driven for owner in self._owners if owner.joints for driven in owner.tick(now_s, seen)]
 

@@ -20,7 +20,7 @@ from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import JointWiring
 
 
-class Seen(NamedTuple):
+class PlantState(NamedTuple):
     """What the boards see of the plant, by joint: currents in the boards' own sense, supply, whether a bridge is at a limit."""
 
     currents_A: Sequence[float]
@@ -49,7 +49,7 @@ class CanBoardMock(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Shaft:
+class EncoderShaft:
     """An encoder as a board reads it: with the sense of its wires, or counting up with a positive voltage."""
 
     count: Callable[[], int]
@@ -62,11 +62,11 @@ class CanKind(NamedTuple):
 
     prefix: str
     carried: CanFormat
-    mock: Callable[[int, int, Drive, Shaft], Any]
+    mock: Callable[[int, int, Drive, EncoderShaft], Any]
     errors: Mapping[str, int]
 
 
-def _cia402(node: int, joint: int, drive: Drive, shaft: Shaft) -> Cia402Mock:
+def _cia402(node: int, joint: int, drive: Drive, shaft: EncoderShaft) -> Cia402Mock:
     """Every second joint has an EPOS4, the others a plain drive."""
     is_epos4 = joint % 2 == 1
     setup = Cia402Setup(
@@ -82,20 +82,20 @@ def _cia402(node: int, joint: int, drive: Drive, shaft: Shaft) -> Cia402Mock:
     return Cia402Mock(setup, shaft.own_count)
 
 
-def _vesc(number: int, joint: int, drive: Drive, shaft: Shaft) -> VescMock:
+def _vesc(number: int, joint: int, drive: Drive, shaft: EncoderShaft) -> VescMock:
     volts_per_turn_s = 2.0 * math.pi * drive.torque_constant_Nm_A
     setup = VescSetup(number, volts_per_turn_s, drive.current_limit_A, drive.resistance_ohm)
     return VescMock(setup, lambda: shaft.count() / vesc.TURN)
 
 
-def _odrive(node: int, joint: int, drive: Drive, shaft: Shaft) -> OdriveMock:
+def _odrive(node: int, joint: int, drive: Drive, shaft: EncoderShaft) -> OdriveMock:
     # Its watchdog frees the motor, so it is on where the last command must not last (docs/odrive.md).
     watchdog_s = math.inf if drive.pid.mode == "position" else 0.1
     setup = OdriveSetup(node, drive.torque_constant_Nm_A, drive.current_limit_A, watchdog_s=watchdog_s)
     return OdriveMock(setup, shaft.turns)
 
 
-def _moteus(number: int, joint: int, drive: Drive, shaft: Shaft) -> MoteusMock:
+def _moteus(number: int, joint: int, drive: Drive, shaft: EncoderShaft) -> MoteusMock:
     setup = MoteusSetup(number, drive.torque_constant_Nm_A, drive.current_limit_A, (0x4D5445, joint, 1))
     return MoteusMock(setup, shaft.turns)
 
@@ -140,7 +140,7 @@ class CanBoards:
             made.mock(number, j, drive, _shaft(wiring[j], j, encoder_rad)) for j, drive, number in on_them
         ]
 
-    def tick(self, now_s: float, seen: Seen) -> list[Driven]:
+    def tick(self, now_s: float, seen: PlantState) -> list[Driven]:
         """Advance the boards."""
         outputs: list[Driven] = []
         for j, mock in zip(self.joints, self.mocks, strict=True):
@@ -164,10 +164,10 @@ class CanBoards:
         return self.joints[self.names.index(fault.board)]
 
 
-def _shaft(wired: JointWiring, joint: int, encoder_rad: Callable[[int], float]) -> Shaft:
+def _shaft(wired: JointWiring, joint: int, encoder_rad: Callable[[int], float]) -> EncoderShaft:
     turns_per_rad = wired.encoder_direction * wired.counts_per_rad / wired.counts_per_turn
     zero_turns = wired.zero_count / wired.counts_per_turn
-    return Shaft(
+    return EncoderShaft(
         lambda: wired.raw_count(encoder_rad(joint)),
         lambda: encoder_rad(joint) * turns_per_rad + zero_turns,
         lambda: wired.motor_count(encoder_rad(joint)),

@@ -75,7 +75,7 @@ class Commands:
         self._socket.close()
 
 
-class Connection:
+class OneClientServer:
     """A TCP server for one client at a time; its packets begin with their size, u32 little endian."""
 
     def __init__(self) -> None:
@@ -139,7 +139,7 @@ class Connection:
 _WIRES: Mapping[Transport, type[CameraWire]] = {
     "datagrams": Datagrams,
     "commands": Commands,
-    "connection": Connection,
+    "connection": OneClientServer,
 }
 
 

@@ -20,7 +20,7 @@ from hil_mocks.assembly import effects_of, plant_options, start_pose
 from hil_mocks.devices.motor_inputs import Frame
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.line import Line
+from hil_mocks.in_process.line import SerialLine
 from hil_mocks.miswiring import as_built
 from hil_mocks.plant.build import Standing
 from hil_mocks.plant.parts import parts_of
@@ -154,7 +154,7 @@ class SteppedCell:
         self.mock = MockCell(cell, self.scenario)
         register()
         name = f"armwright-cell-{os.getpid()}-{next(_rigs)}"
-        lines = [Line(f"{name}-{k}") for k in range(self.mock.serial_lines)]
+        lines = [SerialLine(f"{name}-{k}") for k in range(self.mock.serial_lines)]
         self.can_interface, self.can_channel = CAN_INTERFACE, name
         self.wires = Wires(lines, CAN_INTERFACE, name, self.mock.transports, self.mock.can_formats)
         self.can_options = self.wires.can_options

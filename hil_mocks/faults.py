@@ -116,7 +116,7 @@ class FaultPlan:
         return tuple(f for f in self.active if f.board == board and f.kind in ON_FRAMES)
 
 
-class Line:
+class FaultyFrames:
     """Faults on the frames of one board to the host."""
 
     def __init__(self, board: str, seed: int) -> None:
@@ -163,7 +163,7 @@ class CanOut:
         self.outgoing: list[tuple[int, bytes]] = []
         self._on_its_way: list[tuple[float, tuple[int, bytes]]] = []
 
-    def send(self, line: Line, frames: Sequence[tuple[int, bytes]], now_s: float) -> None:
+    def send(self, line: FaultyFrames, frames: Sequence[tuple[int, bytes]], now_s: float) -> None:
         """Send a board's frames through its line."""
         if not line.faults:
             self.outgoing += frames

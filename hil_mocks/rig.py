@@ -18,7 +18,7 @@ from typing import Protocol, Self
 from control.model.description import Arm, load_arm
 from firmware_iface.clock import Clock
 from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.line import Line
+from hil_mocks.in_process.line import SerialLine
 from hil_mocks.plant.hand import Point
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, Scenario, load_scenario
@@ -78,7 +78,7 @@ class ArmPorts:
     camera_port: int
 
 
-class MockArm(MockPorts, Protocol):
+class SimulatedArm(MockPorts, Protocol):
     """Interface of a mock arm for host and operator. Times in s, lengths in m, angles in rad, base frame."""
 
     @property
@@ -159,7 +159,7 @@ class SteppedRig:
             serial_wires, self.can_interface = [Pty() for _ in lines], "virtual"
         else:
             register()
-            serial_wires, self.can_interface = [Line(f"{name}-{k}") for k in lines], CAN_INTERFACE
+            serial_wires, self.can_interface = [SerialLine(f"{name}-{k}") for k in lines], CAN_INTERFACE
         self.can_channel = name
         self.wires = Wires(
             serial_wires, self.can_interface, name, [self.robot.camera.transport], self.robot.can_formats

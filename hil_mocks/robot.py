@@ -15,11 +15,11 @@ from control.model.description import Arm
 from firmware_iface.link import CanFormat
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
 from hil_mocks.bought import Bought
-from hil_mocks.bought_can import Seen
+from hil_mocks.bought_can import PlantState
 from hil_mocks.devices.board_faults import switch_encoder_board, switch_motor_board
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, Output
 from hil_mocks.errors import RigError, ScenarioError
-from hil_mocks.faults import CanOut, FaultPlan, Frames, Line, check_fault
+from hil_mocks.faults import CanOut, FaultPlan, FaultyFrames, Frames, check_fault
 from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
 from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, MotorWires, as_built
 from hil_mocks.plant.hand import Hand, Point
@@ -79,7 +79,7 @@ class MockRobot:
         self.board_names = [*self._encoder_names, *self._motor_names, *self.bought.names, "camera"]
         for fault in scenario.fault:
             check_fault(fault, self.board_names, f"scenario {scenario.path or scenario.name}")
-        self._lines = {name: Line(name, scenario.seed) for name in self.board_names}
+        self._lines = {name: FaultyFrames(name, scenario.seed) for name in self.board_names}
         self._motor_lines = [self._lines[name] for name in self._motor_names]
         self._plan = FaultPlan(scenario.fault)
 
@@ -205,7 +205,7 @@ class MockRobot:
         if self._has_bought:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
             turned_rad = joint_rad if gripper is None else (*joint_rad, gripper.motor_rad())
-            for driven in self.bought.tick(now_s, Seen(signed_A, supply_V, is_clamped, turned_rad)):
+            for driven in self.bought.tick(now_s, PlantState(signed_A, supply_V, is_clamped, turned_rad)):
                 motors.apply(*driven)
             self._gather_bought()
         for i, encoder in enumerate(self.encoder_boards):

@@ -62,7 +62,7 @@ class Pacer:
         return now_s - self._zero_s - self._done * self._tick_s
 
 
-class Server:
+class MockServer:
     """The mock arms of a cell (one, or several), their wires and their socket."""
 
     def __init__(self, cell: Cell, scenario: str, can_channel: str, socket_path: Path) -> None:
@@ -258,7 +258,7 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory(prefix="armwright-mock-") as folder:
         try:
             cell = load_cell(chosen.cell) if chosen.cell else cell_of_one(load_arm(chosen.arm))
-            server = Server(
+            server = MockServer(
                 cell, chosen.scenario, chosen.can_channel or own_group(), Path(folder) / "mock.sock"
             )
         except (ArmError, MockError) as error:

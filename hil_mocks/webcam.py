@@ -22,7 +22,7 @@ MARGIN_px = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class PrintedSheet:
     """A print in front of the camera: grey levels (rows, columns), its width, and camera_T_sheet.
 
     The sheet's origin is its centre; x to the right, y down, z into the paper.
@@ -49,7 +49,9 @@ class Webcam:
     noise_grey: float = 2.5
     readout_s: float = 0.0
 
-    def picture(self, sheets: Sequence[Sheet], draw: np.random.Generator, motion_s: float = 0.0) -> Grey:
+    def picture(
+        self, sheets: Sequence[PrintedSheet], draw: np.random.Generator, motion_s: float = 0.0
+    ) -> Grey:
         """The picture (height_px, width_px). `motion_s`: time of exposure, during which moving sheets smear."""
         seen = np.full((self.height_px, self.width_px), BACKGROUND_grey)
         seen += 15.0 * np.linspace(-1.0, 1.0, self.width_px)  # light from one side
@@ -59,7 +61,7 @@ class Webcam:
         seen += draw.normal(0.0, self.noise_grey, seen.shape)
         return np.clip(np.rint(seen), 0, 255).astype(np.uint8)
 
-    def _add(self, seen: Array, sheet: Sheet, motion_s: float) -> None:
+    def _add(self, seen: Array, sheet: PrintedSheet, motion_s: float) -> None:
         window = self._window(sheet)
         if window is None:
             return
@@ -80,7 +82,7 @@ class Webcam:
         seen[rows, columns] *= 1.0 - share * ink
         seen[rows, columns] += share * light
 
-    def _window(self, sheet: Sheet) -> tuple[slice, slice] | None:
+    def _window(self, sheet: PrintedSheet) -> tuple[slice, slice] | None:
         """The part of the picture that can show the sheet; None if that is nothing."""
         rows, columns = sheet.grey.shape
         half = 0.5 * sheet.width_m * np.array([1.0, rows / columns])
@@ -124,7 +126,7 @@ class Webcam:
         return np.stack((a, b, np.ones_like(a)), axis=2)
 
 
-def _on_sheet(sheet: Sheet, rays: Array, time_s: Array) -> tuple[Array, Array]:
+def _on_sheet(sheet: PrintedSheet, rays: Array, time_s: Array) -> tuple[Array, Array]:
     """Where rays meet the sheet, whose position in each row of rays is that at the row's own time."""
     place = sheet.position_m + time_s[:, None] * sheet.speed_m_s
     plane = np.tile(sheet.rotation[:, :2], (len(place), 1, 1))
@@ -133,7 +135,7 @@ def _on_sheet(sheet: Sheet, rays: Array, time_s: Array) -> tuple[Array, Array]:
     return met[..., 0] / met[..., 2], met[..., 1] / met[..., 2]
 
 
-def _read(sheet: Sheet, x: Array, y: Array) -> tuple[Array, Array]:
+def _read(sheet: PrintedSheet, x: Array, y: Array) -> tuple[Array, Array]:
     """Grey levels of the print at places of the sheet, and 1 where the sheet is; between its dots bilinear."""
     rows, columns = sheet.grey.shape
     dot_m = sheet.width_m / columns

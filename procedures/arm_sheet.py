@@ -86,7 +86,7 @@ class Buses:
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class ArmSheet:
     """All figures; None where the file lacks what they need (`procedures.arm_sheet.missing`)."""
 
     reach: Reach
@@ -95,7 +95,7 @@ class Sheet:
     buses: Buses | None
 
 
-def sheet(arm: Arm) -> Sheet:
+def sheet(arm: Arm) -> ArmSheet:
     """The figures of an arm, at its usual cycle rate."""
     q = spread_poses(joint_box(arm, margin_rad=0.0), POSES)
     above = _above_floor(arm, q)
@@ -104,7 +104,7 @@ def sheet(arm: Arm) -> Sheet:
     payload = None
     if gravity is not None and len(arm.drives) == arm.joint_count:
         payload = _payload(arm, kept, gravity, _torques(arm, kept, 1.0))
-    return Sheet(
+    return ArmSheet(
         reach=_reach(arm, kept, float(above.mean())),
         joints=tuple(_joint(arm, joint, kept, gravity) for joint in range(1, arm.joint_count + 1)),
         payload=payload,
@@ -319,7 +319,7 @@ HEAD = ("joint", "range", "speed", "free", "torque", "gravity", "share", "moving
 UNITS = ("", "deg", "deg/s", "deg/s", "N m", "N m", "%", "N m", "mdeg")
 
 
-def sheet_lines(arm: Arm, found: Sheet, absent: tuple[Missing, ...]) -> Iterator[str]:
+def sheet_lines(arm: Arm, found: ArmSheet, absent: tuple[Missing, ...]) -> Iterator[str]:
     """The lines of `armwright arm` behind the DH table."""
     reach = found.reach
     yield (
@@ -343,7 +343,7 @@ def sheet_lines(arm: Arm, found: Sheet, absent: tuple[Missing, ...]) -> Iterator
     yield from (f"missing: {one.what}: {one.needed_for}" for one in absent)
 
 
-def warnings(found: Sheet) -> Iterator[str]:
+def warnings(found: ArmSheet) -> Iterator[str]:
     """What cannot work, although nothing is missing."""
     for joint in found.joints:
         if joint.share > FULL:

@@ -23,7 +23,7 @@ from calib.iso9283.cube import Point, TestCube
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import write_page
 from calib.iso9283.programme import Extent, PathRun, Step, Visit, path_programme, programme_document, steps
-from calib.iso9283.recorded import SET, PoseGroup, Run, pose_groups, read_rectangle, read_runs
+from calib.iso9283.recorded import SET, PoseGroup, RecordedRun, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import Evaluation, write_document
 from calib.iso9283.workspace import Solver, solver_of
 from calib.points.arm_points import require_recorded_of
@@ -252,7 +252,7 @@ def evaluate_files(
             raise Iso9283Error(
                 f"{log}: a recording, expected log.csv: `armwright export {log} --out DIR` makes one"
             )
-    runs: list[Run] = [run for log in logs for run in read_runs(log, arm, is_as_given)]
+    runs: list[RecordedRun] = [run for log in logs for run in read_runs(log, arm, is_as_given)]
     visited = {str(other): _poses(other, arm, is_as_given)[0] for other in others}
     corners = read_rectangle(programme) if programme is not None else None
     found = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*point_notes, *notes))

@@ -42,7 +42,7 @@ from firmware_iface.installation import command
 from firmware_iface.interrupts import held
 from hil_mocks.cell import SteppedCell
 from hil_mocks.realtime import RealTimeRig
-from hil_mocks.rig import MockArm, MockHand, MockPorts, SteppedRig
+from hil_mocks.rig import MockHand, MockPorts, SimulatedArm, SteppedRig
 from hil_mocks.scenario import Scenario
 from procedures.child_process import ends_with_parent
 from procedures.folders import free_folder
@@ -88,11 +88,11 @@ def wired_to(arm: Arm, rig: MockPorts) -> Arm:
 START_LIMIT_S = 300.0  # on a busy machine; a runtime that ends is detected at once
 
 
-class Bench(Protocol):
+class MockBench(Protocol):
     """A mock arm and, after `start`, a runtime connected to it."""
 
     @property
-    def rig(self) -> MockArm: ...
+    def rig(self) -> SimulatedArm: ...
 
     @property
     def speed(self) -> float:
@@ -124,7 +124,7 @@ class SteppedBench:
     def __init__(
         self, arm: Arm, scenario: Scenario | Path, log_folder: Path, through_kernel: bool = False
     ) -> None:
-        self.rig: MockArm = SteppedRig(arm, scenario, through_kernel)
+        self.rig: SimulatedArm = SteppedRig(arm, scenario, through_kernel)
         self._log_folder = log_folder
         self._period_s = 1.0 / arm.usual_rate_Hz
         self._connection: Connection | None = None
@@ -194,7 +194,7 @@ class RealTimeBench:
     speed = 0.4
 
     def __init__(self, arm: Path | str, scenario: Path, log_folder: Path) -> None:
-        self.rig: MockArm = RealTimeRig(arm, scenario)
+        self.rig: SimulatedArm = RealTimeRig(arm, scenario)
         self._log_folder = log_folder
         self._folder = tempfile.TemporaryDirectory(prefix="armwright-demo-")
         self._runtime: subprocess.Popen[bytes] | None = None

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from calib.session.moves import Sample, SeenTip, Vector
+from calib.session.moves import RestSample, SeenTip, Vector
 from calib.session.plan import Target
 from control.errors import ArmError
 from control.hardware.averaging import Average
@@ -61,11 +61,13 @@ class RuntimePort:
         if status["mode"] != "HOLDING":
             self._client.hold()
 
-    def average(self, duration_s: float) -> Sample:
+    def average(self, duration_s: float) -> RestSample:
         """Mean of encoders and currents, and the drives' temperature now."""
         mean = self._client.average(duration_s)
         warmth = tuple(math.nan if t is None else float(t) for t in self._client.status()["temperature_C"])
-        return Sample(mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth, self._seen(mean))
+        return RestSample(
+            mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth, self._seen(mean)
+        )
 
     def measure(self, duration_s: float) -> SeenTip:
         """Mean of the camera's tips. ArmError, with the camera's reason, if there are none."""
@@ -92,7 +94,7 @@ def camera_said(client: ArmClient) -> str:
 
 
 class MockHandSeat:
-    """`calib.session.conduct.Hand` by the mock arm's hand, which knows the true cavities."""
+    """`calib.session.conduct.AutomaticHand` by the mock arm's hand, which knows the true cavities."""
 
     def __init__(self, hand: HandPort, place_of: Callable[[Target], Vector]) -> None:
         self._hand, self._place_of = hand, place_of

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from calib.errors import CalibrationError
 from calib.points.writer import Key, PointsWriter, Record
 from calib.session.folder import continues
-from calib.session.moves import Sample
+from calib.session.moves import RestSample
 from calib.session.take import SessionSettings, wait_for_rest
 from control.errors import ArmError
 from control.files import write_whole
@@ -219,7 +219,7 @@ class _Conductor(Generic[R]):
             more=stop.more,
         )
 
-    def _sample(self) -> Sample:
+    def _sample(self) -> RestSample:
         """Angles and tip of the same time: an integral may still creep."""
         sees, duration_s = self._bench.has_camera and self._how.needs_tip, self._how.settings.average_s
         for _ in range(CAMERA_PATIENCE):

@@ -15,7 +15,7 @@ from benchmarks.calibration.trust_coverage import session
 from benchmarks.gap.static.cases import ARM, NOISE_m
 from benchmarks.gap.static.physics import Hidden
 from calib.arrays import Array
-from calib.checkup import Decision, checkup_plan, decide, expectation_of
+from calib.checkup import CheckupDecision, checkup_plan, decide, expectation_of
 from calib.points.points import Points, make_points
 
 SORTS = {  # what happens to joint j, and the right decision
@@ -50,7 +50,7 @@ def sound() -> tuple[Hidden, ...]:
     )
 
 
-def checked(seed: int, sort: str, joint: int) -> Decision:
+def checked(seed: int, sort: str, joint: int) -> CheckupDecision:
     """The decision about an arm on whose joint this has happened."""
     rng = np.random.default_rng(seed + 1)
     hidden = list(sound())
@@ -78,7 +78,7 @@ def checked(seed: int, sort: str, joint: int) -> Decision:
     return decide(expectation_of(ARM, before(seed), points))
 
 
-def is_right(found: Decision, sort: str, joint: int) -> bool:
+def is_right(found: CheckupDecision, sort: str, joint: int) -> bool:
     """Whether the action is the right one, of the right joint."""
     wanted = SORTS[sort]
     return found.action == (f"{wanted} {joint}" if wanted == "inspect joint" else wanted)

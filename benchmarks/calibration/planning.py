@@ -36,7 +36,7 @@ from hil_mocks.scenario import EffectTable, Scenario, load_scenario
 from procedures.gap.recording import record_on_mock
 from procedures.mock import SteppedBench, scenario_bytes
 from procedures.verify.models import Model
-from procedures.verify.survey import Run, track_of
+from procedures.verify.survey import SurveyedPath, track_of
 
 SORTS = ("demo", "play", "worn")
 AREA_m = (0.3, 0.3, 0.2)
@@ -143,7 +143,7 @@ def run_path(way: WayOfPath, lead_in_rad: Sequence[float] | None, client: ArmCli
     client.run_path(way.plan.to_message())
     number = int(client.status()["run"])
     client.wait(0.5)
-    track = track_of(next(log.glob("*.armlog")), Model(way.arm), Run(number), "path")
+    track = track_of(next(log.glob("*.armlog")), Model(way.arm), SurveyedPath(number), "path")
     return _rms_m(track.measured_m - track.planned_m)
 
 

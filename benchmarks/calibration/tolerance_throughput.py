@@ -13,7 +13,7 @@ from benchmarks.table import BenchRow
 from calib.studies.chunks import ChunkStore, run_study
 from calib.studies.executor import Executor, InProcess, ProcessPool
 from calib.tolerances.making import parse_tolerances, tolerances_text
-from calib.tolerances.study import CHUNK, Design, design_of, study_task
+from calib.tolerances.study import CHUNK, StudyDesign, design_of, study_task
 from control.model.description import load_arm
 
 ARMS = 6000
@@ -47,7 +47,7 @@ def rows() -> Iterator[BenchRow]:
     )
 
 
-def _in_pool(design: Design) -> tuple[float, float]:
+def _in_pool(design: StudyDesign) -> tuple[float, float]:
     """Seconds of all processors of a pool from its start to its end, and of the study without the start of the pool."""
     before_s = _children_s()
     with ProcessPool(WORKERS) as pool:
@@ -56,12 +56,12 @@ def _in_pool(design: Design) -> tuple[float, float]:
     return _children_s() - before_s, passed_s
 
 
-def _plain(design: Design) -> None:
+def _plain(design: StudyDesign) -> None:
     for number in range(design.chunks):
         study_task(design, number)
 
 
-def _stored(design: Design, runs: Executor) -> None:
+def _stored(design: StudyDesign, runs: Executor) -> None:
     with tempfile.TemporaryDirectory() as folder:
         run_study(study_task, design, design.chunks, runs, ChunkStore(Path(folder), {}))
 

@@ -18,7 +18,7 @@ from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.clock import Clock
-from hil_mocks.rig import MockArm, SteppedRig
+from hil_mocks.rig import SimulatedArm, SteppedRig
 from hil_mocks.scenario import load_scenario
 from procedures.mock import SteppedBench
 
@@ -147,7 +147,7 @@ def _beside(name: str, rates: Sequence[float], ours: Sequence[float]) -> BenchRo
     )
 
 
-def _costs(rig: MockArm, client: ArmClient, job: Job) -> dict[str, float]:
+def _costs(rig: SimulatedArm, client: ArmClient, job: Job) -> dict[str, float]:
     """Smallest microseconds of each part in a cycle; everything outside the mock is control: drivers, loop, recording, client."""
     shares = Shares()
     if isinstance(rig, SteppedRig):

@@ -21,7 +21,7 @@ from control.safety.table import Mode
 from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
-from hil_mocks.rig import MockArm, SteppedRig
+from hil_mocks.rig import SimulatedArm, SteppedRig
 from procedures.mock import wired_to
 
 PERIOD_S = 0.002
@@ -34,7 +34,7 @@ Points = NDArray[np.float64]
 class TruthSink(NoSink):
     """A recording sink that saves the set-points of motions with the mock's true tip at the same time."""
 
-    def __init__(self, rig: MockArm, layout: Layout) -> None:
+    def __init__(self, rig: SimulatedArm, layout: Layout) -> None:
         self.q_set_rad: list[tuple[float, ...]] = []
         self.tip_m: list[tuple[float, ...]] = []
         self.run: list[float] = []

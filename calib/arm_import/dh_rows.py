@@ -61,7 +61,7 @@ class Screw:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class ScrewPair:
     """Z, with joint `joint` if it turns there, then X."""
 
     joint: int | None
@@ -76,7 +76,7 @@ def dh_rows(axes: Sequence[Axis], base_T_tip: Array, convention: Convention) -> 
         more, frame = _to_line(frame, number, target)
         pairs += more
     rest = np.linalg.inv(frame) @ base_T_tip
-    pairs.append(Pair(None, _tidy(float(rest[2, 3]), math.atan2(rest[1, 0], rest[0, 0]))))
+    pairs.append(ScrewPair(None, _tidy(float(rest[2, 3]), math.atan2(rest[1, 0], rest[0, 0]))))
     rows = _standard(pairs) if convention == "standard" else _modified(pairs)
     return tuple(row for row in rows if row.joint is not None or _does_anything(row))
 
@@ -93,11 +93,11 @@ def _does_anything(row: Row) -> bool:
     return any((row.d_m, row.theta_rad, row.L_m, row.alpha_rad))
 
 
-def _standard(pairs: Sequence[Pair]) -> list[Row]:
+def _standard(pairs: Sequence[ScrewPair]) -> list[Row]:
     return [Row(p.joint, p.z.move_m, p.z.turn_rad, p.x.move_m, p.x.turn_rad) for p in pairs]
 
 
-def _modified(pairs: Sequence[Pair]) -> list[Row]:
+def _modified(pairs: Sequence[ScrewPair]) -> list[Row]:
     before = [Screw(), *(pair.x for pair in pairs[:-1])]
     return [
         Row(p.joint, p.z.move_m, p.z.turn_rad, x.move_m, x.turn_rad)
@@ -109,7 +109,7 @@ def _z_line(frame: Array) -> Axis:
     return Axis(frame[:3, 3], frame[:3, 2])
 
 
-def _to_line(frame: Array, joint: int | None, target: Axis) -> tuple[list[Pair], Array]:
+def _to_line(frame: Array, joint: int | None, target: Axis) -> tuple[list[ScrewPair], Array]:
     """The pairs from a frame to one whose z lies on the target line, and that frame."""
     point, direction = _seen_from(frame, target)
     pair = _common_normal(joint, point, direction)
@@ -117,7 +117,7 @@ def _to_line(frame: Array, joint: int | None, target: Axis) -> tuple[list[Pair],
         level = _without_twist(joint, point, direction)
         reached = frame @ _matrix(level)
         turning = _common_normal(None, *_seen_from(reached, target))
-        turning = Pair(None, Screw(0.0, turning.z.turn_rad), Screw(0.0, turning.x.turn_rad))
+        turning = ScrewPair(None, Screw(0.0, turning.z.turn_rad), Screw(0.0, turning.x.turn_rad))
         return [level, turning], reached @ _matrix(turning)
     return [pair], frame @ _matrix(pair)
 
@@ -127,7 +127,7 @@ def _seen_from(frame: Array, target: Axis) -> tuple[Array, Array]:
     return back @ (target.point_m - frame[:3, 3]), back @ target.direction
 
 
-def _common_normal(joint: int | None, point: Array, direction: Array) -> Pair:
+def _common_normal(joint: int | None, point: Array, direction: Array) -> ScrewPair:
     """Z and X along the common normal of the z axis and a line (both in the same frame)."""
     sine = math.hypot(direction[0], direction[1])
     if sine < PARALLEL:
@@ -141,7 +141,7 @@ def _common_normal(joint: int | None, point: Array, direction: Array) -> Pair:
     sign = -1.0 if flip else 1.0
     theta = math.atan2(sign * normal[1], sign * normal[0])
     alpha = math.atan2(sign * sine, float(direction[2]))
-    return Pair(joint, _tidy(height, theta), _tidy(abs(length), alpha))
+    return ScrewPair(joint, _tidy(height, theta), _tidy(abs(length), alpha))
 
 
 def _turns_back(normal: Array) -> bool:
@@ -149,21 +149,21 @@ def _turns_back(normal: Array) -> bool:
     return bool(normal[0] < -ROUND or (abs(normal[0]) <= ROUND and normal[1] < 0.0))
 
 
-def _parallel(joint: int | None, point: Array, direction: Array) -> Pair:
+def _parallel(joint: int | None, point: Array, direction: Array) -> ScrewPair:
     """Without a unique common normal: the one at the frame's origin."""
     length = math.hypot(point[0], point[1])
     theta = math.atan2(point[1], point[0]) if length > SAME_LINE_m else 0.0
     alpha = 0.0 if direction[2] > 0.0 else math.pi
-    return Pair(joint, _tidy(0.0, theta), _tidy(length if length > SAME_LINE_m else 0.0, alpha))
+    return ScrewPair(joint, _tidy(0.0, theta), _tidy(length if length > SAME_LINE_m else 0.0, alpha))
 
 
-def _is_far(pair: Pair, point: Array, direction: Array) -> bool:
+def _is_far(pair: ScrewPair, point: Array, direction: Array) -> bool:
     sine = math.hypot(direction[0], direction[1])
     most = FAR * max(NEAR_m, float(np.linalg.norm(point)))
     return PARALLEL <= sine < 0.5 and abs(pair.z.move_m) > most
 
 
-def _without_twist(joint: int | None, point: Array, direction: Array) -> Pair:
+def _without_twist(joint: int | None, point: Array, direction: Array) -> ScrewPair:
     """To where a nearly parallel line meets the plane z = 0, as if it were parallel."""
     meets = point - direction * (point[2] / direction[2])
     return _parallel(joint, meets, direction)
@@ -176,7 +176,7 @@ def _tidy(move_m: float, turn_rad: float) -> Screw:
     return Screw(0.0 if abs(move_m) < ROUND else move_m, (math.pi if turn == -math.pi else turn) + 0.0)
 
 
-def _matrix(pair: Pair) -> Array:
+def _matrix(pair: ScrewPair) -> Array:
     c, s = math.cos(pair.z.turn_rad), math.sin(pair.z.turn_rad)
     about_z = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, pair.z.move_m], [0, 0, 0, 1]])
     c, s = math.cos(pair.x.turn_rad), math.sin(pair.x.turn_rad)

@@ -27,7 +27,7 @@ WORTH_SAYING_rad: Final = 0.02
 Position = Annotated[int, msgspec.Meta(ge=0, le=COUNTS - 1)]
 
 
-class Motor(msgspec.Struct):
+class LeRobotMotor(msgspec.Struct):
     """One motor of the file, with LeRobot's keys."""
 
     id: int
@@ -37,10 +37,10 @@ class Motor(msgspec.Struct):
     range_max: Position
 
 
-def read_calibration(path: Path) -> dict[str, Motor]:
+def read_calibration(path: Path) -> dict[str, LeRobotMotor]:
     """The motors by name. ImportedModelError if it is no such file."""
     try:
-        motors = msgspec.json.decode(read_bytes(path), type=dict[str, Motor])
+        motors = msgspec.json.decode(read_bytes(path), type=dict[str, LeRobotMotor])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ImportedModelError(
             f"{path}: expected a calibration of LeRobot (JSON, a motor a key): {error}"
@@ -58,7 +58,7 @@ def read_calibration(path: Path) -> dict[str, Motor]:
     return motors
 
 
-def taken_over(arm: Arm, motors: Mapping[str, Motor]) -> tuple[Arm, tuple[str, ...]]:
+def taken_over(arm: Arm, motors: Mapping[str, LeRobotMotor]) -> tuple[Arm, tuple[str, ...]]:
     """The arm with LeRobot's zeros, its ranges within LeRobot's; and a sentence a joint. Motors are found by their ids."""
     drives, notes = [], []
     for drive, name in _named_drives(arm):
@@ -82,8 +82,8 @@ def taken_over(arm: Arm, motors: Mapping[str, Motor]) -> tuple[Arm, tuple[str, .
 
 
 def given_back(
-    arm: Arm, motors: Mapping[str, Motor], generic: Arm
-) -> tuple[dict[str, Motor], tuple[str, ...]]:
+    arm: Arm, motors: Mapping[str, LeRobotMotor], generic: Arm
+) -> tuple[dict[str, LeRobotMotor], tuple[str, ...]]:
     """The calibration with which LeRobot's angles are those of the `generic` arm, as far as zeros can do it; and what it costs.
 
     A joint whose theta was identified stands elsewhere than the generic arm has it: its zero moves by that. LeRobot has its zero
@@ -126,7 +126,7 @@ def _named_drives(arm: Arm) -> list[tuple[Drive, str]]:
     return list(zip(arm.drives, arm.joint_names, strict=True))
 
 
-def _motor_of(arm: Arm, drive: Drive, motors: Mapping[str, Motor]) -> Motor:
+def _motor_of(arm: Arm, drive: Drive, motors: Mapping[str, LeRobotMotor]) -> LeRobotMotor:
     board = arm.board(drive)
     if board is None or not arm.kind_of(drive).is_absolute:
         raise ImportedModelError(

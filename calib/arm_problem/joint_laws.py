@@ -97,7 +97,7 @@ Slope = Callable[[RestingPoints, int], Array]
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class LawTerm:
     """One linear parameter: name before and after the number of joint or link, unit, bound, slope (m,) of the joint's angle.
 
     `is_side`: not part of the effect, and omitted if it has no influence. `is_of_tip`: no joint moves, but a link bends.
@@ -116,13 +116,13 @@ class Term:
         return f"{self.head}{joint or ''}{self.tail}"
 
 
-def _unclear(part: int) -> Term:
+def _unclear(part: int) -> LawTerm:
     """Mean position in the backlash of the unclear poses of one part of SHARE_PARTS."""
 
     def slope(at: RestingPoints, joint: int) -> Array:
         return np.asarray(backlash_rad(at.unclear_side(joint, part), 1.0))
 
-    return Term("backlash", f"_unclear{part + 1}", "rad", 0.05, slope, True)
+    return LawTerm("backlash", f"_unclear{part + 1}", "rad", 0.05, slope, True)
 
 
 def _harmonic(part: Callable[[Array], Array]) -> Slope:
@@ -131,22 +131,26 @@ def _harmonic(part: Callable[[Array], Array]) -> Slope:
 
 
 # Of each effect its linear parameters: first those of its record (control.model.effects), then side parameters.
-LAWS: Final[Mapping[str, tuple[Term, ...]]] = {
-    "encoder_scale": (Term("encoder_scale", "", "1", 0.05, lambda at, j: at.q_rad(j)),),
+LAWS: Final[Mapping[str, tuple[LawTerm, ...]]] = {
+    "encoder_scale": (LawTerm("encoder_scale", "", "1", 0.05, lambda at, j: at.q_rad(j)),),
     "encoder_eccentricity": (
-        Term("eccentricity", "_sin", "rad", 0.05, _harmonic(np.sin)),
-        Term("eccentricity", "_cos", "rad", 0.05, _harmonic(np.cos)),
+        LawTerm("eccentricity", "_sin", "rad", 0.05, _harmonic(np.sin)),
+        LawTerm("eccentricity", "_cos", "rad", 0.05, _harmonic(np.cos)),
     ),
     "backlash": (
-        Term("backlash", "", "rad", 0.05, lambda at, j: backlash_rad(at.flank(j), 1.0)),
+        LawTerm("backlash", "", "rad", 0.05, lambda at, j: backlash_rad(at.flank(j), 1.0)),
         *(_unclear(part) for part in range(SHARE_PARTS)),
-        Term("backlash", "_led", "rad", 0.05, lambda at, j: backlash_rad(at.led_side(j), 1.0), True),
+        LawTerm("backlash", "_led", "rad", 0.05, lambda at, j: backlash_rad(at.led_side(j), 1.0), True),
     ),
     "joint_compliance": (
-        Term("compliance", "", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.gravity_Nm(j), 1.0)),
-        Term("compliance", "_held", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.held_Nm(j), 1.0), True),
+        LawTerm("compliance", "", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.gravity_Nm(j), 1.0)),
+        LawTerm(
+            "compliance", "_held", "rad/Nm", 0.01, lambda at, j: compliance_rad(at.held_Nm(j), 1.0), True
+        ),
     ),
-    COUPLING: (Term(COUPLING, "", "1", 0.1, lambda at, j: at.q_rad(COUPLED_TO)),),
-    DRIFT: (Term(DRIFT, "", "rad", 0.05, lambda at, j: at.warmed(j)),),
-    FLEXURE: (Term("flexure", "", "1/(N m2)", 0.1, lambda at, k: np.zeros(len(at.points)), is_of_tip=True),),
+    COUPLING: (LawTerm(COUPLING, "", "1", 0.1, lambda at, j: at.q_rad(COUPLED_TO)),),
+    DRIFT: (LawTerm(DRIFT, "", "rad", 0.05, lambda at, j: at.warmed(j)),),
+    FLEXURE: (
+        LawTerm("flexure", "", "1/(N m2)", 0.1, lambda at, k: np.zeros(len(at.points)), is_of_tip=True),
+    ),
 }

@@ -31,7 +31,7 @@ REACHABLE = 1e-2  # share of the strongest direction of the tip that joints must
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class ModelValues:
     """Parameters at unknowns x: DH table (links, 4), tool (3,), frames, values of the corrections."""
 
     dh: Array
@@ -130,18 +130,18 @@ class ArmProblem:
         some.observed, some.references_m = self.observed.chosen(keep), self.references_m[keep]
         return some
 
-    def solution(self, x: Array) -> Solution:
+    def solution(self, x: Array) -> ModelValues:
         """The parameters at unknowns x (k,)."""
         dh, tool, moves, values = self._parts(x)
         frames = list(self.observed.frames)
         for index, move in zip(self._free, moves, strict=True):
             frames[index] = frames[index].moved(self._centres[index], move)
         names = [correction.name for correction in self.observed.corrections]
-        return Solution(
+        return ModelValues(
             frozen(dh), frozen(tool), tuple(frames), dict(zip(names, values.tolist(), strict=True))
         )
 
-    def tips(self, solution: Solution) -> Array:
+    def tips(self, solution: ModelValues) -> Array:
         """Tips of a solution at these poses, (m, 3), base frame, including corrections and flexure."""
         values = np.array([solution.corrections[one.name] for one in self.observed.corrections])
         joint_rad = self._joint_rad(values, ALL)

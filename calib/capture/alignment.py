@@ -19,8 +19,8 @@ from calib.arm_problem.frames import cross_matrix, rotation_of
 from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
 from calib.arrays import Array, norms
 from calib.boards import best_motion
-from calib.capture.motion import Motion
-from calib.capture.tracks import Body, CaptureError, Mask
+from calib.capture.motion import JointMotion
+from calib.capture.tracks import BodyTrack, CaptureError, Mask
 from control.model.arm import Arm
 
 STEP_s = 0.01  # of the correlation
@@ -68,7 +68,7 @@ class Alignment:
         )
 
 
-def align(arm: Arm, motion: Motion, capture_s: Array, body: Body) -> Alignment:
+def align(arm: Arm, motion: JointMotion, capture_s: Array, body: BodyTrack) -> Alignment:
     """The capture's time on the log's clock. CaptureError if the motion cannot tell."""
     model = ArmModel(arm)
     tips = model.tips(arm.dh, motion.q_rad)
@@ -76,7 +76,7 @@ def align(arm: Arm, motion: Motion, capture_s: Array, body: Body) -> Alignment:
     return _fine(_overlap(model, motion, capture_s, body, offset_s), correlation)
 
 
-def _coarse(motion: Motion, tips: Array, capture_s: Array, body: Body) -> tuple[float, float]:
+def _coarse(motion: JointMotion, tips: Array, capture_s: Array, body: BodyTrack) -> tuple[float, float]:
     """Offset and correlation of the speeds, by masked normalised cross-correlation (Padfield, 2012)."""
     ours, begin_s = _gridded(motion.t_s, tips, np.ones(len(tips), dtype=bool))
     theirs, their_begin_s = _gridded(capture_s, body.position_m, body.is_seen)
@@ -148,7 +148,7 @@ class _Overlap:
     """The frames (m,) that lie in the log at a rough offset: body (m, 3), time, and the middle of the times."""
 
     model: ArmModel
-    motion: Motion
+    motion: JointMotion
     seen_m: Array
     tau_s: Array
     offset_s: float
@@ -164,7 +164,9 @@ class _Overlap:
         return float(np.ptp(self.tau_s)) >= RATE_FROM_s
 
 
-def _overlap(model: ArmModel, motion: Motion, capture_s: Array, body: Body, offset_s: float) -> _Overlap:
+def _overlap(
+    model: ArmModel, motion: JointMotion, capture_s: Array, body: BodyTrack, offset_s: float
+) -> _Overlap:
     rows = np.flatnonzero(body.is_seen & (motion.covers(offset_s + capture_s) > 0.0))
     rows = rows[:: max(1, len(rows) // FRAMES)]
     span_s = float(np.ptp(capture_s[rows])) if len(rows) else 0.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import frozen, norms
 from calib.boards import Markers
-from calib.capture.tracks import Body, Capture, CaptureError, placed_m, relative
+from calib.capture.tracks import BodyTrack, Capture, CaptureError, placed_m, relative
 from control.model.arm import Arm
 from control.model.table import board_cavities, table_of
 
@@ -31,7 +31,7 @@ def board_markers(arm: Arm, capture: Capture, setup: str, base_body: str) -> Mar
         name = full.rpartition(":")[2]
         if name not in cavities:
             continue
-        seen = track if base is None else relative(Body(track), base).position_m
+        seen = track if base is None else relative(BodyTrack(track), base).position_m
         seen = seen[np.isfinite(seen).all(axis=1)]
         if not len(seen):
             continue

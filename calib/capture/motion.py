@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.capture.tracks import CaptureError
-from calib.gap.log import Log, Run
+from calib.gap.log import Log, LoggedRun
 
 STILL_rad_s = 0.005
 LEAP_rad, FASTEST_rad_s = 0.02, 50.0  # between samples; beyond both it is no motion
@@ -17,7 +17,7 @@ SLOPE_s = 0.05  # over which speeds are taken: a count of an encoder is no speed
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class JointMotion:
     """Joint angles q_rad (m, n) at t_s (m,), increasing; speeds (m, n)."""
 
     t_s: Array
@@ -25,7 +25,7 @@ class Motion:
     speed_rad_s: Array
 
     @classmethod
-    def of(cls, log: Log, run: str | None) -> tuple[Motion, tuple[str, ...]]:
+    def of(cls, log: Log, run: str | None) -> tuple[JointMotion, tuple[str, ...]]:
         """Of one run, or of all if they are on one clock: by t_s, or by the column `cycle` of our own exports.
 
         What comes before a leap of an angle is left out, and said: homing gives a joint its zero. CaptureError names the runs.
@@ -80,7 +80,7 @@ def after_leaps(t_s: Array, q_rad: Array) -> int:
     return int(np.flatnonzero(leaps)[-1]) + 1 if leaps.any() else 0
 
 
-def begins_s(runs: Sequence[Run]) -> list[float]:
+def begins_s(runs: Sequence[LoggedRun]) -> list[float]:
     """What to add to each run's times: where runs begin at 0 again, their cycles say how long after the run before."""
     found, cycles = [0.0], [one.extra.get("cycle") for one in runs]
     for before, after, first, then in zip(runs[:-1], runs[1:], cycles[:-1], cycles[1:], strict=True):

@@ -9,13 +9,12 @@ import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.capture.alignment import Alignment
-from calib.capture.motion import Motion
-from calib.capture.tracks import Body, Capture, CaptureError
+from calib.capture.motion import JointMotion
+from calib.capture.tracks import BodyTrack, Capture, CaptureError
 from calib.points.covariance import triangles
 from calib.points.points import CAMERA_FRAME, Points, make_points
 from control.kinematics.rotation import logarithms, quaternions
-from firmware_iface.mocap.bodies import Body as SeenBody
-from firmware_iface.mocap.bodies import BodyFrame, Pose
+from firmware_iface.mocap.bodies import BodyFrame, RigidPose, SeenBody
 from firmware_iface.mocap.leaps import LeapWatch
 
 LEAST_s, SETTLE_s = 0.4, 0.15  # of a rest; left out at either end, while arm and time stamps settle
@@ -47,7 +46,7 @@ class _Pose:
     off_rad: Array
 
 
-def believed(capture: Capture, bodies: dict[str, Body]) -> tuple[dict[str, Body], tuple[str, ...]]:
+def believed(capture: Capture, bodies: dict[str, BodyTrack]) -> tuple[dict[str, BodyTrack], tuple[str, ...]]:
     """The bodies without the frames in which they had leapt, or exchanged their names; and what was said of them."""
     watch, said = LeapWatch(), dict[str, None]()
     wrong = {name: np.zeros(len(capture.t_s), dtype=bool) for name in bodies}
@@ -57,7 +56,7 @@ def believed(capture: Capture, bodies: dict[str, Body]) -> tuple[dict[str, Body]
     ]
     for k in range(len(capture.t_s)):
         seen = [
-            SeenBody(name, Pose(tuple(places[k]), tuple(turns[k])))
+            SeenBody(name, RigidPose(tuple(places[k]), tuple(turns[k])))
             for name, is_seen, places, turns in tracks
             if is_seen[k]
         ]
@@ -69,7 +68,7 @@ def believed(capture: Capture, bodies: dict[str, Body]) -> tuple[dict[str, Body]
     return {name: _without(body, wrong[name]) for name, body in bodies.items()}, tuple(said)
 
 
-def _quaternions(body: Body) -> Array:
+def _quaternions(body: BodyTrack) -> Array:
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(body.position_m), 1))
     if body.rotation is not None:
         seen = body.is_seen
@@ -77,15 +76,15 @@ def _quaternions(body: Body) -> Array:
     return upright
 
 
-def _without(body: Body, wrong: Array) -> Body:
+def _without(body: BodyTrack, wrong: Array) -> BodyTrack:
     place = np.where(wrong[:, None], np.nan, body.position_m)
-    return Body(
+    return BodyTrack(
         place, None if body.rotation is None else np.where(wrong[:, None, None], np.nan, body.rotation)
     )
 
 
 def poses_at_rest(
-    motion: Motion, capture_s: Array, body: Body, aligned: Alignment, frame: str = CAMERA_FRAME
+    motion: JointMotion, capture_s: Array, body: BodyTrack, aligned: Alignment, frame: str = CAMERA_FRAME
 ) -> Rested:
     """A point for each rest. CaptureError if there is none."""
     t_s, found, left_out = aligned.log_time(capture_s), [], []
@@ -109,7 +108,7 @@ def poses_at_rest(
     return Rested(_points(found, spread_m, spread_rad, frame), tuple(left_out), *_noise(found))
 
 
-def _pose(motion: Motion, t_s: Array, rows: Rows, body: Body, begin_s: float) -> _Pose:
+def _pose(motion: JointMotion, t_s: Array, rows: Rows, body: BodyTrack, begin_s: float) -> _Pose:
     inside = (motion.t_s >= t_s[rows[0]]) & (motion.t_s <= t_s[rows[-1]])
     before = np.abs(motion.speed_rad_s[: np.searchsorted(motion.t_s, begin_s)])
     direction = np.zeros(motion.q_rad.shape[1])

@@ -24,7 +24,7 @@ class CaptureError(CalibrationError):
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class BodyTrack:
     """Position (m, 3) [m] and rotation (m, 3, 3) of a body in the system's frame, NaN where it was not seen.
 
     rotation None: a single marker, which has none.
@@ -45,25 +45,25 @@ class Capture:
 
     path: Path
     t_s: Array
-    bodies: Mapping[str, Body]
+    bodies: Mapping[str, BodyTrack]
     markers: Mapping[str, Array]
     notes: tuple[str, ...] = ()
 
-    def body(self, name: str) -> Body:
+    def body(self, name: str) -> BodyTrack:
         """A body by its name, or one of markers: `A` alone, or `A+B+C` of three or more. CaptureError lists the names."""
         if name in self.bodies:
             return self.bodies[name]
         parts = [part.strip() for part in name.split("+")]
         if all(part in self.markers for part in parts) and len(parts) != 2:
             places = np.stack([self.markers[part] for part in parts])
-            return Body(places[0]) if len(parts) == 1 else fitted_body(name, places)
+            return BodyTrack(places[0]) if len(parts) == 1 else fitted_body(name, places)
         there = ", ".join([*self.bodies, *self.markers]) or "none"
         raise CaptureError(
             f'{self.path}: no body "{name}": expected one of {there}, or three or more markers joined by "+"'
         )
 
 
-def fitted_body(name: str, places_m: Array) -> Body:
+def fitted_body(name: str, places_m: Array) -> BodyTrack:
     """The body of markers (k, m, 3), the same in every recording: origin at their centre, x from the first towards the second
     marker, z normal to the first three.
 
@@ -82,7 +82,7 @@ def fitted_body(name: str, places_m: Array) -> Body:
             rows = np.flatnonzero((seen == np.array(mask)[:, None]).all(axis=0))
             here = np.flatnonzero(mask)
             rotation[rows], position[rows] = _motions(shape[here], places_m[np.ix_(here, rows)])
-    return Body(position, rotation)
+    return BodyTrack(position, rotation)
 
 
 def _shape(name: str, places_m: Array) -> Array:
@@ -120,7 +120,7 @@ def placed_m(stream: CameraStream, seen_m: Array) -> Array:
     return np.asarray(seen_m @ turn.T + np.array(stream.origin_m))
 
 
-def relative(body: Body, base: Body) -> Body:
+def relative(body: BodyTrack, base: BodyTrack) -> BodyTrack:
     """The body in the frame of another one: both seen; the base's pose is that of all frames, since it stands still."""
     if base.rotation is None:
         raise CaptureError("a base body needs an orientation: three or more markers")
@@ -136,4 +136,6 @@ def relative(body: Body, base: Body) -> Body:
     left, _, right = np.linalg.svd(base.rotation[rows].mean(axis=0))
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     origin = base.position_m[rows].mean(axis=0)
-    return Body((body.position_m - origin) @ turn, None if body.rotation is None else turn.T @ body.rotation)
+    return BodyTrack(
+        (body.position_m - origin) @ turn, None if body.rotation is None else turn.T @ body.rotation
+    )

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import Array
-from calib.capture.tracks import FRAMES_MOST, Body, Capture, CaptureError
+from calib.capture.tracks import FRAMES_MOST, BodyTrack, Capture, CaptureError
 from control.kinematics.rotation import exponentials, matrices
 from control.tables import SAMPLES_MOST, opened_rows
 
@@ -33,7 +33,7 @@ Line = tuple[int, list[str]]
 
 def read_vicon_csv(path: Path) -> Capture:
     """The bodies and markers of a file. CaptureError names file and line."""
-    bodies: dict[str, Body] = {}
+    bodies: dict[str, BodyTrack] = {}
     markers: dict[str, Array] = {}
     clock: list[tuple[float, Array]] = []
     with opened_rows(path, CaptureError, SAMPLES_MOST) as rows:
@@ -54,7 +54,9 @@ def read_vicon_csv(path: Path) -> Capture:
     return Capture(path, (frames - frames[0]) / rate_Hz, bodies, markers)
 
 
-def _section(path: Path, number: int, lines: Iterator[Line]) -> tuple[float, Array, dict[str, Body | Array]]:
+def _section(
+    path: Path, number: int, lines: Iterator[Line]
+) -> tuple[float, Array, dict[str, BodyTrack | Array]]:
     """Rate, frame numbers, and what is in a section; `number` is the line of its title."""
     head = [next(lines, (number + k, list[str]())) for k in range(1, 5)]
     rate_Hz = _number(path, head[0][0], head[0][1][0] if head[0][1] else "")
@@ -106,7 +108,7 @@ def _groups(path: Path, line: int, names: list[str], columns: list[str]) -> list
     return found
 
 
-def _track(values: Array, turn: int) -> Body | Array:
+def _track(values: Array, turn: int) -> BodyTrack | Array:
     values = np.where((values == 0.0).all(axis=1)[:, None], np.nan, values)
     seen = np.asarray(np.isfinite(values).all(axis=1))
     place = np.where(seen[:, None], values[:, turn:], np.nan)
@@ -118,7 +120,7 @@ def _track(values: Array, turn: int) -> Body | Array:
     else:
         quaternion = values[seen][:, [3, 0, 1, 2]]
         rotation[seen] = matrices(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
-    return Body(place, rotation)
+    return BodyTrack(place, rotation)
 
 
 def _number(path: Path, line: int, text: str) -> float:

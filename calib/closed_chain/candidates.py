@@ -11,7 +11,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.contacts import Contacts
-from calib.closed_chain.room import Room
+from calib.closed_chain.room import SharedRoom
 from calib.design.candidates import (
     FREE_HEIGHT_M,
     Mask,
@@ -82,7 +82,7 @@ def contact_candidates(
 
 def _clear(cell: Cell, pair: tuple[Placed, Placed], first: Array, second: Array, apart: Array) -> Candidates:
     """The contacts that are clear, that both arms can back off from, and to which there is a way from their rest poses."""
-    room = Room(cell, pair)
+    room = SharedRoom(cell, pair)
     kept: list[int] = []
     away: tuple[list[Sequence[float]], list[Sequence[float]]] = ([], [])
     for row, (q1, q2) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):

@@ -11,11 +11,19 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from calib.closed_chain.contacts import Contacts
-from calib.closed_chain.room import Poses, Room
+from calib.closed_chain.room import Poses, SharedRoom
 from calib.closed_chain.watch import ContactWatch
 from calib.errors import SessionError
 from calib.points.writer import DISTANCE, Record
-from calib.session.conversation import Conversation, Jog, Message, Question, Recorded, Talk, jogged
+from calib.session.conversation import (
+    Conversation,
+    Message,
+    Recorded,
+    SessionQuestion,
+    SmallMove,
+    Talk,
+    jogged,
+)
 from calib.session.folder import SessionFolder
 from calib.session.moves import Geometry, JogPort
 from calib.session.plan import Seating, SessionPlan, Target
@@ -48,7 +56,7 @@ class PairStation:
     arms: tuple[JogPort, JogPort]
     geometry: tuple[Geometry, Geometry]
     together: Callable[[Poses, float], None]
-    room: Room
+    room: SharedRoom
     watch: ContactWatch
     hand: PairHand | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
@@ -100,7 +108,7 @@ class _Conductor(Conversation):
         if away is None:
             yield from self._skip(target, ArmError("an arm cannot back off from there along its last link"))
             return
-        if not (yield from self._ask(Question.NEXT, target)):
+        if not (yield from self._ask(SessionQuestion.NEXT, target)):
             return
         self._standing = target.setup
         try:
@@ -116,7 +124,7 @@ class _Conductor(Conversation):
             yield from self._seated_by(self._station.hand, target)
         elif self._folder.plan.seat == "jog":
             self._arrive(target)
-            if (yield from self._ask(Question.SEATED, target)):
+            if (yield from self._ask(SessionQuestion.SEATED, target)):
                 yield from self._record(target)
         else:
             yield from self._guided(target)
@@ -168,12 +176,12 @@ class _Conductor(Conversation):
         """The operator takes one tip to the contact, then the other; drives hold what a hand does not."""
         with self._held():
             for name, arm in zip(self._station.names, self._station.arms, strict=True):
-                if not (yield from self._ask(Question.TAKE, target, name)):
+                if not (yield from self._ask(SessionQuestion.TAKE, target, name)):
                     return
                 self._arrive(target)
                 self._is_released = True
                 arm.release()
-                if not (yield from self._ask(Question.SEATED, target, name)):
+                if not (yield from self._ask(SessionQuestion.SEATED, target, name)):
                     return
                 arm.hold()
                 self._is_released = False
@@ -219,7 +227,7 @@ class _Conductor(Conversation):
             more={DISTANCE: f"{target.distance_m:g}"},
         )
 
-    def _jog(self, jog: Jog) -> None:
+    def _jog(self, jog: SmallMove) -> None:
         names = self._station.names
         if jog.arm not in names:
             got = jog.arm or "none"

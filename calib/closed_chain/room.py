@@ -24,7 +24,7 @@ Poses = Sequence[Sequence[float]]
 """Joint angles of the first and of the second arm [rad]."""
 
 
-class Room:
+class SharedRoom:
     """Whether two arms are clear of each other and of themselves, with a margin."""
 
     def __init__(self, cell: Cell, pair: tuple[Placed, Placed]) -> None:

@@ -15,7 +15,7 @@ from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.contacts import Contacts
 from calib.closed_chain.pair_problem import PairProblem
-from calib.session.residual_watch import NOISE_m, Verdict, weights_of
+from calib.session.residual_watch import NOISE_m, RecordVerdict, weights_of
 from control.model.arm import Arm
 
 FEWEST = 6  # contacts before a verdict: they place the second base
@@ -45,7 +45,7 @@ class ContactWatch:
         """Remove a contact."""
         self._seen.pop(key, None)
 
-    def judge(self, q_rad: Sequence[float], distance_m: float) -> Verdict:
+    def judge(self, q_rad: Sequence[float], distance_m: float) -> RecordVerdict:
         """Compare a contact with the earlier ones. error_m: how far it is from closing by the files, along the first axis."""
         before = [*self._seen.values()]
         problem = PairProblem(
@@ -54,10 +54,10 @@ class ContactWatch:
         open_m = float(problem.errors_m(np.zeros(len(problem.parameters)))[-1])
         error_m = frozen(np.array([open_m, 0.0, 0.0]))
         if len(before) < FEWEST:
-            return Verdict(error_m)
+            return RecordVerdict(error_m)
         innovation_m, spread_m2 = _predicted(problem)
         off_sd = float(np.sqrt(innovation_m @ np.linalg.solve(spread_m2, innovation_m)))
-        return Verdict(error_m, float(np.linalg.norm(innovation_m)), off_sd)
+        return RecordVerdict(error_m, float(np.linalg.norm(innovation_m)), off_sd)
 
     def _contacts(self, seen: Sequence[_Seen]) -> Contacts:
         count = self._arms[0].joint_count

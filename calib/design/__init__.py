@@ -1,6 +1,6 @@
 """Design of experiments: which points, tilts and free poses to record next, and the gain of each."""
 
-from calib.design.candidates import OTHER_TILTS, View
+from calib.design.candidates import OTHER_TILTS, CameraBox
 from calib.design.information import CRITERIA, Indices, Uncertainty, indices_of
 from calib.design.planning import (
     Alternative,
@@ -22,7 +22,7 @@ __all__ = [
     "PlannedPose",
     "Request",
     "Uncertainty",
-    "View",
+    "CameraBox",
     "in_words",
     "indices_of",
     "plan_json",

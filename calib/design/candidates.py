@@ -295,7 +295,7 @@ TAKEN_RAD = 0.3  # a cavity in a posture closer than this to a recorded one coun
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class CameraBox:
     """The box that the camera sees, in the base frame: lower and upper corner [m]."""
 
     lower_m: tuple[float, float, float]
@@ -324,7 +324,7 @@ def table_candidates(arm: Arm, board: PlacedBoard, taken: Points | None, sees_ti
 
 
 def free_candidates(
-    arm: Arm, boards: Iterable[PlacedBoard], view: View | None = None, count: int = FREE_POSES_COUNT
+    arm: Arm, boards: Iterable[PlacedBoard], view: CameraBox | None = None, count: int = FREE_POSES_COUNT
 ) -> Points:
     """Poses over the joints' ranges, clear of the floor and of the board in any setup, in the camera's view."""
     q = workspace_poses(arm, boards, count, EDGE_SHARE, FREE_HEIGHT_M)

@@ -19,10 +19,10 @@ from calib.arrays import Array
 from calib.design.candidates import (
     FREE,
     OTHER_TILTS,
+    CameraBox,
     Mask,
     PlacedBoard,
     Rows,
-    View,
     boards_in_the_way,
     body_points,
     free_candidates,
@@ -71,7 +71,7 @@ class Request:
     criterion: str = "D"
     noise_m: float | None = None
     turn_noise_rad: float | None = None
-    view: View | None = None
+    view: CameraBox | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from calib.arm_problem.assembly import Choice, POSITION_NOISE_m, problem_of, ref
 from calib.arm_problem.expansion import Problem
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.parameters import dh_names
-from calib.arm_problem.problem import ArmProblem, Solution
+from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arm_problem.weighted import WeightedProblem, whole_problem
 from calib.arrays import Array, frozen
 from calib.calibration.report import estimate_lines
@@ -34,7 +34,7 @@ from calib.distances.problem import (
     readings_of,
 )
 from calib.errors import UnusablePointsError
-from calib.identify.estimates import Estimate, Uncertainty, uncertainty
+from calib.identify.estimates import Estimate, Estimation, uncertainty
 from calib.identify.identification import Identification
 from calib.identify.objective import Huber, LeastSquares, Objective, value_of
 from calib.identify.sensitivity import Sensitivity
@@ -206,7 +206,7 @@ def _placed(problem: DistanceProblem) -> list[Device]:
 def _identification(problem: DistanceProblem, tips: ArmProblem | None, best: Minimum) -> Identification:
     x, zero = best.x, np.zeros(len(best.x))
     before, after = problem.residuals(zero), problem.residuals(x)
-    found: Uncertainty = uncertainty(
+    found: Estimation = uncertainty(
         problem.parameters, best.objective, x, after, Sensitivity.of(problem.sensitivity(x))
     )
     dh, tool = problem.arm_at(x)
@@ -219,7 +219,7 @@ def _identification(problem: DistanceProblem, tips: ArmProblem | None, best: Min
         ]
     return Identification(
         objective=best.objective.name,
-        solution=Solution(frozen(dh), frozen(tool), frames, {}),
+        solution=ModelValues(frozen(dh), frozen(tool), frames, {}),
         nominal_dh=frozen(problem.model.nominal_dh),
         estimates=found.estimates,
         objective_before=value_of(best.objective, before),

@@ -9,7 +9,7 @@ from control.model.arm import Arm, Drive
 
 
 @dataclass(frozen=True, slots=True)
-class JointFigures:
+class DriveFigures:
     """Figures of one joint; infinite if unlimited, 0 if there is none."""
 
     lower_rad: float
@@ -26,11 +26,11 @@ class JointFigures:
         return math.isfinite(self.lower_rad) and math.isfinite(self.upper_rad)
 
 
-def joint_figures(arm: Arm, joint: int) -> JointFigures:
+def joint_figures(arm: Arm, joint: int) -> DriveFigures:
     """Figures of a joint (1-based), from its drive, if it has one, and the model's friction."""
     drive = next((d for d in arm.drives if d.joint == joint), None)
     lower, upper = arm.limits_rad[joint - 1]
-    return JointFigures(
+    return DriveFigures(
         lower_rad=lower,
         upper_rad=upper,
         torque_Nm=_torque_Nm(drive) if drive else math.inf,

@@ -67,7 +67,7 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class ExportedLink:
     """One link: `joint` (1-based) rotates it about its frame's z axis; None if fixed.
 
     `parent_T_body` at joint angle 0; `body_T_dh` is the pose of the link's DH frame, in which masses are given.
@@ -101,7 +101,7 @@ class Body:
         return self.body_T_dh.of(self.link.com_m or (0.0, 0.0, 0.0))
 
 
-def bodies_of(arm: Arm) -> tuple[Body, ...]:
+def bodies_of(arm: Arm) -> tuple[ExportedLink, ...]:
     """The links from base to tip."""
     bodies, joint, before = [], 0, Placement()
     for number, link in enumerate(arm.links, start=1):
@@ -112,12 +112,12 @@ def bodies_of(arm: Arm) -> tuple[Body, ...]:
         else:
             at = Placement(before.d_m, before.theta_rad, link.L_m, link.alpha_rad)
             after = Placement(link.d_m, link.theta_rad)
-        bodies.append(Body(number, joint if turns else None, at, after, link))
+        bodies.append(ExportedLink(number, joint if turns else None, at, after, link))
         before = after
     return tuple(bodies)
 
 
-def tip_in_last(arm: Arm, bodies: tuple[Body, ...]) -> Vector3:
+def tip_in_last(arm: Arm, bodies: tuple[ExportedLink, ...]) -> Vector3:
     """The tip in the last body's frame; its axes are those of the last DH frame, `body_T_dh`."""
     return bodies[-1].body_T_dh.of(arm.tool.position_m)
 
@@ -128,12 +128,12 @@ def end_names(arm: Arm) -> tuple[str, str]:
     return base or "base", tip or "tip"
 
 
-def ends_m(arm: Arm, bodies: tuple[Body, ...]) -> tuple[Vector3, ...]:
+def ends_m(arm: Arm, bodies: tuple[ExportedLink, ...]) -> tuple[Vector3, ...]:
     """The end of each body, at the next one or the tip, to which its shape is drawn."""
     return (*(body.parent_T_body.position_m for body in bodies[1:]), tip_in_last(arm, bodies))
 
 
-def massless_joints(bodies: tuple[Body, ...]) -> tuple[int, ...]:
+def massless_joints(bodies: tuple[ExportedLink, ...]) -> tuple[int, ...]:
     """Joints without a known mass before the next joint; a simulator cannot move these."""
     weighs: dict[int, bool] = {}
     joint = 0

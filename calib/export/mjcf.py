@@ -6,8 +6,8 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 
-from calib.export.drives import JointFigures, joint_figures
-from calib.export.frames import Body, bodies_of, end_names, ends_m, tip_in_last
+from calib.export.drives import DriveFigures, joint_figures
+from calib.export.frames import ExportedLink, bodies_of, end_names, ends_m, tip_in_last
 from calib.export.urdf import LEAST_LENGTH_m, mass_bounds, shape_radius_m
 from calib.export.xml_text import about, document, numbers, safe
 from control.model.arm import Arm, Vector3
@@ -33,7 +33,7 @@ def mjcf_text(arm: Arm) -> str:
     return document(root, about(arm))
 
 
-def _add_body(parent: ET.Element, arm: Arm, body: Body, end_m: Vector3) -> ET.Element:
+def _add_body(parent: ET.Element, arm: Arm, body: ExportedLink, end_m: Vector3) -> ET.Element:
     at = body.parent_T_body
     here = ET.SubElement(
         parent, "body", name=body.name, pos=numbers(at.position_m), quat=numbers(at.quaternion)
@@ -60,7 +60,7 @@ def _add_body(parent: ET.Element, arm: Arm, body: Body, end_m: Vector3) -> ET.El
     return here
 
 
-def _joint(figures: JointFigures) -> dict[str, str]:
+def _joint(figures: DriveFigures) -> dict[str, str]:
     """MJCF joint attributes of a drive; values of 0 or infinity are omitted."""
     held = {
         "armature": figures.rotor_kg_m2,

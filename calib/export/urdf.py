@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 
-from calib.export.drives import JointFigures, joint_figures
-from calib.export.frames import Body, bodies_of, end_names, ends_m, massless_joints, tip_in_last
+from calib.export.drives import DriveFigures, joint_figures
+from calib.export.frames import ExportedLink, bodies_of, end_names, ends_m, massless_joints, tip_in_last
 from calib.export.xml_text import about, document, numbers, safe
 from control.model.arm import Arm, Vector3
 
@@ -35,7 +35,7 @@ def urdf_text(arm: Arm) -> str:
     return document(root, about(arm))
 
 
-def _for_mujoco(root: ET.Element, bodies: tuple[Body, ...]) -> None:
+def _for_mujoco(root: ET.Element, bodies: tuple[ExportedLink, ...]) -> None:
     """MuJoCo's own element, which other readers ignore: keep the fixed frames and the shapes."""
     compiler = ET.SubElement(
         ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", discardvisual="false"
@@ -44,7 +44,7 @@ def _for_mujoco(root: ET.Element, bodies: tuple[Body, ...]) -> None:
         compiler.set(key, value)
 
 
-def mass_bounds(bodies: tuple[Body, ...]) -> dict[str, str]:
+def mass_bounds(bodies: tuple[ExportedLink, ...]) -> dict[str, str]:
     """MuJoCo refuses moving bodies without mass; these get the smallest possible one."""
     if massless_joints(bodies):
         return {"boundmass": "1e-6", "boundinertia": "1e-9"}
@@ -53,7 +53,7 @@ def mass_bounds(bodies: tuple[Body, ...]) -> dict[str, str]:
     return {}
 
 
-def _add_link(root: ET.Element, body: Body, end_m: Vector3) -> None:
+def _add_link(root: ET.Element, body: ExportedLink, end_m: Vector3) -> None:
     link = ET.SubElement(root, "link", name=body.name)
     if body.has_inertia:
         inertial = ET.SubElement(link, "inertial")
@@ -81,7 +81,7 @@ def shape_radius_m(length_m: float) -> float:
     return min(THICKEST_m, THICKNESS * length_m)
 
 
-def _add_joint(root: ET.Element, arm: Arm, body: Body, parent: str) -> None:
+def _add_joint(root: ET.Element, arm: Arm, body: ExportedLink, parent: str) -> None:
     at = body.parent_T_body
     if body.joint is None:
         _joint(root, body.joint_name, "fixed", parent, body.name, at.position_m, at.rpy_rad)
@@ -110,7 +110,7 @@ def _origin(of: ET.Element, xyz_m: Vector3, rpy_rad: Vector3) -> None:
     ET.SubElement(of, "origin", xyz=numbers(xyz_m), rpy=numbers(rpy_rad))
 
 
-def _limit(joint: ET.Element, figures: JointFigures) -> None:
+def _limit(joint: ET.Element, figures: DriveFigures) -> None:
     """URDF wants effort and velocity wherever there is a limit; a drive always gives both."""
     if not math.isfinite(figures.torque_Nm):
         return

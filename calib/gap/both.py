@@ -26,7 +26,7 @@ GEOMETRY = ("link_geometry", "base_frame")
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class LevelFinding:
     """One level's finding and what to call it."""
 
     name: str
@@ -74,7 +74,7 @@ def brought_together(
         if only is None:
             raise ValueError("expected the finding of at least one level")
         return only, ()
-    poses, series = Level(POSES, static), Level(SERIES, dynamic)
+    poses, series = LevelFinding(POSES, static), LevelFinding(SERIES, dynamic)
     denied = {**_denied(poses, series), **_denied(series, poses)}
     resolved = _resolved(poses, series) + _resolved(series, poses)
     kept = (
@@ -103,12 +103,12 @@ def disagreements(static: GapFinding, dynamic: GapFinding) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _denied(one: Level, other: Level) -> dict[EffectName, str]:
+def _denied(one: LevelFinding, other: LevelFinding) -> dict[EffectName, str]:
     """What `one` names and `other` contradicts, with the reason."""
     return {name: why for name in one.names() if (why := _contradiction(name, one, other)) is not None}
 
 
-def _contradiction(name: EffectName, one: Level, other: Level) -> str | None:
+def _contradiction(name: EffectName, one: LevelFinding, other: LevelFinding) -> str | None:
     if name in other.names() or other.is_unsure_of(name):
         return None
     rival = other.rival_of(name)
@@ -122,7 +122,7 @@ def _contradiction(name: EffectName, one: Level, other: Level) -> str | None:
     return None
 
 
-def _resolved(one: Level, other: Level) -> tuple[str, ...]:
+def _resolved(one: LevelFinding, other: LevelFinding) -> tuple[str, ...]:
     """A sentence for every set of `one` of which `other` names a member."""
     return tuple(
         f"The {one.name} alone cannot distinguish {', '.join(map(str, names))}; the {other.name} name {found}."
@@ -132,7 +132,7 @@ def _resolved(one: Level, other: Level) -> tuple[str, ...]:
     )
 
 
-def _sets(poses: Level, series: Level) -> tuple[tuple[EffectName, ...], ...]:
+def _sets(poses: LevelFinding, series: LevelFinding) -> tuple[tuple[EffectName, ...], ...]:
     """Ambiguous sets that the other level does not resolve; two that share members become what they share."""
     open_sets = [
         [names for names in one.finding.ambiguous if not any(name in other.names() for name in names)]
@@ -147,7 +147,7 @@ def _sets(poses: Level, series: Level) -> tuple[tuple[EffectName, ...], ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _named_later(finding: GapFinding, other: Level) -> GapFinding:
+def _named_later(finding: GapFinding, other: LevelFinding) -> GapFinding:
     """Without a gap afterwards where the other level names what this one left open: nobody has looked with that name added. It
     takes the place of the map that the set had.
     """

@@ -35,7 +35,7 @@ class LogFileError(CalibrationError):
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class LoggedRun:
     """One recording of m samples of n joints; arrays are read-only, NaN where the file has nothing.
 
     t_s (m,); q_rad, q_set_rad, current_A, voltage_V (m, n); payload_kg (m,), 0 where the file has no such column;
@@ -58,7 +58,7 @@ class Run:
         """How many samples."""
         return len(self.t_s)
 
-    def rows(self, rows: slice | npt.NDArray[np.intp], name: str = "") -> Run:
+    def rows(self, rows: slice | npt.NDArray[np.intp], name: str = "") -> LoggedRun:
         """Some of its samples, under another name if one is given."""
         kept = np.arange(len(self))[rows].tolist()
         return replace(
@@ -80,7 +80,7 @@ class Run:
 class Log:
     """The runs of one or more files, in the files' order."""
 
-    runs: tuple[Run, ...]
+    runs: tuple[LoggedRun, ...]
     sources: tuple[str, ...] = ()
 
     @property
@@ -101,7 +101,7 @@ class Log:
         return tuple(tuple(group) for group in groups)
 
 
-def is_repeat(first: Run, second: Run) -> bool:
+def is_repeat(first: LoggedRun, second: LoggedRun) -> bool:
     """Whether two runs were asked to do the same with the same load; runs without set-points never are.
 
     Runs of an irregular clock have no times in common, and begin within a sample of each other: theirs may differ by what they
@@ -247,13 +247,13 @@ class _Table:
         names = ", ".join(self._extra)
         return (f"{self._path}: unknown columns ignored: {names}",) if names else ()
 
-    def runs(self) -> tuple[Run, ...]:
+    def runs(self) -> tuple[LoggedRun, ...]:
         """The runs in the file's order."""
         changes = enumerate(itertools.pairwise(self.names), 1)
         begins = [0, *(k for k, (before, name) in changes if name != before), len(self.names)]
         return tuple(self._run(slice(a, b)) for a, b in itertools.pairwise(begins))
 
-    def _run(self, rows: slice) -> Run:
+    def _run(self, rows: slice) -> LoggedRun:
         count = rows.stop - rows.start
 
         def column(name: str, absent: float = math.nan) -> Array:
@@ -263,7 +263,7 @@ class _Table:
         def group(form: str) -> Array:
             return frozen(np.stack([column(name) for name in _each(self._n, form)], axis=1))
 
-        return Run(
+        return LoggedRun(
             self.names[rows.start],
             frozen(column("t_s")),
             group("q{}_rad"),

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.arrays import Array, norms
 from calib.identify.box import step_in_box
-from calib.identify.sample import Quadratic, Sample
+from calib.identify.sample import PoseSample, Quadratic
 
 NOTHING_M = 1e-9  # residuals below a nanometre count as zero
 STEP_LIMIT = 150
@@ -32,7 +32,7 @@ HOPELESS = 1e12  # times the curvature of a typical unknown: no damping helps
 
 
 @dataclass(frozen=True, slots=True)
-class End:
+class SearchEnd:
     """Result of a search: x, number of steps, and whether it converged."""
 
     x: Array
@@ -41,7 +41,7 @@ class End:
 
 
 @dataclass(frozen=True, slots=True)
-class Goal:
+class Termination:
     """Termination of a search: smoothings as shares of the mean distance at the start, tolerance as a share of the objective.
 
     x' anchor x / 2 with anchor (k, k) is added to the objective to hold combinations of unknowns at nominal. Without
@@ -56,7 +56,7 @@ class Goal:
     step_limit: int = STEP_LIMIT
 
 
-def descend(sample: Sample, start: Array, goal: Goal) -> End:
+def descend(sample: PoseSample, start: Array, goal: Termination) -> SearchEnd:
     """Search from a start inside the box."""
     return _Descent(sample, start, goal).ended()
 
@@ -64,7 +64,7 @@ def descend(sample: Sample, start: Array, goal: Goal) -> End:
 class _Descent:
     """The state of one search."""
 
-    def __init__(self, sample: Sample, start: Array, goal: Goal) -> None:
+    def __init__(self, sample: PoseSample, start: Array, goal: Termination) -> None:
         self._sample, self._goal = sample, goal
         self._limits = np.array([parameter.limit for parameter in sample.problem.parameters])
         mean_m = 0.0
@@ -90,12 +90,12 @@ class _Descent:
         value = self._sample.value_of(there.residuals, self._here.smoothing_m)
         return value + 0.5 * float(there.x @ self._held @ there.x)
 
-    def ended(self) -> End:
+    def ended(self) -> SearchEnd:
         """Take steps until the predicted decrease is too small."""
         for steps in range(1, self._goal.step_limit + 1):
             here = self._here
             if float(np.max(np.abs(here.residuals))) < NOTHING_M:
-                return End(here.x, steps, True)
+                return SearchEnd(here.x, steps, True)
             value, excess_m = self._merit(here), self._excess()
             d, promise = self._step()
             if promise > max(self._goal.tolerance * value, LAGS * excess_m):
@@ -105,10 +105,10 @@ class _Descent:
             elif here.smoothing_m > self._last_m:
                 self._here = self._resmoothed()
             else:
-                return End(here.x, steps, True)
+                return SearchEnd(here.x, steps, True)
             if self._damping > self._hopeless:
-                return End(here.x, steps, False)
-        return End(self._here.x, self._goal.step_limit, False)
+                return SearchEnd(here.x, steps, False)
+        return SearchEnd(self._here.x, self._goal.step_limit, False)
 
     def _excess(self) -> float:
         """What the smoothing adds to the objective, if it will be reduced further."""

@@ -51,7 +51,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Uncertainty:
+class Estimation:
     """Estimates, the noise of the residuals, and what the points determine."""
 
     estimates: tuple[Estimate, ...]
@@ -65,7 +65,7 @@ def uncertainty(
     x: Array,
     residuals: Array,
     sensitivity: Sensitivity,
-) -> Uncertainty:
+) -> Estimation:
     """Uncertainty of the optimum x (k,) with residuals (m, 3)."""
     limits = np.array([parameter.limit for parameter in parameters])
     resting = np.abs(x) >= AT_BOUND * limits
@@ -93,7 +93,7 @@ def uncertainty(
         )
         for k, parameter in enumerate(parameters)
     )
-    return Uncertainty(estimates, noise, known)
+    return Estimation(estimates, noise, known)
 
 
 def _intervals(

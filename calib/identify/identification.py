@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arm_problem.checks import require_sound
 from calib.arm_problem.expansion import Problem
-from calib.arm_problem.problem import ArmProblem, Solution
+from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arm_problem.weighted import WeightedProblem, posed_part, whole_problem
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
@@ -67,7 +67,7 @@ class Identification:
     """
 
     objective: str
-    solution: Solution
+    solution: ModelValues
     nominal_dh: Array
     estimates: tuple[Estimate, ...]
     objective_before: float

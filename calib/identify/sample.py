@@ -30,7 +30,7 @@ class Quadratic:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class PoseSample:
     """A sample of the poses: every `stride`-th."""
 
     problem: Problem

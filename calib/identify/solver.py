@@ -18,10 +18,10 @@ from calib.arm_problem.expansion import Problem
 from calib.arrays import Array, norms
 from calib.errors import CalibrationError
 from calib.identify.budget import Accuracy, WithDistances
-from calib.identify.descent import NOTHING_M, End, Goal, descend
+from calib.identify.descent import NOTHING_M, SearchEnd, Termination, descend
 from calib.identify.determinability import null_space
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
-from calib.identify.sample import Sample
+from calib.identify.sample import PoseSample
 from calib.identify.sensitivity import Sensitivity
 
 COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may cost
@@ -36,9 +36,9 @@ SAME = 0.003  # rough results with the same active bounds and a smaller differen
 SAME_END = 1e-6  # finished results on a sample with a smaller difference are the same minimum
 DIFFERENT = 1e-7  # relative difference below which objectives are equal
 POSES_PER_UNKNOWN = 6  # enough poses to select promising starts
-FIT = Goal(1.0, 1.0, 1e-2, is_bent=False)  # least squares, from which the other objectives start
-ROUGH = Goal(1e-1, 1e-2, 1e-4, step_limit=25)
-FINE = Goal(1e-2, 1e-7, 1e-9)
+FIT = Termination(1.0, 1.0, 1e-2, is_bent=False)  # least squares, from which the other objectives start
+ROUGH = Termination(1e-1, 1e-2, 1e-4, step_limit=25)
+FINE = Termination(1e-2, 1e-7, 1e-9)
 BISECTIONS, LIMIT_REACHED = 60, 1e-7  # of lambda; unused share of the requested accuracy
 NULL_POSES = 5000
 REACH = 0.7  # of the box, from which starts are drawn
@@ -96,7 +96,7 @@ def settled(problem: Problem, objective: Objective, seed: int = 0) -> Objective:
     if not isinstance(objective, Huber) or objective.threshold_m is not None:
         return objective
     robust = best_of_starts(problem, SumOfDistances(), 1, seed)
-    return objective.settled_on(Sample(problem, SumOfDistances()).residuals(robust.x))
+    return objective.settled_on(PoseSample(problem, SumOfDistances()).residuals(robust.x))
 
 
 def _constrained(problem: Problem, found: Minimum, limit_m: float, starts_count: int, seed: int) -> Minimum:
@@ -124,7 +124,7 @@ def _multiplied(problem: Problem, found: Minimum, closest: Array, limit_m: float
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
         objective = WithDistances(found.objective, middle * per_distance)
-        sample = Sample(problem, objective)
+        sample = PoseSample(problem, objective)
         start = descend(sample, start, _fine(sample)).x
         mean_m = _mean_m(problem, start)
         if mean_m > limit_m:
@@ -138,12 +138,12 @@ def _multiplied(problem: Problem, found: Minimum, closest: Array, limit_m: float
 
 def _instead(problem: Problem, found: Minimum, x: Array, accuracy: Accuracy) -> Minimum:
     """The same minimum record at another point."""
-    return replace(found, x=x, value=Sample(problem, found.objective).value(x), accuracy=accuracy)
+    return replace(found, x=x, value=PoseSample(problem, found.objective).value(x), accuracy=accuracy)
 
 
 def _mean_m(problem: Problem, x: Array) -> float:
     """The mean distance."""
-    return float(np.mean(norms(Sample(problem, SumOfDistances()).residuals(x))))
+    return float(np.mean(norms(PoseSample(problem, SumOfDistances()).residuals(x))))
 
 
 def best_of_starts(problem: Problem, objective: Objective, starts_count: int, seed: int) -> Minimum:
@@ -151,7 +151,7 @@ def best_of_starts(problem: Problem, objective: Objective, starts_count: int, se
     k = len(problem.parameters)
     bounded = np.array([parameter.has_bound for parameter in problem.parameters])
     draw = np.random.default_rng(seed)
-    few = Sample(problem, objective, max(1, len(problem) // (POSES_PER_UNKNOWN * k)))
+    few = PoseSample(problem, objective, max(1, len(problem) // (POSES_PER_UNKNOWN * k)))
     ends = _Ends(few)
     rough = _rough(few, np.zeros(k))
     ends.is_new(rough.x)
@@ -187,7 +187,7 @@ def _times(at_bound_count: int) -> int:
 class _Ends:
     """Results of rough searches, to recognise new ones."""
 
-    def __init__(self, sample: Sample) -> None:
+    def __init__(self, sample: PoseSample) -> None:
         self._sample = sample
         self._limits = np.array([parameter.limit for parameter in sample.problem.parameters])
         self._seen: list[tuple[Array, Array]] = []
@@ -217,7 +217,7 @@ class _Ends:
         return is_new
 
 
-def _rough(sample: Sample, start: Array) -> End:
+def _rough(sample: PoseSample, start: Array) -> SearchEnd:
     """A search with a coarse tolerance."""
     if isinstance(sample.objective, LeastSquares):
         return descend(sample, start, ROUGH)
@@ -226,16 +226,16 @@ def _rough(sample: Sample, start: Array) -> End:
     return replace(found, steps_count=fitted.steps_count + found.steps_count)
 
 
-def _finished(problem: Problem, objective: Objective, rough: End) -> Minimum:
+def _finished(problem: Problem, objective: Objective, rough: SearchEnd) -> Minimum:
     """The search to convergence on all poses."""
-    sample = Sample(problem, objective)
+    sample = PoseSample(problem, objective)
     end = descend(sample, rough.x, _fine(sample))
     return Minimum(
         end.x, sample.value(end.x), rough.steps_count + end.steps_count, end.is_converged, objective
     )
 
 
-def _fine(sample: Sample) -> Goal:
+def _fine(sample: PoseSample) -> Termination:
     """The goal of a final search. Some k distances are zero at a minimum, each increased by the smoothing."""
     share = len(sample.problem) / sample.stride / len(sample.problem.parameters)
     return replace(FINE, last_smoothing=FINE.last_smoothing * max(1.0, share))
@@ -246,7 +246,7 @@ def _nearest_to_nominal(problem: Problem, objective: Objective, best: Minimum, e
     # With very many poses, a sample gives the null space; the cost is evaluated on all.
     stride = max(1, len(problem) // NULL_POSES)
     residuals, jacobian = problem.residuals_and_jacobian(best.x, slice(None, None, stride))
-    sample = Sample(problem, objective)
+    sample = PoseSample(problem, objective)
     goal = _fine(sample)
     stiffness = stride * _stiffness(objective, residuals, jacobian)
     nothing = objective.value(objective.distances(np.full((len(problem), 3), NOTHING_M)), 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import Array, frozen, norms
 from calib.iso9283.criteria import cornering, path, velocity, weaving
 from calib.iso9283.criteria.checks import Iso9283Error
-from calib.iso9283.recorded import CAMERA, NO_LOG, Run
+from calib.iso9283.recorded import CAMERA, NO_LOG, RecordedRun
 from calib.iso9283.result import Criterion, Figure, PathTrace, criterion, with_headlines
 
 POINTS_ON_PATH = 100
@@ -17,7 +17,7 @@ PATH_MARGIN = 0.05  # of the length, at either end, omitted for start and stop
 SPEED_WINDOW_s = 0.2
 CENTRAL = 0.5  # of a path's time: part where the speed is evaluated
 STEADY = 0.05  # of the speed: set-points that vary less have constant speed
-Runs = Sequence[Run]
+Runs = Sequence[RecordedRun]
 
 
 def path_criteria(runs: Runs) -> tuple[Criterion, list[PathTrace]]:
@@ -173,12 +173,12 @@ def _attained(cycles: Runs) -> tuple[Array, Array]:
     return points, np.stack(attained)
 
 
-def _path_groups(runs: Runs, is_wanted: Callable[[Run], bool]) -> dict[str, list[Run]]:
+def _path_groups(runs: Runs, is_wanted: Callable[[RecordedRun], bool]) -> dict[str, list[RecordedRun]]:
     """Repeats of the same path at the same speed, by name.
 
     Runs without a name in the log are compared by their set-points; single runs do not belong to a test.
     """
-    groups: dict[str, list[Run]] = {}
+    groups: dict[str, list[RecordedRun]] = {}
     for run in runs:
         if not is_wanted(run) or not run.is_moving:
             continue
@@ -191,14 +191,14 @@ def _path_groups(runs: Runs, is_wanted: Callable[[Run], bool]) -> dict[str, list
     return {name: cycles for name, cycles in groups.items() if cycles[0].programme or len(cycles) > 1}
 
 
-def _middle(run: Run) -> tuple[float, float]:
+def _middle(run: RecordedRun) -> tuple[float, float]:
     """Start and end of the middle part of a run, where the speed can be constant."""
     began, ended = run.moving_s
     half = 0.5 * CENTRAL * (ended - began)
     return 0.5 * (began + ended) - half, 0.5 * (began + ended) + half
 
 
-def _is_steady(run: Run) -> bool:
+def _is_steady(run: RecordedRun) -> bool:
     """Whether the set-point has constant velocity in the middle of a run."""
     first, last = _middle(run) if run.is_moving else (0.0, 0.0)
     chosen = (run.time_s >= first) & (run.time_s <= last)
@@ -209,7 +209,7 @@ def _is_steady(run: Run) -> bool:
     return bool(norms(velocity_m_s - mean).max() < STEADY * np.linalg.norm(mean))
 
 
-def _is_repeat(run: Run, other: Run) -> bool:
+def _is_repeat(run: RecordedRun, other: RecordedRun) -> bool:
     """Whether two runs have the same set-points, to a tenth of a millimetre at equal times."""
     if abs(run.time_s[-1] - other.time_s[-1] - run.time_s[0] + other.time_s[0]) > 0.5:
         return False

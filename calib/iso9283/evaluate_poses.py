@@ -222,7 +222,7 @@ def _first(groups: Groups) -> PoseGroup | None:
     return next(found, None)
 
 
-def _with_axes(symbol: str, value: pose.Accuracy, where: str, n: int) -> list[Figure]:
+def _with_axes(symbol: str, value: pose.PoseAccuracy, where: str, n: int) -> list[Figure]:
     axes = [Figure(f"{symbol}_{a}", float(v), "m", where, n) for a, v in zip(AXES, value.axes_m, strict=True)]
     return [Figure(symbol, value.total_m, "m", where, n), *axes]
 

@@ -10,12 +10,12 @@ import numpy as np
 from calib.arrays import frozen, norms
 from calib.iso9283.criteria import settling
 from calib.iso9283.criteria.checks import Iso9283Error
-from calib.iso9283.recorded import CAMERA, ENCODERS, NO_LOG, Run
+from calib.iso9283.recorded import CAMERA, ENCODERS, NO_LOG, RecordedRun
 from calib.iso9283.result import Criterion, Figure, SettlingTrace, criterion, with_headlines
 
 REST_s = 0.3  # at the end of an approach, of which the attained pose is the mean
 NOISE_SIGMAS = 4.5  # standard deviations per axis: exceeded by less than one of a thousand positions at rest
-Runs = Sequence[Run]
+Runs = Sequence[RecordedRun]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class _Settled:
     trace: SettlingTrace
 
 
-def _settled(run: Run, source: str, band_m: float) -> _Settled:
+def _settled(run: RecordedRun, source: str, band_m: float) -> _Settled:
     time_s, tip_m = run.measured(source)
     rest_m = settling.rest_position(time_s, tip_m, REST_s)
     distance = norms(tip_m - rest_m)

@@ -9,13 +9,13 @@ from calib.iso9283 import evaluate_paths as of_paths
 from calib.iso9283 import evaluate_poses as of_poses
 from calib.iso9283 import evaluate_settling as of_settling
 from calib.iso9283.criteria.checks import above_zero
-from calib.iso9283.recorded import PoseGroup, Run
+from calib.iso9283.recorded import PoseGroup, RecordedRun
 from calib.iso9283.result import Criterion, Evaluation
 
 
 def evaluate(
     groups: Sequence[PoseGroup],
-    runs: Sequence[Run] = (),
+    runs: Sequence[RecordedRun] = (),
     others: Mapping[str, Sequence[PoseGroup]] | None = None,
     corners: Sequence[Array] | None = None,
     band_m: float | None = None,

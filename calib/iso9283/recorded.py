@@ -56,7 +56,7 @@ class PoseGroup:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RecordedRun:
     """One run: commanded tip set_m (k, 3) and encoder_m (k, 3), both by the arm's model, at time_s (k,).
 
     seen_m (s, 3) at seen_s (s,) by the camera. `programme` is empty and speed_m_s NaN if the file does not give them.
@@ -226,7 +226,7 @@ RUNS = TableFormat(
 )
 
 
-def read_runs(path: Path, arm: Arm, is_as_given: bool = False) -> list[Run]:
+def read_runs(path: Path, arm: Arm, is_as_given: bool = False) -> list[RecordedRun]:
     """Every run of a log.csv or log.csv.gz; Iso9283Error names file, line and column.
 
     Rows without a set-point, such as during hand guiding, are omitted. `is_as_given`: its units are not doubted.
@@ -240,7 +240,7 @@ def read_runs(path: Path, arm: Arm, is_as_given: bool = False) -> list[Run]:
     )
     number, time_s, tip_m = np.nan_to_num(table.number("run")), table.number("t_s"), table.numbers(*TIP)
     has_wanted = np.asarray(np.isfinite(wanted_rad).all(axis=1))
-    runs: list[Run] = []
+    runs: list[RecordedRun] = []
     for run in dict.fromkeys(number.tolist()):
         of_run = np.flatnonzero(number == run)
         rows = of_run[has_wanted[of_run]]
@@ -253,7 +253,7 @@ def read_runs(path: Path, arm: Arm, is_as_given: bool = False) -> list[Run]:
         seen = rows[np.isfinite(tip_m[rows]).all(axis=1)]
         first = int(of_run[0])
         runs.append(
-            Run(
+            RecordedRun(
                 int(run),
                 table.words("programme")[first],
                 int(np.nan_to_num(table.number("cycle")[first])),

@@ -12,7 +12,7 @@ from calib.gap.plan.collision_free_box import CLEARANCE_m, ground_m
 from calib.gap.plan.poses import APPROACH_rad
 from control.kinematics.corners import Corners
 from control.model.arm import Arm
-from control.safety.workspace import Body, Workspace
+from control.safety.workspace import LinkThickness, Workspace
 
 ROUNDING_m: Final = 1e-6
 AHEAD: Final = (1.0, 0.5)  # of the way of a lead-in that are looked at, besides its end
@@ -35,7 +35,7 @@ class Room:
     def __init__(self, arm: Arm) -> None:
         self._corners = Corners(arm)
         self._lowest_table_m = min(table_m(arm), arm.limits.floor_z_m)
-        self._body = Body(self._corners.radii_m, self._corners.first_free)
+        self._body = LinkThickness(self._corners.radii_m, self._corners.first_free)
 
     def holds(self, arm: Arm, q_rad: Array) -> bool:
         """Whether the loop's guard lets the arm be at all of these poses (m, n)."""

@@ -49,7 +49,7 @@ class Unclear(PointsFileError):
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class Spreadsheet:
     """A table as text, and how it was read."""
 
     path: Path
@@ -92,7 +92,7 @@ class Understood:
     in_words: tuple[str, ...]
 
 
-def read_sheet(path: Path) -> Sheet:
+def read_sheet(path: Path) -> Spreadsheet:
     """The header and the rows of a table. PointsFileError if it is none."""
     content = read_bytes(path)
     try:
@@ -116,11 +116,11 @@ def read_sheet(path: Path) -> Sheet:
     )
     mark = "decimal commas" if commas else "decimal points"
     about = f"{path}: {encoding}, separated by {SEPARATORS[separator]}, {mark}, {len(rows) - 1} rows"
-    return Sheet(path, rows[0], tuple(rows[1:]), about, commas)
+    return Spreadsheet(path, rows[0], tuple(rows[1:]), about, commas)
 
 
 def understood(
-    sheet: Sheet, arm: Arm, columns: Mapping[str, str], angles: str | None, lengths: str | None
+    sheet: Spreadsheet, arm: Arm, columns: Mapping[str, str], angles: str | None, lengths: str | None
 ) -> Understood:
     """The points of a table. Unclear where it does not tell. `columns`: its names by ours; units None: as its header says."""
     joints = [f"q{j}_rad" for j in range(1, arm.joint_count + 1)]
@@ -145,7 +145,7 @@ def understood(
     )
 
 
-def _column(sheet: Sheet, ours: str, pattern: str, columns: Mapping[str, str]) -> str | None:
+def _column(sheet: Spreadsheet, ours: str, pattern: str, columns: Mapping[str, str]) -> str | None:
     if (name := columns.get(ours)) is not None:
         if name not in sheet.names:
             raise PointsFileError(
@@ -163,7 +163,7 @@ def _column(sheet: Sheet, ours: str, pattern: str, columns: Mapping[str, str]) -
 
 
 def _unit(
-    sheet: Sheet, names: Sequence[str], given: str | None, option: str, units: Mapping[str, float]
+    sheet: Spreadsheet, names: Sequence[str], given: str | None, option: str, units: Mapping[str, float]
 ) -> str:
     """The unit of columns: as given, else what their header says."""
     if given is not None:
@@ -178,7 +178,7 @@ def _unit(
     return unit
 
 
-def _repeats(sheet: Sheet, name: str | None, setup: Sequence[str], point: Sequence[str]) -> list[int]:
+def _repeats(sheet: Spreadsheet, name: str | None, setup: Sequence[str], point: Sequence[str]) -> list[int]:
     """As the table numbers them, else counted."""
     if name is not None:
         numbers = sheet.numbers(name)

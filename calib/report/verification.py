@@ -12,7 +12,7 @@ from calib.arrays import Array, norms
 from calib.inputs import InputFile
 from calib.report.report import write_report
 from calib.report.report_data import UNUSED, ReportData
-from calib.validation.statistics import Difference, ErrorSummary, Finding
+from calib.validation.statistics import Difference, ErrorSummary, PairedFinding
 from calib.validation.verify import (
     ALL,
     Comparison,
@@ -51,7 +51,7 @@ class Verification:
     @property
     def is_worse(self) -> bool:
         """Whether the calibrated arm is significantly worse than the nominal one over all points."""
-        return self.comparison.of(ALL).difference.finding is Finding.WORSE
+        return self.comparison.of(ALL).difference.finding is PairedFinding.WORSE
 
     @property
     def verdict(self) -> tuple[str, ...]:
@@ -77,11 +77,11 @@ class Verification:
     def _worse_alone(self) -> list[SetupComparison]:
         if self.is_worse:
             return []
-        return [one for one in self.comparison.by_setup() if one.difference.finding is Finding.WORSE]
+        return [one for one in self.comparison.by_setup() if one.difference.finding is PairedFinding.WORSE]
 
 
 def _spelled(difference: Difference) -> str:
-    if difference.finding is Finding.NOTHING:
+    if difference.finding is PairedFinding.NOTHING:
         return f"neither better nor worse ({difference.in_words()})"
     return difference.in_words()
 

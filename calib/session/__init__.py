@@ -4,11 +4,11 @@ plan, state: planned and recorded targets, without I/O; folder, journal: the sam
 between operator, arm and folder; sequence: the same without an operator.
 """
 
-from calib.session.moves import ArmGeometry, ArmPort, Camera, Geometry, Sample, SeenTip, TipSeat
+from calib.session.moves import ArmGeometry, ArmPort, Geometry, RestSample, SeenTip, TipSeat, TipSensor
 from calib.session.sequence import (
     BoardPoint,
-    Progress,
-    Stage,
+    PointStage,
+    SessionProgress,
     step_through,
 )
 from calib.session.take import SessionSettings
@@ -17,13 +17,13 @@ __all__ = [
     "ArmGeometry",
     "ArmPort",
     "BoardPoint",
-    "Camera",
+    "TipSensor",
     "Geometry",
-    "Progress",
-    "Sample",
+    "SessionProgress",
+    "RestSample",
     "SeenTip",
     "SessionSettings",
-    "Stage",
+    "PointStage",
     "TipSeat",
     "step_through",
 ]

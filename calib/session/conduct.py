@@ -8,17 +8,26 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from calib.session.boards_known import Boards
-from calib.session.conversation import Answer, Conversation, Jog, Message, Question, Recorded, Talk, jogged
+from calib.session.conversation import (
+    Answer,
+    Conversation,
+    Message,
+    Recorded,
+    SessionQuestion,
+    SmallMove,
+    Talk,
+    jogged,
+)
 from calib.session.folder import SessionFolder
 from calib.session.measured import BoardSurvey
-from calib.session.moves import Camera, ClearPaths, Geometry, JogPort, NoClearPath, Transfers, Vector
+from calib.session.moves import ClearPaths, Geometry, JogPort, NoClearPath, TipSensor, Transfers, Vector
 from calib.session.plan import Target
 from calib.session.residual_watch import ResidualWatch
 from calib.session.take import SessionSettings, take
 from control.errors import ArmError
 
 
-class Hand(Protocol):
+class AutomaticHand(Protocol):
     """An automatic hand: the mock arm's, which knows the true board pose."""
 
     def grip(self) -> None:
@@ -42,8 +51,8 @@ class Station:
     geometry: Geometry
     boards: Boards
     watch: ResidualWatch
-    hand: Hand | None = None
-    camera: Camera | None = None
+    hand: AutomaticHand | None = None
+    camera: TipSensor | None = None
     ways: ClearPaths | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
     clock_offset_s: float = 0.0
@@ -91,7 +100,9 @@ class _Conductor(Conversation):
     def _visit(self, target: Target) -> Talk:
         """Record one target, as far as the operator allows."""
         if target.is_free and target.q_rad is not None:
-            if (yield from self._ask(Question.NEXT, target)) and (yield from self._go(target, target.q_rad)):
+            if (yield from self._ask(SessionQuestion.NEXT, target)) and (
+                yield from self._go(target, target.q_rad)
+            ):
                 yield from self._record(target)
             return
         if target.setup != self._standing and not (yield from self._set_up(target)):
@@ -108,10 +119,10 @@ class _Conductor(Conversation):
     def _set_up(self, target: Target) -> Answer:
         """Move away from the board, and wait until it is in the target's setup."""
         if self._walk.is_at_point:
-            if not (yield from self._ask(Question.NEXT, target)):
+            if not (yield from self._ask(SessionQuestion.NEXT, target)):
                 return False
             self._lift()
-        if not (yield from self._ask(Question.BOARD, target)):
+        if not (yield from self._ask(SessionQuestion.BOARD, target)):
             return False
         self._standing = target.setup
         return True
@@ -129,11 +140,13 @@ class _Conductor(Conversation):
             )
         except ArmError as error:
             return (yield from self._skip(target, error))
-        return (yield from self._ask(Question.NEXT, target)) and (yield from self._go(target, above))
+        return (yield from self._ask(SessionQuestion.NEXT, target)) and (yield from self._go(target, above))
 
-    def _seated_by(self, hand: Hand, target: Target) -> Talk:
+    def _seated_by(self, hand: AutomaticHand, target: Target) -> Talk:
         """The mock hand seats the tip; if the arm was not moved before, the operator is asked first."""
-        if not self._boards.is_placed(target.setup) and not (yield from self._ask(Question.TAKE, target)):
+        if not self._boards.is_placed(target.setup) and not (
+            yield from self._ask(SessionQuestion.TAKE, target)
+        ):
             return
         hand.grip()
         try:
@@ -146,17 +159,17 @@ class _Conductor(Conversation):
 
     def _guided_in(self, target: Target) -> Talk:
         """The operator takes the tip, the drives are released, the operator confirms that it is seated."""
-        if not (yield from self._ask(Question.TAKE, target)):
+        if not (yield from self._ask(SessionQuestion.TAKE, target)):
             return
         with self._at_point(target):
-            if (yield from self._ask(Question.SEATED, target)):
+            if (yield from self._ask(SessionQuestion.SEATED, target)):
                 self._hold()
                 yield from self._record(target)
 
     def _jogged_in(self, target: Target) -> Talk:
         """The operator jogs the tip down; the drives hold it throughout."""
         self._arrive(target)
-        if (yield from self._ask(Question.SEATED, target)):
+        if (yield from self._ask(SessionQuestion.SEATED, target)):
             yield from self._record(target)
 
     @contextmanager
@@ -208,5 +221,5 @@ class _Conductor(Conversation):
         if not target.is_free:
             yield from self._survey.place(target.setup)
 
-    def _jog(self, jog: Jog) -> None:
+    def _jog(self, jog: SmallMove) -> None:
         self._arm.creep_to_q(jogged(jog, self._arm, self._station.geometry))

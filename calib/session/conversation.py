@@ -1,8 +1,8 @@
 """What every session with an operator does: target after target, questions and commands, and a clean end.
 
-A session is a generator: it yields sayings and is sent a `Command` for every `Ask`. It reads no keyboard and prints nothing, so
-that a terminal, a script and a screen run the same session. Nothing moves, and no drive is released, before an Ask was answered
-with GO. On every exit the hand has released the arm and the drives hold.
+A session is a generator: it yields sayings and is sent a `SessionCommand` for every `Ask`. It reads no keyboard and prints
+nothing, so that a terminal, a script and a screen run the same session. Nothing moves, and no drive is released, before an Ask
+was answered with GO. On every exit the hand has released the arm and the drives hold.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from calib.points.writer import Key, Record
 from calib.session.folder import SessionFolder, continues
 from calib.session.moves import ArmPort, Geometry, Vector
 from calib.session.plan import Target
-from calib.session.residual_watch import Verdict
-from calib.session.state import AFTER, Event, SessionState
+from calib.session.residual_watch import RecordVerdict
+from calib.session.state import AFTER, SessionState, TargetEvent
 from control.errors import ArmError
 from control.server.channel import RuntimeGone
 from control.server.client import ArmFaulted
 
 
-class Question(Enum):
+class SessionQuestion(Enum):
     """Conditions that the session waits for. The answer GO confirms."""
 
     BOARD = "the board is placed for this setup"
@@ -40,7 +40,7 @@ class Question(Enum):
 class Ask:
     """The session waits for an answer: a Command. `arm`: which of two it is about."""
 
-    question: Question
+    question: SessionQuestion
     target: Target | None
     arm: str = ""
 
@@ -50,7 +50,7 @@ class Recorded:
     """A record was saved; with its verdict."""
 
     record: Record
-    verdict: Verdict
+    verdict: RecordVerdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Do(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Jog:
+class SmallMove:
     """A small move: along x, y or z of the base frame [m], or of a joint j1, j2, ... [rad]; `arm`: which of two."""
 
     axis: str
@@ -86,7 +86,7 @@ class Jog:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class SessionCommand:
     """One command. REDO, SKIP, BAD without a point refer to the last record, or for SKIP to the present target."""
 
     do: Do
@@ -94,16 +94,16 @@ class Command:
     point: str = ""
     repeat: int | None = None
     text: str = ""
-    jog: Jog | None = None
+    jog: SmallMove | None = None
 
 
-GO = Command(Do.GO)
+GO = SessionCommand(Do.GO)
 
 
-EVENTS = {Do.SKIP: Event.SKIP, Do.REDO: Event.REDO, Do.BAD: Event.BAD}
+EVENTS = {Do.SKIP: TargetEvent.SKIP, Do.REDO: TargetEvent.REDO, Do.BAD: TargetEvent.BAD}
 
 
-def done_to(folder: SessionFolder, command: Command, asked: Target | None, standing: str) -> list[Key]:
+def done_to(folder: SessionFolder, command: SessionCommand, asked: Target | None, standing: str) -> list[Key]:
     """Execute a command; return the affected targets. SessionError, without effect, if it is invalid."""
     event = EVENTS[command.do]
     keys = _meant(folder.state, event, command, asked, standing)
@@ -113,7 +113,7 @@ def done_to(folder: SessionFolder, command: Command, asked: Target | None, stand
 
 
 def _meant(
-    state: SessionState, event: Event, command: Command, asked: Target | None, standing: str
+    state: SessionState, event: TargetEvent, command: SessionCommand, asked: Target | None, standing: str
 ) -> list[Key]:
     """Keys of a command. A point without a repeat means all its repeats for which the event is valid."""
     if not command.point:
@@ -126,8 +126,8 @@ def _meant(
     return possible
 
 
-def _unnamed(state: SessionState, event: Event, asked: Target | None) -> Key:
-    key = (asked.key if asked else None) if event is Event.SKIP else state.last
+def _unnamed(state: SessionState, event: TargetEvent, asked: Target | None) -> Key:
+    key = (asked.key if asked else None) if event is TargetEvent.SKIP else state.last
     if key is None:
         raise SessionError(f"{event.value}: no point given; type {event.value} [setup] point [repeat]")
     return key
@@ -138,7 +138,7 @@ WINDOW_s = 0.02
 AXES = "xyz"
 
 
-def jogged(jog: Jog, arm: ArmPort, geometry: Geometry) -> Sequence[float]:
+def jogged(jog: SmallMove, arm: ArmPort, geometry: Geometry) -> Sequence[float]:
     """Joint angles after the step. SessionError for an invalid step, ArmError if it is out of reach."""
     if jog.arm:
         raise SessionError(
@@ -159,13 +159,13 @@ def jogged(jog: Jog, arm: ArmPort, geometry: Geometry) -> Sequence[float]:
     return [q + jog.step if k == number else q for k, q in enumerate(q_rad)]
 
 
-def _require_small(jog: Jog, longest: float, unit: str) -> None:
+def _require_small(jog: SmallMove, longest: float, unit: str) -> None:
     if not abs(jog.step) <= longest:
         raise SessionError(f"jog {jog.axis}: a step is {longest:g} {unit} at most, got {jog.step:g} {unit}")
 
 
-Talk = Generator[Saying, Command, None]
-Answer = Generator[Saying, Command, bool]
+Talk = Generator[Saying, SessionCommand, None]
+Answer = Generator[Saying, SessionCommand, bool]
 
 
 def unattended(talk: Talk) -> Iterator[Saying]:
@@ -203,7 +203,7 @@ class Conversation(ABC):
                 target = self._next()
                 if target is not None:
                     yield from self._visit(target)
-                elif (yield from self._ask(Question.DONE, None)):
+                elif (yield from self._ask(SessionQuestion.DONE, None)):
                     self._lift()
                     return
         except _Quit:
@@ -225,7 +225,7 @@ class Conversation(ABC):
         """Bring the tip away from a point, if it is at one."""
 
     @abstractmethod
-    def _jog(self, jog: Jog) -> None:
+    def _jog(self, jog: SmallMove) -> None:
         """One small move; SessionError if it is invalid."""
 
     def _next(self) -> Target | None:
@@ -236,7 +236,7 @@ class Conversation(ABC):
         yield Message(f"{target.name} is skipped: {reason}", is_warning=True)
         return False
 
-    def _ask(self, question: Question, target: Target | None, arm: str = "") -> Answer:
+    def _ask(self, question: SessionQuestion, target: Target | None, arm: str = "") -> Answer:
         """Ask until the answer is GO (True), or another target is due (False)."""
         while True:
             command = yield Ask(question, target, arm)
@@ -253,7 +253,7 @@ class Conversation(ABC):
             if self._next() != target:
                 return False
 
-    def _obey(self, command: Command, target: Target | None) -> Talk:
+    def _obey(self, command: SessionCommand, target: Target | None) -> Talk:
         if command.do is Do.NOTE:
             self._folder.note(command.text, target.key if target else None)
             yield Message("noted")

@@ -26,13 +26,13 @@ from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import DISTANCE, Key, PointsWriter, Record, replace_file
 from calib.session.plan import SessionPlan, from_json, require_same, to_json
-from calib.session.state import Event, Mark, SessionState
+from calib.session.state import Mark, SessionState, TargetEvent
 from control.files import KeptLines, parsed_json, read_text
 
 Entry = dict[str, Any]
 
 
-class Journal(KeptLines):
+class SessionJournal(KeptLines):
     """Its entries. While it is open, no other session can open it (SessionError)."""
 
     def __init__(self, path: Path) -> None:
@@ -75,7 +75,7 @@ class SessionFolder:
             self.plan, self.started = _kept(folder, wanted)
         else:
             self.plan, self.started = _begun(folder, wanted), _now()
-        self._journal = Journal(folder / JOURNAL)
+        self._journal = SessionJournal(folder / JOURNAL)
         try:
             if not self.is_resumed:
                 replace_file(folder / PLAN, to_json(self.plan, self.started).encode())
@@ -118,7 +118,7 @@ class SessionFolder:
 
     def record(self, record: Record) -> Record:
         """Save a record of a remaining target; return it with its take."""
-        after = self.state.after(Event.RECORDED, record.key)
+        after = self.state.after(TargetEvent.RECORDED, record.key)
         numbered = replace(record, take=1 + self._withdrawn[record.key])
         self._writer.append(numbered)
         self.state = after
@@ -126,9 +126,9 @@ class SessionFolder:
 
     def skip(self, key: Key, reason: str = "") -> None:
         """Skip a target."""
-        self.happen(Event.SKIP, key, reason)
+        self.happen(TargetEvent.SKIP, key, reason)
 
-    def happen(self, event: Event, key: Key, reason: str = "") -> None:
+    def happen(self, event: TargetEvent, key: Key, reason: str = "") -> None:
         """Apply SKIP, REDO or BAD: an existing record of the target is withdrawn and stays in the journal."""
         after = self.state.after(event, key)
         details = {"reason": reason} if reason else {}
@@ -178,7 +178,11 @@ class SessionFolder:
         return state
 
     def _replayed(self, state: SessionState, entry: Entry) -> SessionState:
-        marks = {Event.SKIP.value: Mark.SKIPPED, Event.REDO.value: Mark.LEFT, Event.BAD.value: Mark.BAD}
+        marks = {
+            TargetEvent.SKIP.value: Mark.SKIPPED,
+            TargetEvent.REDO.value: Mark.LEFT,
+            TargetEvent.BAD.value: Mark.BAD,
+        }
         if entry["event"] not in marks:
             return state
         key = (str(entry["setup"]), str(entry["point"]), int(entry["repeat"]))

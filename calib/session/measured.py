@@ -12,7 +12,7 @@ from calib.errors import RegistrationError
 from calib.points.points import STREAM_FRAME, Points
 from calib.points.writer import Record, replace_file
 from calib.session.boards_known import Boards, markers_of
-from calib.session.conversation import Command, Message, Saying
+from calib.session.conversation import Message, Saying, SessionCommand
 from calib.session.folder import SessionFolder
 from calib.session.moves import Vector
 from calib.session.plan import FREE
@@ -28,7 +28,7 @@ class BoardSurvey:
         self._folder, self._boards, self._watch = folder, boards, watch
         self._found: dict[str, Registration] = {}
 
-    def resume(self) -> Generator[Saying, Command, None]:
+    def resume(self) -> Generator[Saying, SessionCommand, None]:
         """Process the records of a resumed session."""
         points = self._folder.points()
         if points is None:
@@ -45,7 +45,7 @@ class BoardSurvey:
             return TipObservation(record.setup, record.q_rad, record.tip_m, is_unplaced)
         return TipObservation(record.setup, record.q_rad, self._boards.cavities_m[record.point], True)
 
-    def place(self, setup: str) -> Generator[Saying, Command, None]:
+    def place(self, setup: str) -> Generator[Saying, SessionCommand, None]:
         """Register a board measured by the camera, and write its pose."""
         points = self._folder.points()
         if self._boards.kind != "measured" or setup == FREE or points is None:

@@ -44,7 +44,7 @@ class SeenTip:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class RestSample:
     """Averaged encoders and motor currents, one value per joint.
 
     q_rad and its scatter q_sd_rad; current_A of the motors; direction: sign of each joint's last motion, 0
@@ -75,7 +75,7 @@ class ArmPort(Protocol):
     def hold(self) -> None:
         """Hold the present position by the drives."""
 
-    def average(self, duration_s: float) -> Sample:
+    def average(self, duration_s: float) -> RestSample:
         """Mean of encoders and currents over the next duration_s."""
 
 
@@ -99,7 +99,7 @@ class TipSeat(Protocol):
         """The hand is off the arm."""
 
 
-class Camera(Protocol):
+class TipSensor(Protocol):
     """A device that measures the tip, in the base frame or in its own (SessionPlan.pose_frame)."""
 
     def measure(self, duration_s: float) -> SeenTip:

@@ -31,7 +31,7 @@ CLIP = 3.0  # robust: residuals beyond this many times the noise are down-weight
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RecordVerdict:
     """Verdict on a record. error_m: tip minus model, (3,) at nominal; NaN if the board's pose is unknown.
 
     off_sd: distance from the prediction of earlier records, in standard deviations; off_m: the same in m. Both NaN
@@ -76,16 +76,16 @@ class ResidualWatch:
         """Remove an observation."""
         self._seen.pop(key, None)
 
-    def judge(self, new: TipObservation) -> Verdict:
+    def judge(self, new: TipObservation) -> RecordVerdict:
         """Compare a record with earlier ones."""
         before = [one for one in self._seen.values() if not one.is_on_unknown_board or one.setup == new.setup]
         error_m = self._error_m(new)
         on_its_board = sum(one.setup == new.setup for one in before)
         if len(before) < FEWEST_BEFORE or (new.is_on_unknown_board and on_its_board < FEWEST_ON_UNKNOWN):
-            return Verdict(error_m)
+            return RecordVerdict(error_m)
         innovation_m, spread_m2 = self._predicted(before, new)
         off_sd = float(np.sqrt(innovation_m @ np.linalg.solve(spread_m2, innovation_m)))
-        return Verdict(error_m, float(np.linalg.norm(innovation_m)), off_sd)
+        return RecordVerdict(error_m, float(np.linalg.norm(innovation_m)), off_sd)
 
     def _error_m(self, new: TipObservation) -> Array:
         if new.is_on_unknown_board:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from calib.points.writer import PointsWriter, Record
-from calib.session.moves import ArmPort, Camera, Geometry, TipSeat, Transfers, Vector
+from calib.session.moves import ArmPort, Geometry, TipSeat, TipSensor, Transfers, Vector
 from calib.session.plan import Target
 from calib.session.take import SessionSettings, take
 from control.errors import ArmError
@@ -32,7 +32,7 @@ class BoardPoint:
     repeat: int = 1
 
 
-class Stage(Enum):
+class PointStage(Enum):
     """Stage of a point."""
 
     SETUP = "setup stands"
@@ -44,10 +44,10 @@ class Stage(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class SessionProgress:
     """One step: `done_count` of `total_count` points are done; with the record, or the reason for none."""
 
-    stage: Stage
+    stage: PointStage
     done_count: int
     total_count: int
     setup: str
@@ -63,9 +63,9 @@ def step_through(
     seat: TipSeat,
     writer: PointsWriter,
     settings: SessionSettings | None = None,
-    camera: Camera | None = None,
+    camera: TipSensor | None = None,
     set_up: Callable[[str], None] | None = None,
-) -> Iterator[Progress]:
+) -> Iterator[SessionProgress]:
     """Visit the cavities in the order given and record each; those that the file holds already are passed
     over.
 
@@ -80,27 +80,27 @@ def step_through(
     standing = ""
     for done, point in enumerate(points, start=1):
         if (point.setup, point.point, point.repeat) in writer.recorded:
-            yield _progress(Stage.KEPT, done, points, point)
+            yield _progress(PointStage.KEPT, done, points, point)
             continue
         try:
             above = walk.plan(point.tip_m, point.normal)
         except ArmError as error:
-            yield _progress(Stage.UNREACHABLE, done, points, point, reason=str(error))
+            yield _progress(PointStage.UNREACHABLE, done, points, point, reason=str(error))
             continue
         if point.setup != standing:
             walk.lift()
             if set_up is not None:
                 set_up(point.setup)
             standing = point.setup
-            yield _progress(Stage.SETUP, done - 1, points, point)
+            yield _progress(PointStage.SETUP, done - 1, points, point)
         walk.go(above)
-        yield _progress(Stage.ABOVE, done - 1, points, point)
+        yield _progress(PointStage.ABOVE, done - 1, points, point)
         walk.stands_at(point.normal)
         with seated(point.tip_m, arm, seat):
-            yield _progress(Stage.SEATED, done - 1, points, point)
+            yield _progress(PointStage.SEATED, done - 1, points, point)
             record = take(_target(point), point.tip_m, arm, how, camera)
             writer.append(record)
-        yield _progress(Stage.RECORDED, done, points, point, record)
+        yield _progress(PointStage.RECORDED, done, points, point, record)
     walk.lift()
 
 
@@ -125,11 +125,11 @@ def _target(point: BoardPoint) -> Target:
 
 
 def _progress(
-    stage: Stage,
+    stage: PointStage,
     done: int,
     all_points: Sequence[BoardPoint],
     target: BoardPoint,
     record: Record | None = None,
     reason: str = "",
-) -> Progress:
-    return Progress(stage, done, len(all_points), target.setup, target.point, record, reason)
+) -> SessionProgress:
+    return SessionProgress(stage, done, len(all_points), target.setup, target.point, record, reason)

@@ -33,7 +33,7 @@ class Mark(Enum):
     BAD = "bad"
 
 
-class Event(Enum):
+class TargetEvent(Enum):
     """Event of a target."""
 
     RECORDED = "recorded"
@@ -42,23 +42,23 @@ class Event(Enum):
     BAD = "bad"
 
 
-AFTER: Mapping[tuple[Mark, Event], Mark] = MappingProxyType(
+AFTER: Mapping[tuple[Mark, TargetEvent], Mark] = MappingProxyType(
     {
-        (Mark.LEFT, Event.RECORDED): Mark.DONE,
-        (Mark.LEFT, Event.SKIP): Mark.SKIPPED,
-        (Mark.DONE, Event.REDO): Mark.LEFT,
-        (Mark.DONE, Event.BAD): Mark.BAD,
-        (Mark.SKIPPED, Event.REDO): Mark.LEFT,
-        (Mark.BAD, Event.REDO): Mark.LEFT,
+        (Mark.LEFT, TargetEvent.RECORDED): Mark.DONE,
+        (Mark.LEFT, TargetEvent.SKIP): Mark.SKIPPED,
+        (Mark.DONE, TargetEvent.REDO): Mark.LEFT,
+        (Mark.DONE, TargetEvent.BAD): Mark.BAD,
+        (Mark.SKIPPED, TargetEvent.REDO): Mark.LEFT,
+        (Mark.BAD, TargetEvent.REDO): Mark.LEFT,
     }
 )
 _ADVICE = {
-    (Mark.LEFT, Event.REDO): "it is not recorded yet",
-    (Mark.LEFT, Event.BAD): "it is not recorded; `skip` omits it",
-    (Mark.DONE, Event.RECORDED): "`redo` it first",
-    (Mark.DONE, Event.SKIP): "it is recorded; `bad` removes the record",
-    (Mark.SKIPPED, Event.SKIP): "it is skipped already",
-    (Mark.BAD, Event.BAD): "it is marked already",
+    (Mark.LEFT, TargetEvent.REDO): "it is not recorded yet",
+    (Mark.LEFT, TargetEvent.BAD): "it is not recorded; `skip` omits it",
+    (Mark.DONE, TargetEvent.RECORDED): "`redo` it first",
+    (Mark.DONE, TargetEvent.SKIP): "it is recorded; `bad` removes the record",
+    (Mark.SKIPPED, TargetEvent.SKIP): "it is skipped already",
+    (Mark.BAD, TargetEvent.BAD): "it is marked already",
 }
 
 
@@ -78,14 +78,14 @@ class SessionState:
             MappingProxyType({target.key: Mark.LEFT for target in targets}),
         )
 
-    def after(self, event: Event, key: Key) -> SessionState:
+    def after(self, event: TargetEvent, key: Key) -> SessionState:
         """The state after an event; SessionError if it is invalid."""
         self.require_planned(key)
         now = self.marks[key]
         if (now, event) not in AFTER:
             advice = _ADVICE.get((now, event), "`redo` it first")
             raise SessionError(f"{self.targets[key].name} is {now.value}, so not {event.value}: {advice}")
-        return self.marked(key, AFTER[now, event], is_last=event is Event.RECORDED)
+        return self.marked(key, AFTER[now, event], is_last=event is TargetEvent.RECORDED)
 
     def marked(self, key: Key, mark: Mark, is_last: bool = False) -> SessionState:
         """The state with a target marked, when restoring from a file."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from calib.errors import SessionError
 from calib.points.writer import Record
-from calib.session.moves import ArmPort, Camera, Vector
+from calib.session.moves import ArmPort, TipSensor, Vector
 from calib.session.plan import Target
 
 
@@ -75,7 +75,7 @@ def take(
     tip_m: Vector | None,
     arm: ArmPort,
     how: SessionSettings,
-    camera: Camera | None,
+    camera: TipSensor | None,
     clock_offset_s: float = 0.0,
 ) -> Record:
     """Record the target at the arm's present pose; its tip is the camera's measurement, else tip_m.

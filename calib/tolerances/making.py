@@ -235,7 +235,7 @@ BY_MASSES: Final = ("play", "compliance", "bending")  # laws of gravity: they ne
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class MakingTerm:
     """One parameter beyond geometry: its law, and the joint or link (1-based); `waves` per turn of the joint."""
 
     kind: Kind
@@ -246,7 +246,7 @@ class Term:
 class MadePoses:
     """Poses of arms that are made of the same terms; z (arms, 4 links + 3 + terms)."""
 
-    def __init__(self, arm: Arm, terms: tuple[Term, ...], at: Conditions) -> None:
+    def __init__(self, arm: Arm, terms: tuple[MakingTerm, ...], at: Conditions) -> None:
         """MissingModel if a term needs masses that the arm's file lacks."""
         self._arm, self._model, self.at = arm, ArmModel(arm), at
         self._dh_count = 4 * len(arm.links)
@@ -309,7 +309,7 @@ class MadePoses:
                 turned[j] = 0.5 * z[:, k, None] * places[j] * is_loose
         return turned
 
-    def _column(self, term: Term) -> Array:
+    def _column(self, term: MakingTerm) -> Array:
         j = term.number - 1
         q = self.at.q_rad[:, j]
         if term.kind == "play":
@@ -322,7 +322,7 @@ class MadePoses:
         return np.asarray(wave(term.waves * q))
 
 
-def _gears(arm: Arm, terms: tuple[Term, ...], at: Conditions) -> tuple[Array, Array]:
+def _gears(arm: Arm, terms: tuple[MakingTerm, ...], at: Conditions) -> tuple[Array, Array]:
     """Flanks (0: nothing presses the gear) and gravity torques, (m, n) each."""
     if not any(one.kind in BY_MASSES for one in terms):
         return np.zeros(at.q_rad.shape), np.zeros(at.q_rad.shape)
@@ -366,12 +366,12 @@ class MadeArms:
         """Links that are too short to bend have no bending."""
         self.arm = arm
         self._first = 4 * len(arm.links) + 3
-        self._places: dict[Term, int] = {}
+        self._places: dict[MakingTerm, int] = {}
         self.factors = (*self._link_factors(tolerances), *self._joint_factors(tolerances))
         self.file_z = self._of_file()
 
     @property
-    def terms(self) -> tuple[Term, ...]:
+    def terms(self) -> tuple[MakingTerm, ...]:
         """Beyond geometry and tool, in the order of z."""
         return tuple(self._places)
 
@@ -406,7 +406,7 @@ class MadeArms:
         phase = rng.uniform(0.0, 2.0 * math.pi, count)
         return np.column_stack((values * np.cos(phase), values * np.sin(phase)))
 
-    def _place(self, term: Term) -> int:
+    def _place(self, term: MakingTerm) -> int:
         return self._places.setdefault(term, self._first + len(self._places))
 
     def _link_factors(self, tolerances: Tolerances) -> Iterator[Factor]:
@@ -417,7 +417,7 @@ class MadeArms:
                     place = 4 * (number - 1) + GEOMETRY.index(key)
                     yield Factor(f"link {number}: {_words(key)}", spread, (place,), is_deviation=True)
                 elif number in bend:
-                    places = (self._place(Term("bending", number)),)
+                    places = (self._place(MakingTerm("bending", number)),)
                     yield Factor(f"link {number}: bending", spread, places, is_inverse=True)
         for key, spread in spreads(tolerances.tool):
             place = self._first - 3 + TOOL.index(key)
@@ -433,13 +433,15 @@ class MadeArms:
                     yield Factor(name, spread, (thetas[number - 1],), is_deviation=True)
                 elif key in laws:
                     kind, is_inverse = laws[key]
-                    yield Factor(name, spread, (self._place(Term(kind, number)),), is_inverse=is_inverse)
+                    yield Factor(
+                        name, spread, (self._place(MakingTerm(kind, number)),), is_inverse=is_inverse
+                    )
                 else:
                     yield Factor(name, spread, self._wave(number, _waves(key, table)))
 
     def _wave(self, number: int, waves: float) -> tuple[int, ...]:
         kinds: tuple[Kind, ...] = ("sine", "cosine")
-        return tuple(self._place(Term(kind, number, waves)) for kind in kinds)
+        return tuple(self._place(MakingTerm(kind, number, waves)) for kind in kinds)
 
     def _of_file(self) -> Array:
         """Z of arm.toml: no deviation, and its effects where a tolerance says how the part is made."""
@@ -447,10 +449,10 @@ class MadeArms:
         for effect in self.arm.effects:
             number, values = effect.joint or 0, effect.parameters
             for _, kind, is_inverse, name, parameter in LAWS:
-                place = self._places.get(Term(kind, number))
+                place = self._places.get(MakingTerm(kind, number))
                 if effect.effect == name and place is not None:
                     z[place] = 1.0 / values[parameter] if is_inverse else values[parameter]
-            sine, cosine = (self._places.get(Term(kind, number)) for kind in ("sine", "cosine"))
+            sine, cosine = (self._places.get(MakingTerm(kind, number)) for kind in ("sine", "cosine"))
             if effect.effect == "encoder_eccentricity" and sine is not None and cosine is not None:
                 z[sine] = values["amplitude_rad"] * math.cos(values["phase_rad"])
                 z[cosine] = values["amplitude_rad"] * math.sin(values["phase_rad"])

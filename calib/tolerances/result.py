@@ -17,9 +17,9 @@ from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
 from calib.arrays import Array
 from calib.points.writer import replace_file
 from calib.studies.chunks import ChunkStore
-from calib.studies.figures import Z95, Figure, proportion, quantile
+from calib.studies.figures import Z95, IntervalFigure, proportion, quantile
 from calib.tolerances.making import MadeArms
-from calib.tolerances.study import SHARE, STAGES, Design
+from calib.tolerances.study import SHARE, STAGES, StudyDesign
 
 # What the study says: how accurate the arms are at each stage, and what each tolerance costs.
 
@@ -28,14 +28,14 @@ PERCENTILES: Final = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
+class FactorShare:
     """A factor: by which share the mean square error falls if it is exact, and the root mean square that is left [m].
 
     One of each for every stage. Shares add up to 1 where errors add up: beyond that they interact.
     """
 
     name: str
-    share: tuple[Figure, ...]
+    share: tuple[IntervalFigure, ...]
     left_m: tuple[float, ...]
 
 
@@ -47,18 +47,18 @@ class Made:
     distance_m (stages, first arms, poses): at each pose of the map.
     """
 
-    design: Design
+    design: StudyDesign
     kept_m: Array
     mean_square_m2: Array
     distance_m: Array
-    costs: tuple[Cost, ...]
+    costs: tuple[FactorShare, ...]
 
     @property
     def arms_count(self) -> int:
         """How many arms were drawn."""
         return int(self.kept_m.shape[1])
 
-    def kept(self, stage: int, share: float) -> Figure:
+    def kept(self, stage: int, share: float) -> IntervalFigure:
         """The distance [m] that this share of the arms keep, each at 95 % of its poses."""
         return quantile(self.kept_m[stage], share)
 
@@ -66,7 +66,7 @@ class Made:
         """Root mean square over arms and poses."""
         return math.sqrt(float(self.mean_square_m2[stage].mean()))
 
-    def within(self, stage: int, tolerance_m: float) -> Figure:
+    def within(self, stage: int, tolerance_m: float) -> IntervalFigure:
         """The share of the arms that keep a tolerance at 95 % of their poses (Wilson's interval)."""
         return proportion(int((self.kept_m[stage] <= tolerance_m).sum()), self.arms_count)
 
@@ -75,7 +75,7 @@ class Made:
         return np.asarray(np.quantile(self.distance_m[stage], 0.95, axis=0))
 
 
-def made_of(design: Design, store: ChunkStore) -> Made:
+def made_of(design: StudyDesign, store: ChunkStore) -> Made:
     """The result of a study whose tasks are all in the store."""
     parts = [store.read(number) for number in range(design.chunks)]
     mean_square = np.concatenate([part["mean_square_m2"] for part in parts], axis=1)
@@ -88,18 +88,20 @@ def made_of(design: Design, store: ChunkStore) -> Made:
     return Made(design, kept, mean_square, distance, tuple(costs))
 
 
-def _cost(name: str, every: Array, exact: Array) -> Cost:
+def _cost(name: str, every: Array, exact: Array) -> FactorShare:
     """By mean squares (stages, arms) of arms and of the same arms with the factor exact."""
     count = exact.shape[1]
     whole = every[:, :count].mean(axis=1)
     gain = every[:, :count] - exact
     share, spread = gain.mean(axis=1) / whole, Z95 * gain.std(axis=1) / math.sqrt(count) / whole
-    figures = tuple(Figure(float(s), float(s - d), float(s + d)) for s, d in zip(share, spread, strict=True))
+    figures = tuple(
+        IntervalFigure(float(s), float(s - d), float(s + d)) for s, d in zip(share, spread, strict=True)
+    )
     left_m = np.sqrt(every.mean(axis=1) * np.maximum(0.0, 1.0 - share))
-    return Cost(name, figures, tuple(left_m.tolist()))
+    return FactorShare(name, figures, tuple(left_m.tolist()))
 
 
-def costliest(made: Made, stage: int) -> list[Cost]:
+def costliest(made: Made, stage: int) -> list[FactorShare]:
     """The factors by what they cost at a stage, the costliest first."""
     return sorted(made.costs, key=lambda one: -one.share[stage].value)
 
@@ -139,7 +141,7 @@ def _sentences(made: Made, tolerance_m: float | None) -> Iterator[str]:
         )
 
 
-def warnings_about(design: Design) -> list[str]:
+def warnings_about(design: StudyDesign) -> list[str]:
     """What the real commands could not do as the study does it."""
     made = MadeArms(design.arm, design.tolerances)
     geometry = 4 * len(design.arm.links)
@@ -192,11 +194,11 @@ def as_text(made: Made, tolerance_m: float | None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _mm(one: Figure) -> str:
+def _mm(one: IntervalFigure) -> str:
     return f"{1e3 * one.value:.3g} mm ({1e3 * one.lower:.3g} to {1e3 * one.upper:.3g})"
 
 
-def _percent(one: Figure) -> str:
+def _percent(one: IntervalFigure) -> str:
     return f"{100 * one.value:.1f} % ({100 * one.lower:.1f} to {100 * one.upper:.1f})"
 
 

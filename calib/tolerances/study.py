@@ -35,7 +35,7 @@ DONE_m: Final = 1e-8  # a step that moves no tip by more
 STEPS_MOST: Final = 12
 
 
-class Identification:
+class StudyIdentification:
     """Finds the parameters at `places` of z from tips at `poses`; the others stay as arm.toml says."""
 
     def __init__(self, made: MadeArms, poses: MadePoses, places: list[int], noise_m: float) -> None:
@@ -97,7 +97,7 @@ FAR: Final = 0.1  # of the reach: beyond it small deflections are none, and cali
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class StudyDesign:
     """What is studied; it is all that a task needs.
 
     calibration: the poses that will be recorded; map: those whose error counts. seed: of the arms.
@@ -133,17 +133,17 @@ def design_of(
     payload_kg: float = 0.0,
     recorded_q: Array | None = None,
     seed: int = 0,
-) -> Design:
+) -> StudyDesign:
     """A study of `arms_count` arms. `recorded_q` (m, n): poses of the calibration; else they are spread over the workspace."""
     rng = np.random.default_rng(POSES_SEED)
     spread_q = _spread(arm, tolerances.poses + MAP_POSES)
     calibration_q = spread_q[: tolerances.poses] if recorded_q is None else recorded_q
     calibration = _approached(calibration_q, 0.0, rng)
     at_map = _approached(spread_q[tolerances.poses :], payload_kg, rng)
-    return Design(arm, tolerances, calibration, at_map, arms_count, seed)
+    return StudyDesign(arm, tolerances, calibration, at_map, arms_count, seed)
 
 
-def require_near(design: Design, where: str) -> None:
+def require_near(design: StudyDesign, where: str) -> None:
     """TolerancesFileError, naming the part, where such arms are so far from nominal that the study does not hold."""
     made = MadeArms(design.arm, design.tolerances)
     poses = MadePoses(design.arm, made.terms, design.map)
@@ -182,7 +182,7 @@ def _approached(q_rad: Array, payload_kg: float, rng: np.random.Generator) -> Co
     return Conditions(q_rad, direction, np.full(len(q_rad), payload_kg))
 
 
-def study_task(design: Design, number: int) -> Results:
+def study_task(design: StudyDesign, number: int) -> Results:
     """The task of this number; see the top of this file."""
     if number < design.chunks:
         count = min(CHUNK, design.arms_count - number * CHUNK)
@@ -195,7 +195,7 @@ def study_task(design: Design, number: int) -> Results:
 class _Study:
     """The arms of a design, with one factor exact."""
 
-    def __init__(self, design: Design, exact: str = "") -> None:
+    def __init__(self, design: StudyDesign, exact: str = "") -> None:
         self._design, self._exact = design, exact
         made = self._made = MadeArms(design.arm, design.tolerances)
         self._seen = MadePoses(design.arm, made.terms, design.calibration)
@@ -206,7 +206,7 @@ class _Study:
             geometry += range(len(geometry), len(geometry) + 3)
         noise_m = design.tolerances.noise_m
         self._identified = tuple(
-            Identification(made, self._seen, places, noise_m)
+            StudyIdentification(made, self._seen, places, noise_m)
             for places in (geometry, [*geometry, *made.correctable])
         )
 

@@ -18,7 +18,7 @@ from calib.iso9283.criteria import pose
 from calib.iso9283.evaluate_poses import is_pose_setup
 from calib.iso9283.recorded import pose_groups
 from calib.points.points import Points
-from calib.studies.figures import Figure
+from calib.studies.figures import IntervalFigure
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
 from control.model.arm import Arm
@@ -32,8 +32,8 @@ class PoseFigures:
 
     where: str
     visits: int
-    accuracy_m: Figure
-    repeatability_m: Figure | None
+    accuracy_m: IntervalFigure
+    repeatability_m: IntervalFigure | None
     measured_accuracy_m: float | None
     measured_repeatability_m: float | None
 
@@ -86,9 +86,9 @@ def _repeatability(off: Array) -> Array:
     return np.asarray(lengths.mean(axis=1) + pose.SIGMAS * lengths.std(axis=1, ddof=1))
 
 
-def _figure(drawn: Array) -> Figure:
+def _figure(drawn: Array) -> IntervalFigure:
     lower, middle, upper = (float(value) for value in np.quantile(drawn, (0.025, 0.5, 0.975)))
-    return Figure(middle, lower, upper)
+    return IntervalFigure(middle, lower, upper)
 
 
 def pose_rows(found: Sequence[PoseFigures]) -> list[tuple[str, ...]]:
@@ -119,7 +119,7 @@ def pose_json(found: Sequence[PoseFigures]) -> list[dict[str, object]]:
     ]
 
 
-def _document(predicted: Figure | None, measured: float | None) -> dict[str, float | None]:
+def _document(predicted: IntervalFigure | None, measured: float | None) -> dict[str, float | None]:
     if predicted is None:
         return {"predicted": None, "lower": None, "upper": None, "measured": measured}
     return {
@@ -130,7 +130,7 @@ def _document(predicted: Figure | None, measured: float | None) -> dict[str, flo
     }
 
 
-def _interval(figure: Figure | None) -> str:
+def _interval(figure: IntervalFigure | None) -> str:
     if figure is None:
         return ""
     return f"{1e3 * figure.value:.3f} ({1e3 * figure.lower:.3f} to {1e3 * figure.upper:.3f})"

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.problem import ArmProblem, Solution
+from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array
 from calib.trust.discrepancy import Conditions, Discrepancy
 
@@ -71,7 +71,7 @@ def posterior_of(
         design, wanted = linearised(problem, at, discrepancy, x)
         if logs is not None:
             design, wanted = _weighted(design, wanted, np.exp(-2.0 * logs[0]) * loose_m2)
-        evidence = Evidence(design[rows], wanted[rows], variance, discrepancy)
+        evidence = SizeEvidence(design[rows], wanted[rows], variance, discrepancy)
         logs = evidence.best(logs)
         found = evidence.posterior(logs)
         x = np.clip(found.x, -1.0 * _limits(problem), _limits(problem))
@@ -103,7 +103,7 @@ def linearised(
     return np.concatenate((jacobian, -columns), axis=2), np.asarray(jacobian @ x - residuals)
 
 
-def loose_play_m2(discrepancy: Discrepancy, at: Conditions, solved: Solution, found: Posterior) -> Array:
+def loose_play_m2(discrepancy: Discrepancy, at: Conditions, solved: ModelValues, found: Posterior) -> Array:
     """Covariance of the tip (m, 3, 3) by gears that lie anywhere in their play."""
     plays = discrepancy.plays_rad(at, found.mean[found.x_count :])
     moves = discrepancy.unclear(at, solved.dh, solved.tool_m) * plays[:, None, :]
@@ -120,7 +120,7 @@ def _limits(problem: ArmProblem) -> Array:
     return np.array([one.limit for one in problem.parameters])
 
 
-class Evidence:
+class SizeEvidence:
     """The evidence of sizes and noise for one linearisation."""
 
     def __init__(self, design: Array, wanted: Array, x_variance: Array, discrepancy: Discrepancy) -> None:

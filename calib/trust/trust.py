@@ -45,7 +45,7 @@ class MapRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class TrustSheet:
     """The map for one payload and one direction of approach: errors at the map's poses.
 
     within_95_m (m,): the distance that one visit keeps in 95 % of cases.
@@ -68,7 +68,7 @@ class Trust:
     predictor: Predictor
     discrepancy: Discrepancy
     q_rad: Array
-    sheets: tuple[Sheet, ...]
+    sheets: tuple[TrustSheet, ...]
     coverage: Coverage | None
     importances: tuple[Importance, ...]
     measuring_noise_m: float | None
@@ -81,7 +81,7 @@ class Trust:
             np.max([one.within_95_m for one in self.of_payload(self.sheets[0].payload_kg)], axis=0)
         )
 
-    def of_payload(self, payload_kg: float) -> tuple[Sheet, ...]:
+    def of_payload(self, payload_kg: float) -> tuple[TrustSheet, ...]:
         """The sheets of one payload."""
         return tuple(one for one in self.sheets if one.payload_kg == payload_kg)
 
@@ -143,9 +143,9 @@ def _noises_m(floor: NoiseFloor | None, noise_m: float, freedom: int) -> tuple[f
     return floor.axis_m, math.sqrt(excess_m2) if noise_m**2 > limit * floor.axis_m**2 else 0.0
 
 
-def _sheet(predictor: Predictor, q_rad: Array, direction: float, payload_kg: float) -> Sheet:
+def _sheet(predictor: Predictor, q_rad: Array, direction: float, payload_kg: float) -> TrustSheet:
     error = predictor.at(Conditions.of(q_rad, direction, payload_kg))
-    return Sheet(payload_kg, direction, error, within_95_m(error))
+    return TrustSheet(payload_kg, direction, error, within_95_m(error))
 
 
 def within_95_m(error: TipError) -> Array:

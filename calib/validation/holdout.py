@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.problem import ArmProblem, Solution
+from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from calib.identify.identification import fit
@@ -226,7 +226,7 @@ def _cavity_groups(seen: ArmProblem, wanted: npt.NDArray[np.bool_]) -> npt.NDArr
 
 
 def _distances(
-    seen: ArmProblem, solution: Solution, is_referred: npt.NDArray[np.bool_], groups: npt.NDArray[np.intp]
+    seen: ArmProblem, solution: ModelValues, is_referred: npt.NDArray[np.bool_], groups: npt.NDArray[np.intp]
 ) -> Array:
     """Distance of each row's tip from its reference, or from the mean of its cavity's tips, (m,)."""
     observed, tips = seen.observed, seen.tips(solution)

@@ -29,7 +29,7 @@ class ErrorSummary:
     mean_half_width_m: float
 
 
-class Finding(Enum):
+class PairedFinding(Enum):
     """Result of a paired difference."""
 
     BETTER = "better"
@@ -56,23 +56,23 @@ class Difference:
         return self.mean_m + self.half_width_m
 
     @property
-    def finding(self) -> Finding:
+    def finding(self) -> PairedFinding:
         """Better or worse only if the whole interval is; one point is not significant."""
         if self.lower_m > 0.0:
-            return Finding.BETTER
-        return Finding.WORSE if self.upper_m < 0.0 else Finding.NOTHING
+            return PairedFinding.BETTER
+        return PairedFinding.WORSE if self.upper_m < 0.0 else PairedFinding.NOTHING
 
     def in_words(self) -> str:
         """Text such as `better by 12.3 mm [11.9, 12.7] (95 %)`, with significant digits only."""
         if math.isnan(self.half_width_m):
             if self.count > 1:
                 alike = f"{1e3 * self.mean_m:+.3f} mm at all {self.count} points alike"
-                return f"{Finding.NOTHING.value}: {alike}, which tells no interval"
+                return f"{PairedFinding.NOTHING.value}: {alike}, which tells no interval"
             return f"one point, {1e3 * self.mean_m:+.3f} mm: too few for an interval"
         digits = digits_mm(self.half_width_m)
-        if self.finding is Finding.NOTHING:
+        if self.finding is PairedFinding.NOTHING:
             return f"{self.finding.value}: {self._spelled(1.0, digits)}"
-        sign = 1.0 if self.finding is Finding.BETTER else -1.0
+        sign = 1.0 if self.finding is PairedFinding.BETTER else -1.0
         return f"{self.finding.value} by {self._spelled(sign, digits)}"
 
     def _spelled(self, sign: float, digits: int) -> str:

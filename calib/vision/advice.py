@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from calib.arrays import Array
-from calib.vision.intrinsics import LensFit, Seen, TILT_rad
+from calib.vision.intrinsics import LensFit, SeenPicture, TILT_rad
 
 PICTURES_WANTED = 15
 CELLS = 3  # rows and columns of the picture that each need corners
@@ -72,7 +72,7 @@ def _about_coverage(fit: LensFit) -> str:
     return f"few corners in parts of the picture: {', '.join(missing)}; hold the board there: distortion is unknown there"
 
 
-def _about_tilt(seen: Sequence[Seen]) -> list[str]:
+def _about_tilt(seen: Sequence[SeenPicture]) -> list[str]:
     tilts = np.abs([one.tilt for one in seen])
     found = []
     for axis, name, way in ((0, "horizontal", "top or bottom"), (1, "vertical", "left or right edge")):
@@ -85,7 +85,7 @@ def _about_tilt(seen: Sequence[Seen]) -> list[str]:
     return found
 
 
-def _about_distance(seen: Sequence[Seen]) -> str:
+def _about_distance(seen: Sequence[SeenPicture]) -> str:
     distance = [one.distance_m for one in seen]
     if max(distance) >= DISTANCES_RATIO * min(distance):
         return ""
@@ -95,7 +95,7 @@ def _about_distance(seen: Sequence[Seen]) -> str:
     )
 
 
-def _about_outliers(seen: Sequence[Seen]) -> str:
+def _about_outliers(seen: Sequence[SeenPicture]) -> str:
     middle = float(np.median([one.rms_px for one in seen]))
     return _named(
         seen,
@@ -143,7 +143,7 @@ def systematic_px(fit: LensFit) -> float:
     return largest
 
 
-def _named(seen: Sequence[Seen], is_so: Callable[[Seen], bool], what: str) -> str:
+def _named(seen: Sequence[SeenPicture], is_so: Callable[[SeenPicture], bool], what: str) -> str:
     names = [one.sighting.name for one in seen if is_so(one)]
     return f"{_listed(names)}: {what}" if names else ""
 

@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import frozen
 from calib.errors import VisionError
 from calib.points.writer import replace_file
-from calib.vision.intrinsics import LensFit, Seen
+from calib.vision.intrinsics import LensFit, SeenPicture
 from calib.vision.lens import NAMES, Lens
 from control.files import parsed_json, read_text
 
@@ -54,7 +54,7 @@ def write_camera(
     replace_file(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
 
 
-def _picture(one: Seen) -> dict[str, object]:
+def _picture(one: SeenPicture) -> dict[str, object]:
     return {
         "name": one.sighting.name,
         "corners": len(one.sighting.corners),

@@ -15,16 +15,16 @@ from calib.vision.opencv import opencv
 from calib.vision.placed import (
     CONVERGED,
     STEPS_MOST,
+    CameraView,
     Misfit,
     Pose,
-    View,
     misfit,
     shared_step,
     solved_pose,
     started_pose,
 )
 from calib.vision.sightings import Sighting, Sightings
-from calib.vision.targets import Target
+from calib.vision.targets import PrintedTarget
 
 PICTURES_LEAST = 4  # below it nothing is determined; the advice asks for more
 PICTURES_TO_HOLD_OUT = 8
@@ -37,7 +37,7 @@ FOCAL_MOST = 20.0  # picture widths: a longer focal length than any webcam's is 
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class SeenPicture:
     """One picture of the fit: pose of the board, residuals (k, 2) [px] at pixels (k, 2)."""
 
     sighting: Sighting
@@ -66,7 +66,7 @@ class LensFit:
     """The result. held_out_px: rms of pictures when the lens comes from the others, None with too few pictures."""
 
     lens: Lens
-    seen: tuple[Seen, ...]
+    seen: tuple[SeenPicture, ...]
     unseen: tuple[str, ...]
     held_out_px: float | None
 
@@ -78,7 +78,7 @@ class LensFit:
         )
 
 
-def fit_lens(target: Target, pictures: Sightings, readout_s: float = 0.0) -> LensFit:
+def fit_lens(target: PrintedTarget, pictures: Sightings, readout_s: float = 0.0) -> LensFit:
     """Identify the lens. VisionError if the pictures do not allow it."""
     if len(pictures.seen) < PICTURES_LEAST:
         remedy = (
@@ -167,14 +167,14 @@ def _refined(lens: Lens, chosen: Sequence[Sighting], free: int) -> LensFit:
             f"the pictures determine no lens (the focal length is uncertain by more than 10 %): {_MORE}"
         )
     seen = [
-        Seen(one, pose, frozen(part.error_px.reshape(-1, 2)))
+        SeenPicture(one, pose, frozen(part.error_px.reshape(-1, 2)))
         for one, pose, part in zip(chosen, poses, parts, strict=True)
     ]
     return LensFit(lens, tuple(seen), (), None)
 
 
 def _misfits(lens: Lens, chosen: Sequence[Sighting], poses: Sequence[Pose]) -> list[Misfit]:
-    return [misfit(View(lens, one.corners), pose) for one, pose in zip(chosen, poses, strict=True)]
+    return [misfit(CameraView(lens, one.corners), pose) for one, pose in zip(chosen, poses, strict=True)]
 
 
 def _blocks(parts: Sequence[Misfit], free: int) -> tuple[list[Array], list[Array], list[Array]]:
@@ -196,7 +196,7 @@ def _inverse(normal: Array) -> Array:
 
 
 def _pose(lens: Lens, one: Sighting) -> Pose:
-    found = started_pose(View(lens, one.corners), is_flat=True)
+    found = started_pose(CameraView(lens, one.corners), is_flat=True)
     if found is None:
         raise VisionError(
             f"picture {one.name}: its {len(one.corners)} corners fit no pose of the board: leave it out"
@@ -215,6 +215,6 @@ def _held_out(pictures: Sightings) -> float | None:
         except VisionError:
             return None
         for one in pictures.seen[part::2]:
-            squares += solved_pose([View(lens, one.corners)], _pose(lens, one))[1]
+            squares += solved_pose([CameraView(lens, one.corners)], _pose(lens, one))[1]
             freedom += 2 * len(one.corners) - 6
     return math.sqrt(2.0 * squares / freedom)

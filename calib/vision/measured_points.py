@@ -13,7 +13,7 @@ from calib.boards import MARKERS
 from calib.errors import VisionError
 from calib.points.covariance import COVARIANCE, triangles
 from calib.points.points import CAMERA_FRAME, ORIENTATION, Points, make_points
-from calib.vision.poses import Measured
+from calib.vision.poses import MeasuredPose
 from control.kinematics.rotation import quaternions
 
 SETUP = "camera"  # of markers.csv: the frame is the first camera's
@@ -24,7 +24,7 @@ def picture_name(setup: str, point: str, repeat: int) -> str:
     return f"{setup}_{point}_{repeat}"
 
 
-def with_pictures(points: Points, measured: Sequence[Measured]) -> tuple[Points, tuple[str, ...]]:
+def with_pictures(points: Points, measured: Sequence[MeasuredPose]) -> tuple[Points, tuple[str, ...]]:
     """The poses that have a picture, with what it measured; and sentences about the others. VisionError if none has.
 
     Positions, orientations and covariances are in the first camera's frame. Covariances are of what differs from picture to
@@ -67,7 +67,7 @@ def covariance_row(covariance: Array) -> Array:
     return np.concatenate((triangles(covariance[:3, :3]), triangles(covariance[3:, 3:])))
 
 
-def poses_text(measured: Sequence[Measured]) -> str:
+def poses_text(measured: Sequence[MeasuredPose]) -> str:
     """markers.csv of all pictures: the target in the first camera's frame, with orientation and covariances."""
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")

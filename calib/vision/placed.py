@@ -16,7 +16,7 @@ from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array
 from calib.vision.lens import Lens
 from calib.vision.opencv import opencv
-from calib.vision.targets import Corners
+from calib.vision.targets import SeenCorners
 from control.kinematics.rotation import cross_matrices
 
 STEPS_MOST = 30
@@ -53,11 +53,11 @@ HERE = Pose(np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class CameraView:
     """Corners that a camera saw; `stand`: camera_T_reference camera."""
 
     lens: Lens
-    corners: Corners
+    corners: SeenCorners
     stand: Pose = HERE
 
 
@@ -71,7 +71,7 @@ class Misfit:
     by_stand: Array
 
 
-def misfit(view: View, pose: Pose) -> Misfit:
+def misfit(view: CameraView, pose: Pose) -> Misfit:
     """How a view differs from what a pose predicts."""
     turned = view.corners.target_m @ pose.rotation.T
     points = view.stand.of(turned + pose.position_m)
@@ -89,7 +89,7 @@ def misfit(view: View, pose: Pose) -> Misfit:
     )
 
 
-def solved_pose(views: Sequence[View], start: Pose) -> tuple[Pose, float]:
+def solved_pose(views: Sequence[CameraView], start: Pose) -> tuple[Pose, float]:
     """The pose with the least sum of squares [px^2] over views, near a start, and that sum."""
     pose, before = start, np.inf
     for _ in range(STEPS_MOST):
@@ -104,7 +104,7 @@ def solved_pose(views: Sequence[View], start: Pose) -> tuple[Pose, float]:
     return pose, _squares(views, pose)
 
 
-def candidates(view: View, is_flat: bool) -> list[Pose]:
+def candidates(view: CameraView, is_flat: bool) -> list[Pose]:
     """Poses of one view in closed form, in the reference camera's frame: of a flat target two.
 
     (Collins and Bartoli, Infinitesimal Plane-Based Pose Estimation, 2014; Terzakis and Lourakis, SQPnP, 2020; both by OpenCV.)
@@ -132,13 +132,13 @@ def candidates(view: View, is_flat: bool) -> list[Pose]:
     ]
 
 
-def started_pose(view: View, is_flat: bool) -> Pose | None:
+def started_pose(view: CameraView, is_flat: bool) -> Pose | None:
     """The better of one view's poses in closed form; None if it fits none."""
     found = candidates(view, is_flat)
     return min(found, key=lambda pose: _squares([view], pose)) if found else None
 
 
-def best_poses(views: Sequence[View], is_flat: bool) -> list[tuple[Pose, float]]:
+def best_poses(views: Sequence[CameraView], is_flat: bool) -> list[tuple[Pose, float]]:
     """Different poses that are least squares of the views, with their sums of squares [px^2], the best first."""
     found: list[tuple[Pose, float]] = []
     for start in (one for view in views for one in candidates(view, is_flat)):
@@ -165,7 +165,7 @@ def shared_step(
     return step, [own - mixed @ step for own, mixed in inner], normal
 
 
-def _squares(views: Sequence[View], pose: Pose) -> float:
+def _squares(views: Sequence[CameraView], pose: Pose) -> float:
     if any(
         pose.rotation[2] @ point + pose.position_m[2] <= 0.0
         for view in views

@@ -19,10 +19,10 @@ from calib.arrays import Array, frozen
 from calib.errors import VisionError
 from calib.vision.intrinsics import robust_noise_px
 from calib.vision.lens import Lens
-from calib.vision.placed import Misfit, Pose, View, best_poses, misfit
+from calib.vision.placed import CameraView, Misfit, Pose, best_poses, misfit
 from calib.vision.sightings import Sighting, Sightings
 from calib.vision.stands import Stand, stands_of
-from calib.vision.targets import Target
+from calib.vision.targets import PrintedTarget
 
 CORNERS_LEAST = 4
 CORNERS_TO_COMPARE = 12  # from here on one wrong corner shows against the others
@@ -32,7 +32,7 @@ BAD_TIMES = 5.0  # the usual residual: something else than noise
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredPose:
     """The target in one picture, or in pictures of several cameras at one moment: in the reference camera's frame.
 
     covariance (6, 6): of the position [m], then of the turn about the reference camera's axes [rad]; `common`: the part that all
@@ -49,7 +49,7 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Rejected:
+class RejectedPicture:
     """A picture without a pose, and why."""
 
     name: str
@@ -57,7 +57,7 @@ class Rejected:
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class CameraPictures:
     """A camera by name: its lens and what its pictures show."""
 
     name: str
@@ -69,13 +69,15 @@ class Camera:
 class PoseSet:
     """All pictures; `stands`: where each camera stands to the first; noise_px of a corner by camera."""
 
-    measured: tuple[Measured, ...]
-    rejected: tuple[Rejected, ...]
+    measured: tuple[MeasuredPose, ...]
+    rejected: tuple[RejectedPicture, ...]
     stands: Mapping[str, Stand]
     noise_px: Mapping[str, float]
 
 
-def measure_poses(target: Target, cameras: Sequence[Camera], speed_m_s: float = 0.0) -> PoseSet:
+def measure_poses(
+    target: PrintedTarget, cameras: Sequence[CameraPictures], speed_m_s: float = 0.0
+) -> PoseSet:
     """Poses of all pictures; pictures of several cameras with one name were taken at one moment.
 
     speed_m_s: the fastest that the target may have moved while a picture was taken. VisionError if no picture can be used.
@@ -87,9 +89,12 @@ def measure_poses(target: Target, cameras: Sequence[Camera], speed_m_s: float = 
         raise VisionError(f"no picture shows {target.name}: check the target's options, light and sharpness")
     stands = stands_of({c.name: c.lens for c in cameras}, by_name, target.is_flat)
     by_name = {name: _cleared(parts, stands, target.is_flat) for name, parts in by_name.items()}
-    solved, rejected = {}, [Rejected(name, "does not show the target") for name in _unseen(cameras, by_name)]
+    solved, rejected = (
+        {},
+        [RejectedPicture(name, "does not show the target") for name in _unseen(cameras, by_name)],
+    )
     for name, parts in by_name.items():
-        views = [View(camera.lens, one.corners, stands[camera.name].pose) for camera, one in parts]
+        views = [CameraView(camera.lens, one.corners, stands[camera.name].pose) for camera, one in parts]
         solved[name] = (views, best_poses(views, target.is_flat))
     noise = _noise(by_name, solved)
     measured = []
@@ -98,7 +103,7 @@ def measure_poses(target: Target, cameras: Sequence[Camera], speed_m_s: float = 
         scale = [noise[camera.name] for camera in own]
         reason = _reason(views, poses, scale)
         if reason:
-            rejected.append(Rejected(name, reason))
+            rejected.append(RejectedPicture(name, reason))
         else:
             spread = [stands[camera.name].covariance for camera in own]
             measured.append(_measured(name, own, views, poses[0][0], scale, spread, speed_m_s))
@@ -110,7 +115,7 @@ def measure_poses(target: Target, cameras: Sequence[Camera], speed_m_s: float = 
     return PoseSet(tuple(measured), tuple(rejected), stands, noise)
 
 
-def _require_own_pictures(camera: Camera) -> None:
+def _require_own_pictures(camera: CameraPictures) -> None:
     lens, seen = camera.lens, camera.pictures
     if (lens.width_px, lens.height_px) != (seen.width_px, seen.height_px):
         raise VisionError(
@@ -119,26 +124,26 @@ def _require_own_pictures(camera: Camera) -> None:
         )
 
 
-def _together(cameras: Sequence[Camera]) -> dict[str, list[tuple[Camera, Sighting]]]:
+def _together(cameras: Sequence[CameraPictures]) -> dict[str, list[tuple[CameraPictures, Sighting]]]:
     """What the cameras saw, by the pictures' names."""
-    found: dict[str, list[tuple[Camera, Sighting]]] = {}
+    found: dict[str, list[tuple[CameraPictures, Sighting]]] = {}
     for camera in cameras:
         for one in camera.pictures.seen:
             found.setdefault(one.name, []).append((camera, one))
     return dict(sorted(found.items()))
 
 
-def _unseen(cameras: Sequence[Camera], by_name: Mapping[str, object]) -> list[str]:
+def _unseen(cameras: Sequence[CameraPictures], by_name: Mapping[str, object]) -> list[str]:
     return sorted({name for camera in cameras for name in camera.pictures.unseen if name not in by_name})
 
 
 def _cleared(
-    parts: list[tuple[Camera, Sighting]], stands: Mapping[str, Stand], is_flat: bool
-) -> list[tuple[Camera, Sighting]]:
+    parts: list[tuple[CameraPictures, Sighting]], stands: Mapping[str, Stand], is_flat: bool
+) -> list[tuple[CameraPictures, Sighting]]:
     """One picture's sightings without corners that were found beside their place; with few corners all are kept."""
     if sum(len(one.corners) for _, one in parts) < CORNERS_TO_COMPARE:
         return parts
-    views = [View(camera.lens, one.corners, stands[camera.name].pose) for camera, one in parts]
+    views = [CameraView(camera.lens, one.corners, stands[camera.name].pose) for camera, one in parts]
     poses = best_poses(views, is_flat)
     if not poses:
         return parts
@@ -150,11 +155,11 @@ def _cleared(
     ]
 
 
-Solved = tuple[list[View], list[tuple[Pose, float]]]
+Solved = tuple[list[CameraView], list[tuple[Pose, float]]]
 
 
 def _noise(
-    by_name: Mapping[str, list[tuple[Camera, Sighting]]], solved: Mapping[str, Solved]
+    by_name: Mapping[str, list[tuple[CameraPictures, Sighting]]], solved: Mapping[str, Solved]
 ) -> dict[str, float]:
     """Noise of a corner of each camera: robust, from the residuals of its pictures.
 
@@ -181,7 +186,9 @@ def _pooled(parts: Sequence[tuple[float, float]]) -> float:
     return math.sqrt(max(total / max(freedom, 1.0), 1e-12))
 
 
-def _reason(views: Sequence[View], poses: Sequence[tuple[Pose, float]], noise_px: Sequence[float]) -> str:
+def _reason(
+    views: Sequence[CameraView], poses: Sequence[tuple[Pose, float]], noise_px: Sequence[float]
+) -> str:
     """Why a picture's pose is not used; empty if it is."""
     if not poses:
         return "fits no pose of the target"
@@ -200,13 +207,13 @@ def _reason(views: Sequence[View], poses: Sequence[tuple[Pose, float]], noise_px
 
 def _measured(
     name: str,
-    cameras: Sequence[Camera],
-    views: Sequence[View],
+    cameras: Sequence[CameraPictures],
+    views: Sequence[CameraView],
     pose: Pose,
     noise_px: Sequence[float],
     stands: Sequence[Array],
     speed_m_s: float,
-) -> Measured:
+) -> MeasuredPose:
     parts = [misfit(view, pose) for view in views]
     information = sum(
         (p.by_pose.T @ p.by_pose / s**2 for p, s in zip(parts, noise_px, strict=True)), np.zeros((6, 6))
@@ -222,7 +229,7 @@ def _measured(
     corners = sum(len(view.corners) for view in views)
     rms = math.sqrt(sum(float(p.error_px @ p.error_px) for p in parts) / corners)
     covariance: Array = own * inverse + common + moved
-    return Measured(
+    return MeasuredPose(
         name, pose, frozen(covariance), frozen(common), rms, corners, tuple(c.name for c in cameras)
     )
 
@@ -230,7 +237,7 @@ def _measured(
 def _common(
     inverse: Array,
     parts: Sequence[Misfit],
-    views: Sequence[View],
+    views: Sequence[CameraView],
     noise_px: Sequence[float],
     stands: Sequence[Array],
 ) -> Array:
@@ -243,7 +250,7 @@ def _common(
     return found
 
 
-def motion_covariance(views: Sequence[View], speed_m_s: float) -> Array:
+def motion_covariance(views: Sequence[CameraView], speed_m_s: float) -> Array:
     """Covariance (6, 6) by a target that moves while rows are read one after the other (rolling shutter).
 
     The rows that the target covers are read over a part of readout_s; the motion in that time spreads evenly and shears the

@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import VisionError
 from calib.vision.opencv import Picture, read_picture
-from calib.vision.targets import Corners, Target
+from calib.vision.targets import PrintedTarget, SeenCorners
 from control.progress import Advance, silent
 
 TRIED = 10  # pictures that are looked at again
@@ -24,7 +24,7 @@ class Sighting:
     """The target in one picture. blur_px: standard deviation of the blur; contrast: ink to paper, in grey levels of 255."""
 
     name: str
-    corners: Corners
+    corners: SeenCorners
     blur_px: float
     contrast: float
 
@@ -43,7 +43,9 @@ class Sightings:
     remedy: str = ""
 
 
-def look_for(target: Target, files: Sequence[Path], least: int, advance: Advance = silent) -> Sightings:
+def look_for(
+    target: PrintedTarget, files: Sequence[Path], least: int, advance: Advance = silent
+) -> Sightings:
     """Find a target in pictures of one camera; fewer than `least` corners do not count.
 
     VisionError for an unreadable picture, pictures of several sizes, or two with one name.
@@ -73,7 +75,7 @@ def look_for(target: Target, files: Sequence[Path], least: int, advance: Advance
     return Sightings(size[1], size[0], tuple(seen), tuple(unseen), remedy)
 
 
-def _remedy(target: Target, files: Sequence[Path], least: int) -> str:
+def _remedy(target: PrintedTarget, files: Sequence[Path], least: int) -> str:
     """With which option most pictures, of some that are spread evenly, show the target."""
     some = files[:: max(1, len(files) // TRIED)]
     shown = {
@@ -102,7 +104,7 @@ def sharpness(picture: Picture, pixels: Array) -> tuple[float, float]:
     return (float(np.median(blurs)), float(np.median(contrasts))) if blurs else (math.nan, math.nan)
 
 
-def _spans(corners: Corners) -> bool:
+def _spans(corners: SeenCorners) -> bool:
     """Whether the corners are not all on one line."""
     centred = corners.target_m - corners.target_m.mean(axis=0)
     singular = np.linalg.svd(centred, compute_uv=False)

@@ -16,14 +16,14 @@ from calib.vision.placed import (
     CONVERGED,
     HERE,
     STEPS_MOST,
+    CameraView,
     Misfit,
     Pose,
-    View,
     misfit,
     shared_step,
     started_pose,
 )
-from calib.vision.targets import Corners
+from calib.vision.targets import SeenCorners
 
 COMMON_LEAST = 3  # pictures of both cameras
 
@@ -40,7 +40,7 @@ class Cornered(Protocol):
     """What a picture shows."""
 
     @property
-    def corners(self) -> Corners:
+    def corners(self) -> SeenCorners:
         """Of the target."""
 
 
@@ -76,7 +76,9 @@ def stands_of(
     return found
 
 
-def _stand(first: Lens, second: Lens, pairs: Sequence[tuple[Corners, Corners]], is_flat: bool) -> Stand:
+def _stand(
+    first: Lens, second: Lens, pairs: Sequence[tuple[SeenCorners, SeenCorners]], is_flat: bool
+) -> Stand:
     """Least squares over the stand and the target's pose in every pair of pictures."""
     poses, stand = _started(first, second, pairs, is_flat)
     before, parts = np.inf, _misfits(first, second, pairs, poses, stand)
@@ -94,12 +96,15 @@ def _stand(first: Lens, second: Lens, pairs: Sequence[tuple[Corners, Corners]], 
 
 
 def _started(
-    first: Lens, second: Lens, pairs: Sequence[tuple[Corners, Corners]], is_flat: bool
+    first: Lens, second: Lens, pairs: Sequence[tuple[SeenCorners, SeenCorners]], is_flat: bool
 ) -> tuple[list[Pose], Pose]:
     """Each camera for itself; the stand is the mean of what the pairs say."""
     poses, stands = [], []
     for ours, theirs in pairs:
-        mine, other = started_pose(View(first, ours), is_flat), started_pose(View(second, theirs), is_flat)
+        mine, other = (
+            started_pose(CameraView(first, ours), is_flat),
+            started_pose(CameraView(second, theirs), is_flat),
+        )
         if mine is None or other is None:
             raise VisionError(
                 "a picture of two cameras fits no pose of the target: check --board, --tag and the cameras' files"
@@ -112,10 +117,14 @@ def _started(
 
 
 def _misfits(
-    first: Lens, second: Lens, pairs: Sequence[tuple[Corners, Corners]], poses: Sequence[Pose], stand: Pose
+    first: Lens,
+    second: Lens,
+    pairs: Sequence[tuple[SeenCorners, SeenCorners]],
+    poses: Sequence[Pose],
+    stand: Pose,
 ) -> list[tuple[Misfit, Misfit]]:
     return [
-        (misfit(View(first, ours), pose), misfit(View(second, theirs, stand), pose))
+        (misfit(CameraView(first, ours), pose), misfit(CameraView(second, theirs, stand), pose))
         for (ours, theirs), pose in zip(pairs, poses, strict=True)
     ]
 

@@ -50,7 +50,7 @@ TAGS = TableFormat(
 
 
 @dataclass(frozen=True, slots=True)
-class Corners:
+class SeenCorners:
     """Corners of a target that a picture shows: target_m (k, 3) in its frame, and picture_px (k, 2)."""
 
     target_m: Array
@@ -60,17 +60,17 @@ class Corners:
         """How many corners."""
         return len(self.target_m)
 
-    def agreeing(self, error_px: Array, noise_px: float, least: int) -> Corners:
+    def agreeing(self, error_px: Array, noise_px: float, least: int) -> SeenCorners:
         """Those whose residual (k, 2) is not far above the noise; all, if fewer than `least` are."""
         keep = np.linalg.norm(error_px, axis=1) <= FAR_OFF * noise_px
         return (
-            Corners(frozen(self.target_m[keep]), frozen(self.picture_px[keep]))
+            SeenCorners(frozen(self.target_m[keep]), frozen(self.picture_px[keep]))
             if keep.sum() >= least
             else self
         )
 
 
-class Target(Protocol):
+class PrintedTarget(Protocol):
     """Anything printed whose corners are known."""
 
     @property
@@ -86,10 +86,10 @@ class Target(Protocol):
         """How many corners it has."""
 
     @property
-    def others(self) -> Mapping[str, Target]:
+    def others(self) -> Mapping[str, PrintedTarget]:
         """What the print may be instead, by the option that says so."""
 
-    def find(self, picture: Picture) -> Corners:
+    def find(self, picture: Picture) -> SeenCorners:
         """The corners that a picture shows; none if it does not show the target."""
 
 
@@ -138,11 +138,11 @@ class Charuco:
         return (self.columns - 1) * (self.rows - 1)
 
     @property
-    def others(self) -> Mapping[str, Target]:
+    def others(self) -> Mapping[str, PrintedTarget]:
         """The other layout of the markers, and the board lying on its side."""
         legacy = "without --legacy" if self.is_legacy else "with --legacy"
         turned = f"with --board {self.rows}x{self.columns}"
-        found: dict[str, Target] = {legacy: replace(self, is_legacy=not self.is_legacy)}
+        found: dict[str, PrintedTarget] = {legacy: replace(self, is_legacy=not self.is_legacy)}
         if self.rows != self.columns:
             found[turned] = replace(self, columns=self.rows, rows=self.columns)
         return found
@@ -159,7 +159,7 @@ class Charuco:
         size = (width + 2 * margin, height + 2 * margin)
         return np.asarray(self._board().generateImage(size, marginSize=margin), dtype=np.uint8)
 
-    def find(self, picture: Picture) -> Corners:
+    def find(self, picture: Picture) -> SeenCorners:
         """The inner corners that a picture shows, refined below a pixel."""
         cv2 = opencv()
         detector = cv2.aruco.CharucoDetector(self._board())
@@ -169,7 +169,7 @@ class Charuco:
             return NOTHING
         column, row = np.divmod(np.asarray(ids).ravel(), self.columns - 1)[::-1]
         flat = np.column_stack((column + 1.0 - 0.5 * self.columns, row + 1.0 - 0.5 * self.rows, 0.0 * row))
-        return Corners(frozen(flat * self.square_m), frozen(np.asarray(pixels, float).reshape(-1, 2)))
+        return SeenCorners(frozen(flat * self.square_m), frozen(np.asarray(pixels, float).reshape(-1, 2)))
 
     def _board(self) -> Any:
         board = opencv().aruco.CharucoBoard(
@@ -220,7 +220,7 @@ class Tags:
         return np.pad(np.asarray(image, dtype=np.uint8), margin, constant_values=255)
 
     @property
-    def others(self) -> Mapping[str, Target]:
+    def others(self) -> Mapping[str, PrintedTarget]:
         """None: a tag has its number in it."""
         return {}
 
@@ -229,7 +229,7 @@ class Tags:
         """Four a tag."""
         return 4 * len(self.corners_m)
 
-    def find(self, picture: Picture) -> Corners:
+    def find(self, picture: Picture) -> SeenCorners:
         """The corners of those tags that a picture shows."""
         cv2 = opencv()
         detector = cv2.aruco.ArucoDetector(_dictionary(self.dictionary), _refined(cv2))
@@ -238,7 +238,7 @@ class Tags:
         ours = [k for k, number in enumerate(seen) if number in self.corners_m and seen.count(number) == 1]
         if not ours:
             return NOTHING
-        return Corners(
+        return SeenCorners(
             frozen(np.concatenate([self.corners_m[seen[k]] for k in ours])),
             frozen(
                 np.concatenate(
@@ -248,7 +248,7 @@ class Tags:
         )
 
 
-NOTHING = Corners(frozen(np.zeros((0, 3))), frozen(np.zeros((0, 2))))
+NOTHING = SeenCorners(frozen(np.zeros((0, 3))), frozen(np.zeros((0, 2))))
 
 
 def read_tags(path: Path, dictionary: str = TAG_DICTIONARY) -> Tags:

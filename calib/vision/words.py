@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from calib.vision.advice import advice
-from calib.vision.intrinsics import LensFit, Seen
+from calib.vision.intrinsics import LensFit, SeenPicture
 from calib.vision.lens import NAMES
-from calib.vision.poses import Measured, PoseSet
+from calib.vision.poses import MeasuredPose, PoseSet
 
 REJECTED_NAMED = 8
 
@@ -38,7 +38,7 @@ def lens_text(fit: LensFit) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _picture_line(one: Seen) -> str:
+def _picture_line(one: SeenPicture) -> str:
     about_x, about_y = (math.degrees(angle) for angle in one.tilt)
     blur = "" if math.isnan(one.sighting.blur_px) else f"{one.sighting.blur_px:.1f}"
     return (
@@ -64,12 +64,12 @@ def poses_text(found: PoseSet) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _spread_line(what: str, measured: tuple[Measured, ...], share: float) -> str:
+def _spread_line(what: str, measured: tuple[MeasuredPose, ...], share: float) -> str:
     along, across, turn = np.quantile([_spread(one.covariance, one) for one in measured], share, axis=0)
     return f"{what}: {1e3 * across:.3f} mm across the view, {1e3 * along:.3f} mm along it, {1e3 * turn:.2f} mrad."
 
 
-def _common_line(measured: tuple[Measured, ...]) -> str:
+def _common_line(measured: tuple[MeasuredPose, ...]) -> str:
     along, across, turn = np.median([_spread(one.common, one) for one in measured], axis=0)
     return (
         f"of this, common to all pictures (lens, stands): {1e3 * across:.3f} mm across, {1e3 * along:.3f} mm along,"
@@ -77,7 +77,7 @@ def _common_line(measured: tuple[Measured, ...]) -> str:
     )
 
 
-def _spread(covariance: np.ndarray, one: Measured) -> tuple[float, float, float]:
+def _spread(covariance: np.ndarray, one: MeasuredPose) -> tuple[float, float, float]:
     """Standard deviations along the line of sight, across it, and of the turn about the worst axis."""
     ray = one.pose.position_m / np.linalg.norm(one.pose.position_m)
     position, turn = covariance[:3, :3], covariance[3:, 3:]

@@ -15,7 +15,7 @@ from control.errors import ArmError
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm, save_arm
 from control.model.effects import place_of
-from procedures.arm_sheet import Missing, Sheet, missing, sheet, sheet_lines, warnings
+from procedures.arm_sheet import ArmSheet, Missing, missing, sheet, sheet_lines, warnings
 
 LEROBOT, PYTHON = "lerobot", "python"
 
@@ -43,7 +43,7 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
-def _figures(found: Sheet, absent: tuple[Missing, ...]) -> dict[str, Any]:
+def _figures(found: ArmSheet, absent: tuple[Missing, ...]) -> dict[str, Any]:
     """Figures for programs: what is unknown or infinite is null."""
     return {
         "figures": _plain(dataclasses.asdict(found)),

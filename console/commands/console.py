@@ -15,7 +15,7 @@ from control.server.channel import CONTROL_KEY
 from control.server.sockets import default_path
 
 if TYPE_CHECKING:
-    from console.screen.app import Station
+    from console.screen.app import ArmAtDesk
 
 
 def run(given: argparse.Namespace) -> int:
@@ -31,20 +31,20 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
-def _of_arm(given: argparse.Namespace) -> "Station":
-    from console.screen.app import Files, Station
+def _of_arm(given: argparse.Namespace) -> "ArmAtDesk":
+    from console.screen.app import ArmAtDesk, Files
 
     arm = load_arm(given.arm)
     socket = socket_path(given, arm)
     files = Files(
         Path(given.places), Path(given.teach), Path(given.keep) if given.keep else None, Path(given.sessions)
     )
-    return Station(arm, socket, files, {"--arm": given.arm, "--socket": str(socket)})
+    return ArmAtDesk(arm, socket, files, {"--arm": given.arm, "--socket": str(socket)})
 
 
-def _of_cell(given: argparse.Namespace) -> "list[Station]":
+def _of_cell(given: argparse.Namespace) -> "list[ArmAtDesk]":
     """A station an arm. Each has files of its own: a place of one arm is another place for the next."""
-    from console.screen.app import Files, Station
+    from console.screen.app import ArmAtDesk, Files
 
     if given.socket is not None:
         raise ArmError("--socket: not together with --cell: every arm of a cell has its own")
@@ -54,7 +54,7 @@ def _of_cell(given: argparse.Namespace) -> "list[Station]":
         places, taught, sessions = (_own(path, name) for path in (given.places, given.teach, given.sessions))
         files = Files(places, taught, _own(given.keep, name) if given.keep else None, sessions)
         shared = {"--arm": str(placed.arm.path or name), "--socket": str(socket)}
-        stations.append(Station(placed.arm, socket, files, shared))
+        stations.append(ArmAtDesk(placed.arm, socket, files, shared))
     return stations
 
 

@@ -14,11 +14,11 @@ from control.model.description import load_arm, save_arm
 from control.progress import Advance
 from procedures.demo import job
 from procedures.folders import free_folder, require_writable
-from procedures.mock import Bench, RealTimeBench, SteppedBench, seeded_scenario
+from procedures.mock import MockBench, RealTimeBench, SteppedBench, seeded_scenario
 from procedures.on_boards import on_boards
 
 GAP_SEED = 1  # seed of the hidden effect of `demo gap`
-Conduct = Callable[[Arm, Bench, Path, Advance], str]
+Conduct = Callable[[Arm, MockBench, Path, Advance], str]
 """Runs a demo on the bench's arm; returns the text to print."""
 
 
@@ -53,7 +53,9 @@ def run(given: argparse.Namespace) -> int:
         file = out / "arm.toml"
         save_arm(arm, file)
         arm = load_arm(str(file))
-    bench: Bench = RealTimeBench(file, scenario, log) if given.realtime else SteppedBench(arm, scenario, log)
+    bench: MockBench = (
+        RealTimeBench(file, scenario, log) if given.realtime else SteppedBench(arm, scenario, log)
+    )
     try:
         with Bar("demo") as bar:
             summary = conduct(arm, bench, out, bar.advance)
@@ -63,7 +65,7 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
-def _job(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
+def _job(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> str:
     """Home, move, record the table, calibrate, verify, report."""
     from calib.validation.verify import comparison_text
 
@@ -77,7 +79,7 @@ def _job(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
     )
 
 
-def _paper(arm: Arm, bench: Bench, out: Path, advance: Advance) -> str:
+def _paper(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> str:
     """The experiment of SpringerPlus 5:1771, and two further steps."""
     from procedures.demo import paper
     from procedures.demo.paper_page import findings

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from console.commands.connection import in_control
-from console.lines import Grammar, LineError, Outcome, parse_lines, replay
+from console.lines import Grammar, LineError, LineOutcome, parse_lines, replay
 from console.specs.table import COMMANDS
 from control.files import read_text
 
@@ -21,10 +21,10 @@ def run(given: argparse.Namespace) -> int:
     if given.check:
         sys.stdout.write("".join(f"{number}: {line.text}\n" for number, line in lines))
         return 0
-    outcomes: list[Outcome] = []
+    outcomes: list[LineOutcome] = []
     terminal = sys.stdout
 
-    def say(outcome: Outcome) -> None:
+    def say(outcome: LineOutcome) -> None:
         outcomes.append(outcome)
         if not given.json:
             terminal.write(_described(outcome))
@@ -49,7 +49,7 @@ def _text(file: str) -> str:
         raise LineError(f"cannot read operator lines: {error.strerror}") from None
 
 
-def _described(outcome: Outcome) -> str:
+def _described(outcome: LineOutcome) -> str:
     took = f"{outcome.took_s:.1f} s"
     done = (
         f"done in {took}"
@@ -63,7 +63,7 @@ def _indented(text: str) -> str:
     return "".join(f"  {line}\n" for line in text.splitlines())
 
 
-def _message(outcome: Outcome) -> dict[str, object]:
+def _message(outcome: LineOutcome) -> dict[str, object]:
     return {
         "number": outcome.number,
         "line": outcome.line,

@@ -13,16 +13,16 @@ from textual.binding import Binding, BindingType
 from textual.filter import LineFilter
 from textual.widgets import Input
 
-from console.screen.desk import Desk, Station
+from console.screen.desk import ArmAtDesk, Desk
 from console.screen.drawing import THEME, AsciiFilter, is_plain
 from console.screen.files import Files
 from console.screen.jogging import Jogger
 from console.screen.link import RuntimeLink
 from console.screen.operating import OperatingScreen
-from console.screen.operator import Operator
+from console.screen.operator import ScreenOperator
 from console.screen.session import SessionScreen
 
-__all__ = ["ConsoleApp", "Files", "Station"]
+__all__ = ["ConsoleApp", "Files", "ArmAtDesk"]
 COMMAND_KEYS = ("colon", "slash")
 
 
@@ -36,7 +36,7 @@ class ConsoleApp(App[None]):
     TITLE = "armwright"
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+q,ctrl+c", "quit", show=False, priority=True)]
 
-    def __init__(self, stations: Sequence[Station]) -> None:
+    def __init__(self, stations: Sequence[ArmAtDesk]) -> None:
         """One screen an arm; the first is shown."""
         super().__init__(ansi_color=False)
         self.register_theme(THEME)
@@ -51,7 +51,7 @@ class ConsoleApp(App[None]):
         return self.desk.link
 
     @property
-    def operator(self) -> Operator:
+    def operator(self) -> ScreenOperator:
         """Of the arm that is shown."""
         return self.desk.operator
 

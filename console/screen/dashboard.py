@@ -4,12 +4,12 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 
 from console.screen.drawing import (
+    BinnedSeries,
+    DrawnScene,
     History,
     Panel,
     Plot,
     Row,
-    Scene,
-    Series,
     Skeleton,
     clock,
     plot_rows,
@@ -20,7 +20,7 @@ from console.screen.drawing import (
 from console.screen.events import Event, events_between, stale_s
 from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink
-from console.screen.operator import Operator
+from console.screen.operator import ScreenOperator
 from console.screen.texts import end_rows, headline, joint_rows, status_rows, tip_row
 from console.user_config import shows_degrees
 from control.model.arm import Arm
@@ -34,7 +34,7 @@ Drawn = tuple[str, Sequence[Row]]  # a panel's name and its rows
 class Dashboard:
     """Computes from each status the rows of the panels that are due."""
 
-    def __init__(self, arm: Arm, operator: Operator, jogger: Jogger) -> None:
+    def __init__(self, arm: Arm, operator: ScreenOperator, jogger: Jogger) -> None:
         self.override = 1.0
         self.in_degrees = shows_degrees()
         self._arm, self._operator, self._jogger = arm, operator, jogger
@@ -45,7 +45,7 @@ class Dashboard:
         self._drawn_s: dict[str, float] = {}
         self._view: tuple[object, ...] = ()
         joints = tuple(str(j + 1) for j in range(arm.joint_count))
-        self._plots: dict[str, tuple[Series, Callable[[Series, int], Plot]]] = {
+        self._plots: dict[str, tuple[BinnedSeries, Callable[[BinnedSeries, int], Plot]]] = {
             "error": (self._history.error_mrad, functools.partial(_plot, joints, 1.0, True)),
             "current": (self._history.current_A, functools.partial(_plot, joints, 0.5, True)),
             "speed": (self._history.tip_mm_s, functools.partial(_plot, ("",), 10.0, False)),
@@ -116,7 +116,7 @@ class Dashboard:
         if view == self._view:
             return
         self._view = view
-        scene = Scene([], [], self._skeleton.board)
+        scene = DrawnScene([], [], self._skeleton.board)
         if status["is_homed"]:
             scene = self._skeleton.scene(status["joint_rad"], selected and selected - 1, is_stale)
         for name, draw in (("side", side_view), ("top", top_view)):
@@ -130,5 +130,5 @@ class Dashboard:
                 yield name, plot_rows(plot(series, (self._jogger.selected.joint or 1) - 1), *room(name))
 
 
-def _plot(signs: Sequence[str], least: float, is_signed: bool, series: Series, chosen: int) -> Plot:
+def _plot(signs: Sequence[str], least: float, is_signed: bool, series: BinnedSeries, chosen: int) -> Plot:
     return Plot(series.bins, signs, chosen if len(signs) > 1 else 0, least, is_signed)

@@ -10,13 +10,13 @@ from console.screen.files import Files
 from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink
 from console.screen.operating import OperatingScreen
-from console.screen.operator import MOVING, Operator
+from console.screen.operator import MOVING, ScreenOperator
 from console.specs.table import COMMANDS
 from control.model.arm import Arm
 
 
 @dataclass(frozen=True, slots=True)
-class Station:
+class ArmAtDesk:
     """An arm to operate; `shared`: options for every subcommand, such as --arm and --socket."""
 
     arm: Arm
@@ -28,14 +28,14 @@ class Station:
 class Desk:
     """Reports of lines and statuses go to its own screen."""
 
-    def __init__(self, station: Station, open_session: Callable[[str], None], others: int) -> None:
+    def __init__(self, station: ArmAtDesk, open_session: Callable[[str], None], others: int) -> None:
         """`open_session` gets the options of a calibration session; `others`: how many arms there are beside it."""
         arm, files, self.shared = station.arm, station.files, dict(station.shared)
         self.arm_name = self.shared.get("--arm", arm.name)
         self.link = RuntimeLink(station.socket, arm, self._on_status)
         grammar = Grammar(COMMANDS, {flag.lstrip("-"): value for flag, value in self.shared.items()})
         words = [word for pair in self.shared.items() for word in pair]
-        self.operator = Operator(self.link, grammar, words, self.say, files.lines)
+        self.operator = ScreenOperator(self.link, grammar, words, self.say, files.lines)
         self.jogger = Jogger(arm, self.operator, self.say)
         dashboard = Dashboard(arm, self.operator, self.jogger)
         self.operating = OperatingScreen(

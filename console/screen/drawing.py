@@ -201,7 +201,7 @@ Message = dict[str, Any]
 Bin = list[float] | None  # None: no data
 
 
-class Series:
+class BinnedSeries:
     """Values over time, one list per bin, the latest last."""
 
     def __init__(self) -> None:
@@ -228,8 +228,8 @@ class History:
     """Tracking error and current of each joint, speed of the tip, lateness of the loop."""
 
     def __init__(self) -> None:
-        self.error_mrad, self.current_A = Series(), Series()
-        self.tip_mm_s, self.late_us = Series(), Series()
+        self.error_mrad, self.current_A = BinnedSeries(), BinnedSeries()
+        self.tip_mm_s, self.late_us = BinnedSeries(), BinnedSeries()
         self._bin: int | None = None
         self._tip: tuple[float, Sequence[float]] | None = None
 
@@ -354,7 +354,7 @@ _NUMBER_dots = 14  # smallest distance of numbered ticks
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DrawnScene:
     """What is drawn, in the base frame [m]: the arm's corners from base to tip, its joints and their labels, the board's edge."""
 
     arm: Sequence[Point]
@@ -373,7 +373,7 @@ class Skeleton:
         self.reach_m = reaches_m(arm)[0]
         self.board = _outline(arm)
 
-    def scene(self, q_rad: Sequence[float], selected: int | None, is_stale: Sequence[bool]) -> Scene:
+    def scene(self, q_rad: Sequence[float], selected: int | None, is_stale: Sequence[bool]) -> DrawnScene:
         """The arm at joint angles; the selected joint (0-based) is highlighted, a stale one has a question mark."""
         frames = self._kinematics.link_transforms([q_rad])[0]
         corners: list[Point] = [(float(f[0, 3]), float(f[1, 3]), float(f[2, 3])) for f in frames]
@@ -381,20 +381,20 @@ class Skeleton:
             (corners[frame], "?" if is_stale[j] else str(j + 1), "chosen" if j == selected else "badge")
             for j, frame in enumerate(self._frames)
         ]
-        return Scene([*corners, self._kinematics.tip(*q_rad)], joints, self.board)
+        return DrawnScene([*corners, self._kinematics.tip(*q_rad)], joints, self.board)
 
 
-def side_view(scene: Scene, columns: int, rows: int, reach_m: float) -> list[Row]:
+def side_view(scene: DrawnScene, columns: int, rows: int, reach_m: float) -> list[Row]:
     """View along the y axis: x to the right, z up; the ground is a line."""
     return _view(scene, columns, rows, reach_m, SIDE)
 
 
-def top_view(scene: Scene, columns: int, rows: int, reach_m: float) -> list[Row]:
+def top_view(scene: DrawnScene, columns: int, rows: int, reach_m: float) -> list[Row]:
     """View from above: x to the right, y up."""
     return _view(scene, columns, rows, reach_m, TOP)
 
 
-def _view(scene: Scene, columns: int, rows: int, reach_m: float, axes: tuple[int, int]) -> list[Row]:
+def _view(scene: DrawnScene, columns: int, rows: int, reach_m: float, axes: tuple[int, int]) -> list[Row]:
     canvas = Canvas(columns, rows)
     place, dots_m = _placed(canvas, scene, axes, reach_m)
     _draw_axes(canvas, place, dots_m, axes)
@@ -405,7 +405,7 @@ def _view(scene: Scene, columns: int, rows: int, reach_m: float, axes: tuple[int
 
 
 def _placed(
-    canvas: Canvas, scene: Scene, axes: tuple[int, int], reach_m: float
+    canvas: Canvas, scene: DrawnScene, axes: tuple[int, int], reach_m: float
 ) -> tuple[Callable[[Point], tuple[int, int]], float]:
     """Map metres to dots, and dots per metre, with equal scales, so that the scene fills the picture.
 
@@ -454,7 +454,7 @@ def _draw_axes(
     canvas.letters(x0 // 2, 0, "z" if is_side else "y", "strong")
 
 
-def _draw_arm(canvas: Canvas, scene: Scene, place: Callable[[Point], tuple[int, int]]) -> None:
+def _draw_arm(canvas: Canvas, scene: DrawnScene, place: Callable[[Point], tuple[int, int]]) -> None:
     for start, end in pairwise([place(corner) for corner in scene.board]):
         canvas.line(*start, *end, "strong")
     for start, end in pairwise([place(corner) for corner in scene.arm]):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from console.screen.drawing import Row, row
 from console.screen.held import HeldKey
-from console.screen.operator import Operator, Target
+from console.screen.operator import JogTarget, ScreenOperator
 from control.model.arm import Arm
 from control.motion.jog_limits import JogLimits, TURN_SPEED_rad_s
 
@@ -20,13 +20,13 @@ UNSEEN_S = 2.0  # a held button without mouse events for this long: the terminal
 class Jogger:
     """Converts key presses and held buttons to jogs and steps."""
 
-    def __init__(self, arm: Arm, operator: Operator, say: Callable[[str, bool], None]) -> None:
+    def __init__(self, arm: Arm, operator: ScreenOperator, say: Callable[[str, bool], None]) -> None:
         self.targets = [
-            *(Target(j + 1, None) for j in range(arm.joint_count)),
-            *(Target(None, axis) for axis in "xyz"),
+            *(JogTarget(j + 1, None) for j in range(arm.joint_count)),
+            *(JogTarget(None, axis) for axis in "xyz"),
         ]
         self.turns = [
-            Target(None, f"r{axis}") for axis in "xyz"
+            JogTarget(None, f"r{axis}") for axis in "xyz"
         ]  # by keys alone: 80 columns have no room for more buttons
         self.of_tip = False
         self.selected = self.targets[0]
@@ -38,7 +38,7 @@ class Jogger:
         self._joint_count, self._limits = arm.joint_count, JogLimits.of(arm)
         self._operator, self._say = operator, say
         self._key = HeldKey()
-        self._held: tuple[Target, int] | None = None
+        self._held: tuple[JogTarget, int] | None = None
         self._seen_s = 0.0
 
     def describe(self) -> Row:
@@ -57,7 +57,7 @@ class Jogger:
         self.of_tip = not self.of_tip
         self._key.forget()
 
-    def _of_frame(self, target: Target) -> Target:
+    def _of_frame(self, target: JogTarget) -> JogTarget:
         return replace(target, of_tip=self.of_tip and target.joint is None)
 
     def select(self, name: str) -> None:
@@ -75,7 +75,7 @@ class Jogger:
         elif press.is_due:
             await self._jog(self.selected, sign)
 
-    async def hold(self, target: Target, sign: int) -> None:
+    async def hold(self, target: JogTarget, sign: int) -> None:
         """Process a button press."""
         self.selected = target
         if self.is_stepping:
@@ -114,17 +114,17 @@ class Jogger:
         """Jog slower or faster."""
         self.speed = neighbour(SPEEDS, self.speed, by)
 
-    def _step(self, target: Target, sign: int) -> None:
+    def _step(self, target: JogTarget, sign: int) -> None:
         sizes = STEPS_rad if target.is_angle else STEPS_m
         target = self._of_frame(target)
         self._operator.step(target, sign * sizes[self._step_at], round(self._fastest(target) * self.speed, 6))
 
-    async def _jog(self, target: Target, sign: int) -> None:
+    async def _jog(self, target: JogTarget, sign: int) -> None:
         self.has_jogged = True
         speed = sign * self.speed * self._fastest(target)
         await self._operator.jog(self._of_frame(target), speed, self._joint_count)
 
-    def _fastest(self, target: Target) -> float:
+    def _fastest(self, target: JogTarget) -> float:
         """Largest speed of a jog, rad/s or m/s."""
         if target.joint is None:
             return TURN_SPEED_rad_s if target.is_angle else self._limits.tip_speed_m_s

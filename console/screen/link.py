@@ -26,7 +26,7 @@ RETRY_S = 0.5
 _LONGEST_LINE_bytes = 1 << 20
 
 
-class LinkLost(Exception):
+class RuntimeLost(Exception):
     """No answer; the text is the message for the operator."""
 
 
@@ -61,7 +61,7 @@ class RuntimeLink:
                 self.why_lost = str(error) or type(error).__name__
             finally:
                 self._hang_up()
-            with contextlib.suppress(LinkLost):  # nobody to report to
+            with contextlib.suppress(RuntimeLost):  # nobody to report to
                 await self._on_status(None)
             await asyncio.sleep(RETRY_S)
 
@@ -69,7 +69,7 @@ class RuntimeLink:
         """Send one request and return its answer, which may be a refusal (`ok` false, `error`). Raises LinkLost."""
         writer = self._writer
         if writer is None:
-            raise LinkLost(self.why_lost)
+            raise RuntimeLost(self.why_lost)
         if self._another and do not in STOPPING | WATCHING:
             return {"ok": False, "error": self._another}
         self._numbers += 1
@@ -81,7 +81,7 @@ class RuntimeLink:
             async with asyncio.timeout(self.answer_s):
                 return await future
         except TimeoutError:
-            raise LinkLost(f"the runtime does not answer within {self.answer_s:g} s") from None
+            raise RuntimeLost(f"the runtime does not answer within {self.answer_s:g} s") from None
         finally:
             self._waiting.pop(number, None)
 
@@ -91,13 +91,13 @@ class RuntimeLink:
                 str(self.path), limit=_LONGEST_LINE_bytes
             )
         except OSError as error:
-            raise LinkLost(
+            raise RuntimeLost(
                 f"no runtime at {self.path} ({error.strerror or error}); `armwright serve` starts one"
             ) from None
         try:
             require_own_runtime(self._writer.get_extra_info("socket"), self.path)
         except ForeignRuntime as error:
-            raise LinkLost(str(error)) from None
+            raise RuntimeLost(str(error)) from None
         answers = asyncio.create_task(self._read(reader))
         try:
             if key := os.environ.get(CONTROL_KEY):
@@ -141,7 +141,7 @@ class RuntimeLink:
         finally:
             self._close()  # pending answers cannot arrive
 
-    def _fail(self, error: LinkLost) -> None:
+    def _fail(self, error: RuntimeLost) -> None:
         for future in self._waiting.values():
             if not future.done():
                 future.set_exception(error)
@@ -154,4 +154,4 @@ class RuntimeLink:
         if self._writer is not None:
             self._writer.close()
             self._writer = None
-        self._fail(LinkLost(self.why_lost))
+        self._fail(RuntimeLost(self.why_lost))

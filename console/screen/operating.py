@@ -20,7 +20,7 @@ from console.screen.drawing import EventLog, Panel, clock, row
 from console.screen.files import Files
 from console.screen.jogging import RENEW_S, Jogger, neighbour
 from console.screen.link import Message, RuntimeLink
-from console.screen.operator import Operator
+from console.screen.operator import ScreenOperator
 from console.screen.widgets import CommandBox, HeldButton, JogPad
 from console.user_config import remember_degrees
 
@@ -75,7 +75,7 @@ class OperatingScreen(Screen[None]):
     def __init__(
         self,
         dashboard: Dashboard,
-        operator: Operator,
+        operator: ScreenOperator,
         jogger: Jogger,
         files: Files,
         open_session: Callable[[str], None],

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from console.lines import Grammar, Line, LineError
+from console.lines import Grammar, LineError, ParsedLine
 from console.screen.child import subcommand
-from console.screen.link import LinkLost, Message, RuntimeLink
+from console.screen.link import Message, RuntimeLink, RuntimeLost
 from control.files import open_to_append, utf_8
 
 RENEW_S = 0.05  # of a step, which ends by itself
@@ -26,7 +26,7 @@ MOVING = ("MOVING", "HOMING", "JOGGING", "PAUSED", "STOPPING", "GUIDING")
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class JogTarget:
     """Target of a jog: a joint (1-based), or along (x, y, z) or about (rx, ry, rz) an axis of the base or of the tip."""
 
     joint: int | None
@@ -44,7 +44,7 @@ class Target:
         return self.joint is not None or str(self.axis).startswith("r")
 
 
-class Operator:
+class ScreenOperator:
     """Reports with `say(text, is_error)`; writes every executed line to `record_file`, for replay."""
 
     def __init__(
@@ -104,20 +104,20 @@ class Operator:
 
     # ---- jogging
 
-    async def jog(self, target: Target, speed: float, joint_count: int) -> None:
+    async def jog(self, target: JogTarget, speed: float, joint_count: int) -> None:
         """Request a signed speed (rad/s or m/s) until the runtime's dead man's switch ends it."""
         answer = await self._asked("jog", **_velocity(target, speed, joint_count))
         if answer is not None and answer["limited"]:
             self._say(str(answer["limited"]), True)
 
-    async def let_go(self, target: Target, joint_count: int) -> None:
+    async def let_go(self, target: JogTarget, joint_count: int) -> None:
         """End the jog: come to rest now."""
         status = self.link.status
         if status is not None and status["mode"] == "JOGGING":
-            with contextlib.suppress(LinkLost):
+            with contextlib.suppress(RuntimeLost):
                 await self.link.ask("jog", **_velocity(target, 0.0, joint_count))
 
-    def step(self, target: Target, by: float, speed: float) -> None:
+    def step(self, target: JogTarget, by: float, speed: float) -> None:
         """Jog one step, renewed until it has ended; only one at a time."""
         if self._stepping is None or self._stepping.done():
             self._stepping = asyncio.create_task(
@@ -129,7 +129,7 @@ class Operator:
         if answer is None:
             return
         limited = str(answer["limited"])
-        with contextlib.suppress(LinkLost):
+        with contextlib.suppress(RuntimeLost):
             while (answer := await self.link.ask("jog_on"))["ok"]:
                 limited = str(answer["limited"]) or limited
                 await asyncio.sleep(RENEW_S)
@@ -137,17 +137,17 @@ class Operator:
             self._say(limited, True)
         self.record(text)
 
-    async def _step_line(self, line: Line) -> bool:
+    async def _step_line(self, line: ParsedLine) -> bool:
         given = line.given
         if (given.joint is None) == (given.axis is None):
             self._say("jog: give either --joint or --axis", True)
             return False
-        self.step(Target(given.joint, given.axis, given.frame == "tip"), given.by, given.speed or 0.0)
+        self.step(JogTarget(given.joint, given.axis, given.frame == "tip"), given.by, given.speed or 0.0)
         return True
 
     # ---- processes
 
-    async def _begin(self, line: Line) -> bool:
+    async def _begin(self, line: ParsedLine) -> bool:
         if self.running:
             self._say(f"`{self.running}` still runs; space stops it", True)
             return False
@@ -162,12 +162,12 @@ class Operator:
         self._follower = asyncio.create_task(self._follow(line, self._process))
         return True
 
-    def _options(self, line: Line) -> list[str]:
+    def _options(self, line: ParsedLine) -> list[str]:
         known = vars(line.given)
         pairs = zip(self._shared[::2], self._shared[1::2], strict=True)
         return [word for flag, value in pairs if flag.lstrip("-") in known for word in (flag, value)]
 
-    async def _follow(self, line: Line, process: asyncio.subprocess.Process) -> None:
+    async def _follow(self, line: ParsedLine, process: asyncio.subprocess.Process) -> None:
         if process.stdout is not None:
             async for row in process.stdout:
                 self._say(f"  {row.decode(errors='replace').rstrip()}", False)
@@ -197,7 +197,7 @@ class Operator:
     async def _asked(self, do: str, **arguments: Any) -> Message | None:
         try:
             answer = await self.link.ask(do, **arguments)
-        except LinkLost as error:
+        except RuntimeLost as error:
             self._say(f"{do}: {error}", True)
             return None
         if not answer["ok"]:
@@ -206,18 +206,18 @@ class Operator:
         return answer
 
 
-def _velocity(target: Target, speed: float, joint_count: int) -> Message:
+def _velocity(target: JogTarget, speed: float, joint_count: int) -> Message:
     if target.joint is not None:
         return {"joint_speed_rad_s": [speed if j + 1 == target.joint else 0.0 for j in range(joint_count)]}
     rate = [speed if axis == str(target.axis)[-1] else 0.0 for axis in ("x", "y", "z")]
     return {"tip_turn_rad_s" if target.is_angle else "tip_velocity_m_s": rate, **_frame(target)}
 
 
-def _frame(target: Target) -> Message:
+def _frame(target: JogTarget) -> Message:
     return {"frame": "tip"} if target.of_tip else {}
 
 
-def _step_of(target: Target, by: float, speed: float) -> Message:
+def _step_of(target: JogTarget, by: float, speed: float) -> Message:
     unit = "rad" if target.is_angle else "m"
     what: Message = (
         {"axis": target.axis, **_frame(target)} if target.joint is None else {"joint": target.joint}
@@ -225,13 +225,13 @@ def _step_of(target: Target, by: float, speed: float) -> Message:
     return {**what, f"by_{unit}": by, **({f"speed_{unit}_s": speed} if speed else {})}
 
 
-def _step_line(target: Target, by: float, speed: float) -> str:
+def _step_line(target: JogTarget, by: float, speed: float) -> str:
     what = f"--joint {target.joint}" if target.joint is not None else f"--axis {target.axis}"
     frame = " --frame tip" if target.of_tip else ""
     return f"jog {what}{frame} --by {by:g}" + (f" --speed {speed:g}" if speed else "")
 
 
-def _words(line: Line) -> list[str]:
+def _words(line: ParsedLine) -> list[str]:
     """The line's own words, without its command."""
     words = shlex.split(line.text)
     return words[1:-1] if words[-1] == "&" else words[1:]

@@ -10,7 +10,7 @@ from textual.message import Message
 from textual.widgets import Input, Static
 
 from console.screen.drawing import Panel
-from console.screen.operator import Target
+from console.screen.operator import JogTarget
 
 
 class HeldButton(Static):
@@ -19,11 +19,11 @@ class HeldButton(Static):
     class Held(Message):
         """The button was pressed or released."""
 
-        def __init__(self, target: Target, sign: int, is_down: bool) -> None:
+        def __init__(self, target: JogTarget, sign: int, is_down: bool) -> None:
             super().__init__()
             self.target, self.sign, self.is_down = target, sign, is_down
 
-    def __init__(self, target: Target, sign: int) -> None:
+    def __init__(self, target: JogTarget, sign: int) -> None:
         super().__init__("−" if sign < 0 else "+", classes="held minus" if sign < 0 else "held plus")
         self._target, self._sign, self._is_down = target, sign, False
 
@@ -67,7 +67,7 @@ class PressButton(Static):
 class JogPad(Vertical):
     """The stop and the state of the keys; below, a pair of held buttons for each joint and axis."""
 
-    def __init__(self, targets: list[Target]) -> None:
+    def __init__(self, targets: list[JogTarget]) -> None:
         super().__init__(id="pad")
         self._targets = targets
 

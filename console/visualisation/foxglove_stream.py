@@ -18,7 +18,7 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.recording import mcap_scene as scene
 from control.recording.mcap_events import ERROR as ERROR_LEVEL
-from control.recording.mcap_events import Events
+from control.recording.mcap_events import CycleChanges
 from control.recording.mcap_schemas import CAMERA, DRIVES, ERROR, JOINTS, LOOP, SET_POINT, schemas_of
 from control.safety.table import Mode
 from control.server.channel import Message
@@ -99,7 +99,7 @@ class LiveMessages:
 
     def __init__(self, arm: Arm) -> None:
         self._arm, self._kinematics = arm, Kinematics(arm)
-        self._events, self._faults = Events(MODES), frozenset[str]()
+        self._events, self._faults = CycleChanges(MODES), frozenset[str]()
         self._shapes_s = -math.inf
 
     def of(self, status: Message, time_ns: int) -> Iterator[tuple[str, Message]]:

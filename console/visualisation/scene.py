@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.export import export_text
 from console.visualisation.series import Array
-from console.visualisation.traces import TipOfArm, Tips, TipsOfCell, Traces
+from console.visualisation.traces import TipOfArm, TipsOf, TipsOfCell, Traces
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 from control.model.cell import Cell
@@ -41,14 +41,14 @@ AZIMUTH_deg, ELEVATION_deg, HEIGHT_deg = (
 )  # of the camera; HEIGHT: MuJoCo's usual field of view
 
 
-class View(NamedTuple):
+class Viewpoint(NamedTuple):
     """Where a camera looks, and from how far away [m]."""
 
     lookat_m: tuple[float, float, float]
     distance_m: float
 
 
-def view_of(domes: Sequence[tuple[Sequence[float], float]]) -> View:
+def view_of(domes: Sequence[tuple[Sequence[float], float]]) -> Viewpoint:
     """The nearest view that holds all domes: the half balls (centre, radius) [m] in which arms reach."""
     polar, around = np.meshgrid(np.linspace(0.0, math.pi / 2.0, 13), np.linspace(0.0, 2.0 * math.pi, 49))
     dome = np.stack((np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), axis=-1)
@@ -63,13 +63,13 @@ def view_of(domes: Sequence[tuple[Sequence[float], float]]) -> View:
     seen = points - lookat
     needed = np.maximum(np.abs(seen @ up) / high, np.abs(seen @ right) / wide) - seen @ ahead
     x, y, z = lookat.tolist()
-    return View((x, y, z), float(needed.max()))
+    return Viewpoint((x, y, z), float(needed.max()))
 
 
 class Scene:
     """A MuJoCo model of one arm or of several, each twice, and its state. Joints in the order of `joints`."""
 
-    def __init__(self, spec: Any, joints: Sequence[tuple[str, int]], tips: Tips, view: View) -> None:
+    def __init__(self, spec: Any, joints: Sequence[tuple[str, int]], tips: TipsOf, view: Viewpoint) -> None:
         """`joints`: prefix of an arm's names and its number of joints. `tips`: of all arms, by all joint angles."""
         self.tips, self._view = tips, view
         self.model = spec.compile()

@@ -28,7 +28,7 @@ class Traces:
     camera_m: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
-def traces_of(series: Series, tips: Tips) -> Traces:
+def traces_of(series: Series, tips: TipsOf) -> Traces:
     """Traces of a whole recording, thinned; gaps where an angle is missing or invalid, and between arms."""
     step = 1 + len(series) // POINTS_MOST
     placed = np.where(series.is_placed[:, None], 1.0, np.nan)
@@ -49,7 +49,7 @@ def tips_of(kinematics: Kinematics, angles_rad: Array) -> Array:
     return found
 
 
-class Tips(Protocol):
+class TipsOf(Protocol):
     """Tips (k, m, 3) [m] of k arms for joint angles (m, n) of all of them; NaN rows are gaps."""
 
     def __call__(self, angles_rad: Angles) -> Array: ...
@@ -82,7 +82,7 @@ class TipsOfCell:
         return np.array(found)
 
 
-def tips_in(shown: Arm | Cell) -> Tips:
+def tips_in(shown: Arm | Cell) -> TipsOf:
     """Of an arm, or of the arms of a cell."""
     return TipsOfCell(shown) if isinstance(shown, Cell) else TipOfArm(Kinematics(shown))
 
@@ -90,7 +90,7 @@ def tips_in(shown: Arm | Cell) -> Tips:
 class TipPath:
     """The last tips of live arms."""
 
-    def __init__(self, tips: Tips, most: int = LONGEST_PATH) -> None:
+    def __init__(self, tips: TipsOf, most: int = LONGEST_PATH) -> None:
         self._tips, self._most = tips, most
         self._measured: list[Array] = []
         self._commanded: list[Array] = []

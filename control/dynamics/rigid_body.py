@@ -17,7 +17,7 @@ ZERO: Vector3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class RigidLink:
     """One link: its DH row, its mass properties in its own frame, and the joint (0-based) that turns it."""
 
     dh: tuple[float, float, float, float]
@@ -31,7 +31,7 @@ class Body:
 class Chain:
     """The parameters of an arm that the equations need; the tool's mass is a point in the last frame."""
 
-    bodies: tuple[Body, ...]
+    bodies: tuple[RigidLink, ...]
     is_modified: bool
     tool_m: Vector3
     rotor_kg_m2: tuple[float, ...]  # of each joint, reflected: ratio^2 times the rotor's
@@ -49,7 +49,7 @@ def chain_of(arm: Arm) -> Chain:
         turns = link.joint == "revolute"
         row = (link.d_m, link.theta_rad, link.L_m, link.alpha_rad)
         mass, com, inertia = link.mass_kg or 0.0, link.com_m or ZERO, link.inertia_kg_m2 or ZERO
-        bodies.append(Body(row, joint if turns else None, mass, com, inertia))
+        bodies.append(RigidLink(row, joint if turns else None, mass, com, inertia))
         joint += turns
     rotors = {d.joint: d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives}
     reflected = tuple(rotors.get(j, 0.0) for j in range(1, joint + 1))
@@ -141,7 +141,7 @@ def _forward(
         force, moment = _inertial(body, omega, alpha, linear)
         if number == len(chain.bodies) - 1:
             for mass, place in _carried_masses(chain, payload_kg):
-                extra, twist = _inertial(Body(body.dh, None, mass, place, ZERO), omega, alpha, linear)
+                extra, twist = _inertial(RigidLink(body.dh, None, mass, place, ZERO), omega, alpha, linear)
                 force, moment = _add(force, extra), _add(moment, twist)
         turns.append(turn)
         moves.append(move)
@@ -167,7 +167,7 @@ def _carried(omega: Vector, alpha: Vector, r: Vector) -> Vector:
     return _add(_cross(alpha, r), _cross(omega, _cross(omega, r)))
 
 
-def _inertial(body: Body, omega: Vector, alpha: Vector, linear: Vector) -> tuple[Vector, Vector]:
+def _inertial(body: RigidLink, omega: Vector, alpha: Vector, linear: Vector) -> tuple[Vector, Vector]:
     """Return the force that accelerates a body, and its moment about the body's origin."""
     at_com = _add(linear, _carried(omega, alpha, body.com_m))
     force = _scale(body.mass_kg, at_com)

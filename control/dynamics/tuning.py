@@ -80,7 +80,7 @@ class Margins:
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class LoopDesign:
     """Gains, their poles, and the margins in the measured pose and at the worst inertia."""
 
     gains: Gains
@@ -200,7 +200,7 @@ class Tuner:
         moved = self._response.plant * self._fit.response(omega, inertia_ratio) / self._fit.response(omega)
         return margins(omega, controller(gains, self._period_s, omega) * moved)
 
-    def design_at(self, pole_rad_s: float) -> Design:
+    def design_at(self, pole_rad_s: float) -> LoopDesign:
         """The design with poles for the largest inertia (control.dynamics.gains), and its margins."""
         largest = max(self._ratios)
         gains = pole_gains(self._fit, largest, self._filter_s, pole_rad_s)
@@ -211,9 +211,9 @@ class Tuner:
         )  # fmt: skip
         if any(math.isnan(m.phase_deg) for m in each):
             worst = Margins(math.nan, math.nan, math.nan, math.nan)
-        return Design(gains, pole_rad_s, self.margins_of(gains), worst)
+        return LoopDesign(gains, pole_rad_s, self.margins_of(gains), worst)
 
-    def fastest(self, gain_dB: float, phase_deg: float) -> Design:
+    def fastest(self, gain_dB: float, phase_deg: float) -> LoopDesign:
         """The fastest poles that meet the margins in all poses. Raises MarginsUnmet if there are none."""
         poles = np.geomspace(HIGHEST_POLE_rad_s, LOWEST_POLE_rad_s, 120)
         for pole in poles.tolist():
@@ -227,7 +227,7 @@ class Tuner:
             f" {most:.0f} deg; check backlash and compliance between motor and joint, and delay in the loop"
         )
 
-    def at_bandwidth(self, crossover_rad_s: float, gain_dB: float, phase_deg: float) -> Design:
+    def at_bandwidth(self, crossover_rad_s: float, gain_dB: float, phase_deg: float) -> LoopDesign:
         """The design whose loop crosses over at this frequency in the measured pose. Raises MarginsUnmet."""
         best = self.fastest(gain_dB, phase_deg)
         low, high = LOWEST_POLE_rad_s, best.pole_rad_s

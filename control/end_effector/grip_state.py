@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 
-class State(Enum):
+class GripState(Enum):
     """What the gripper does; the value is for people."""
 
     OFF = "drives off"

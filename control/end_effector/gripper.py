@@ -10,7 +10,7 @@ Nothing here moves without a request: enabled, after a stop, a time-out or a fau
 import math
 from typing import Final
 
-from control.end_effector.grip_state import Goal, State
+from control.end_effector.grip_state import Goal, GripState
 from control.errors import ArmError
 from control.hardware.gripper_board import GripperFeedback, GripperHardware
 from control.model.can_bus import GRIPPER_PERIOD_s
@@ -45,7 +45,7 @@ class GripperControl:
     """One gripper. `cycle` is called in each control cycle, and works every GRIPPER_PERIOD_s."""
 
     def __init__(self, described: Gripper, board: GripperHardware) -> None:
-        self.state = State.OFF
+        self.state = GripState.OFF
         self.goal: Goal | None = None
         self.why = ""  # it stopped, or does not work
         self.has_lost = False  # what it held, since the last request
@@ -91,9 +91,9 @@ class GripperControl:
     def ask(self, action: str, opening_m: float | None, force_N: float | None) -> None:
         """`action`: open, close or move (to `opening_m`). ArmError says why not, and then nothing changes."""
         force = self.require(opening_m, force_N)
-        if self.state in (State.OFF, State.FAILED):
+        if self.state in (GripState.OFF, GripState.FAILED):
             raise ArmError(
-                f"gripper: {self.why or State.OFF.value}: enable the drives first (`armwright enable`)"
+                f"gripper: {self.why or GripState.OFF.value}: enable the drives first (`armwright enable`)"
             )
         if action == "move" and opening_m is not None:
             sign = 1 if opening_m >= (self.opening_m or 0.0) else -1
@@ -106,8 +106,8 @@ class GripperControl:
 
     def stop(self) -> None:
         """Hold where it is, if it was on its way; what is held stays held."""
-        if self.state is State.MOVING:
-            self._settle(State.STOPPED, "by request")
+        if self.state is GripState.MOVING:
+            self._settle(GripState.STOPPED, "by request")
 
     # ---- the cycle
 
@@ -140,21 +140,23 @@ class GripperControl:
         """A person acknowledges its fault. ArmError while its board is silent: a question to it would keep the arm waiting."""
         if self._unheard_s > SILENT_s:
             raise ArmError(f"gripper: {self.why}: check its supply and cable, then acknowledge again")
-        self.state, self.why, self._enabled_s = State.OFF, "", math.inf
+        self.state, self.why, self._enabled_s = GripState.OFF, "", math.inf
 
     def _follow(self, is_ready: bool, is_fault: bool, is_off: bool) -> None:
         """Off and on with the joints' drives; what a fault of the arm does to it."""
         if is_off:
-            self.state = State.OFF
+            self.state = GripState.OFF
             self._enabled_s = math.inf
-        elif self.state is State.OFF and is_ready and self.feedback.is_enabled:
-            self._settle(State.HOLDING, "")
+        elif self.state is GripState.OFF and is_ready and self.feedback.is_enabled:
+            self._settle(GripState.HOLDING, "")
         elif (
-            is_fault and self.described.on_fault == "release" and self.state not in (State.OFF, State.FAILED)
+            is_fault
+            and self.described.on_fault == "release"
+            and self.state not in (GripState.OFF, GripState.FAILED)
         ):
-            self.state = State.RELEASED
-        elif is_fault and self.state is State.MOVING:
-            self._settle(State.STOPPED, "by a fault of the arm")
+            self.state = GripState.RELEASED
+        elif is_fault and self.state is GripState.MOVING:
+            self._settle(GripState.STOPPED, "by a fault of the arm")
 
     def _trouble(self, now_s: float, is_ready: bool, feedback: GripperFeedback) -> Fault | None:
         """What is wrong with the board, once."""
@@ -163,7 +165,7 @@ class GripperControl:
             is_reset = isinstance(feedback.problem, BoardReset)
             restarted = "its motor board restarted: its opening is unknown, and what it held may be gone"
             return self._fail("gripper_link", restarted if is_reset else str(feedback.problem))
-        if not is_ready or self.state is State.FAILED:
+        if not is_ready or self.state is GripState.FAILED:
             return None
         if self._enabled_s == math.inf:
             self._enabled_s = now_s
@@ -186,20 +188,20 @@ class GripperControl:
         self._heard = heard
 
     def _fail(self, code: str, message: str) -> Fault:
-        self.state, self.why = State.FAILED, message
+        self.state, self.why = GripState.FAILED, message
         remedy = "check its supply, cable and what it holds; then acknowledge"
         return Fault(code, "gripper", message, remedy, Reaction.CONTROLLED)
 
     # ---- its motion
 
     def _start(self, goal: Goal) -> None:
-        self.goal, self.state, self.why, self.has_lost = goal, State.MOVING, "", False
+        self.goal, self.state, self.why, self.has_lost = goal, GripState.MOVING, "", False
         self.number += 1
         self._left_s = self.described.travel_m / self.described.speed_limit_m_s + TIME_EXTRA_s
         self._push_A = self._trim_A = self._stalled_s = 0.0
         self._hold_m = None
 
-    def _settle(self, state: State, why: str) -> None:
+    def _settle(self, state: GripState, why: str) -> None:
         """It has come to an end: brake, and hold where it then is."""
         self.state, self.why = state, why
         self._push_A = self._trim_A = self._stalled_s = 0.0
@@ -226,17 +228,17 @@ class GripperControl:
 
     def _volts(self, elapsed_s: float) -> float | None:
         """The voltage of this cycle; None: open circuit."""
-        if self.state is State.RELEASED or (
-            self.state is State.FAILED and self.described.on_fault == "release"
+        if self.state is GripState.RELEASED or (
+            self.state is GripState.FAILED and self.described.on_fault == "release"
         ):
             return None
-        if self.state is State.MOVING:
+        if self.state is GripState.MOVING:
             return self._on_its_way(elapsed_s)
-        if self.state is State.GRIPPED and self.goal is not None:
+        if self.state is GripState.GRIPPED and self.goal is not None:
             return self._held(self.goal, elapsed_s)
         if self._hold_m is None:
             self._take_place()
-        if self.state in (State.OFF, State.FAILED) or self._hold_m is None:
+        if self.state in (GripState.OFF, GripState.FAILED) or self._hold_m is None:
             return 0.0
         return self._servo(self._hold_m - self.feedback.moved_m, self._force_A(), elapsed_s)
 
@@ -259,7 +261,7 @@ class GripperControl:
         elif self._is_stalled(goal, elapsed_s):
             self._meet(goal)
         elif self._left_s <= 0.0:
-            self._settle(State.STOPPED, "it did not get there in time")
+            self._settle(GripState.STOPPED, "it did not get there in time")
         return left_m
 
     def _servo(self, left_m: float, most_A: float, elapsed_s: float) -> float:
@@ -297,7 +299,9 @@ class GripperControl:
 
     def _arrive(self, goal: Goal) -> None:
         is_end = goal.opening_m in (0.0, self.described.travel_m)
-        self._settle((State.OPEN if goal.sign > 0 else State.CLOSED) if is_end else State.HOLDING, "")
+        self._settle(
+            (GripState.OPEN if goal.sign > 0 else GripState.CLOSED) if is_end else GripState.HOLDING, ""
+        )
 
     def _meet(self, goal: Goal) -> None:
         """Something stopped it: its own end, or what it is to hold."""
@@ -308,9 +312,9 @@ class GripperControl:
         end_m = travel_m if goal.sign > 0 else 0.0
         is_end = self.opening_m is not None and abs(self.opening_m - end_m) <= self._near_m
         if is_end or (goal.sign > 0 and not self.described.encoder_counts_per_rev):
-            self._settle(State.OPEN if goal.sign > 0 else State.CLOSED, "")
+            self._settle(GripState.OPEN if goal.sign > 0 else GripState.CLOSED, "")
         else:
-            self._settle(State.GRIPPED, "")
+            self._settle(GripState.GRIPPED, "")
 
     def _held(self, goal: Goal, elapsed_s: float) -> float:
         """The voltage that holds with the force; what it held may go, and then it goes on to its end."""

@@ -7,7 +7,7 @@ the wanted force.
 import math
 from typing import Final, Protocol
 
-from control.end_effector.grip_state import State
+from control.end_effector.grip_state import GripState
 from control.end_effector.gripper import GripperControl
 from control.hardware.gripper_board import GripperHardware
 from control.model.end_effector import Gripper
@@ -36,18 +36,18 @@ class PlacedGripper(GripperControl):
 
     def _place_m(self, elapsed_s: float) -> float | None:
         moved_m, goal = self.feedback.moved_m, self.goal
-        is_let_go = self.state is State.RELEASED or (
-            self.state is State.FAILED and self.described.on_fault == "release"
+        is_let_go = self.state is GripState.RELEASED or (
+            self.state is GripState.FAILED and self.described.on_fault == "release"
         )
         if is_let_go or math.isnan(moved_m):
             return None
-        if self.state is State.GRIPPED and goal is not None and self._has_slipped(goal):
+        if self.state is GripState.GRIPPED and goal is not None and self._has_slipped(goal):
             self._go_on(goal)
-        if self.state is State.MOVING and goal is not None:
+        if self.state is GripState.MOVING and goal is not None:
             left_m = self._looked(goal, elapsed_s)
-            if self.state is State.MOVING:
+            if self.state is GripState.MOVING:
                 return self._ahead(moved_m, left_m, goal.sign, elapsed_s)
-        if self.state is State.GRIPPED:
+        if self.state is GripState.GRIPPED:
             return self._aim_m
         self._aim_m = math.nan
         if self._hold_m is None:

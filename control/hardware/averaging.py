@@ -14,7 +14,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class MeanPose:
     """Mean pose of what the camera follows, in the camera's own frame, or in the base frame if its place there is known."""
 
     frames: int
@@ -38,7 +38,7 @@ class Average:
     tip_std_m: tuple[float, float, float] | None
     moved_rad: float
     t_s: float
-    target: Target | None = None
+    target: MeanPose | None = None
 
 
 class Averaging:
@@ -81,7 +81,7 @@ class Averaging:
         sign = math.copysign(1.0, sum(a * b for a, b in zip(first, orientation, strict=True)))
         self._orientation.add([sign * value for value in orientation])
 
-    def _target(self) -> Target | None:
+    def _target(self) -> MeanPose | None:
         if not self._tip_m.count:
             return None
         orientation: Quaternion | None = None
@@ -89,7 +89,9 @@ class Averaging:
             mean = self._orientation.mean()
             w, x, y, z = (value / math.hypot(*mean) for value in mean)
             orientation = (w, x, y, z)
-        return Target(self._tip_m.count, _vector(self._tip_m.mean()), _vector(self._tip_m.std()), orientation)
+        return MeanPose(
+            self._tip_m.count, _vector(self._tip_m.mean()), _vector(self._tip_m.std()), orientation
+        )
 
     def _finish(self, direction: Sequence[int]) -> Average:
         target = self._target()

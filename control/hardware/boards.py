@@ -8,8 +8,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import ParamSpec
 
-from control.hardware.interface import Asked, EndBoards, Feedback, Hardware, OutputMode
-from control.hardware.roles import Drives, Encoders, Line, PolledLine
+from control.hardware.interface import Attended, EndBoards, Feedback, Hardware, OutputMode
+from control.hardware.roles import AskedLine, Drives, Encoders, Line
 from control.hardware.words import Wanted
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError, LinkLost, Problems
@@ -30,7 +30,7 @@ class BoardHardware:
         drives: Sequence[Drives],
         lines: Sequence[Line],
         clock: Clock,
-        polled: Sequence[PolledLine] = (),
+        polled: Sequence[AskedLine] = (),
         offers: frozenset[OutputMode] = frozenset(OutputMode),
         end: EndBoards = NO_END,
     ) -> None:
@@ -67,7 +67,7 @@ class BoardHardware:
     def attend(self, until_s: float, beside: Sequence[Hardware] = ()) -> None:
         """Wait until then, and serve the polled lines meanwhile, with those of other arms `beside`."""
         clock = self._clock
-        polled: Sequence[Asked] = self.polled_lines()
+        polled: Sequence[Attended] = self.polled_lines()
         for other in beside:
             polled = (*polled, *other.polled_lines())
         while polled and (now_s := clock.now_s()) < until_s - ATTEND_EVERY_S:
@@ -76,7 +76,7 @@ class BoardHardware:
             clock.wait_until_s(now_s + ATTEND_EVERY_S)
         clock.wait_until_s(until_s)
 
-    def polled_lines(self) -> Sequence[PolledLine]:
+    def polled_lines(self) -> Sequence[AskedLine]:
         """The lines that are there and must be asked."""
         if self._gone:
             return tuple(line for line in self._polled if line.update not in self._gone)

@@ -10,8 +10,8 @@ from control.hardware.words import Wanted
 from control.model.end_effector import Gripper
 from firmware_iface.errors import BoardFaulted, LinkError
 from firmware_iface.motor.board import MotorBoard
-from firmware_iface.motor.cia402 import State
-from firmware_iface.motor.wire import Fault, Output, Parameter
+from firmware_iface.motor.cia402 import DriveState
+from firmware_iface.motor.wire import IdleOutput, MotorFault, MotorParameter
 
 FULL_FORCE_AT_m = (
     1e-3  # of the board's own hold: it pushes with the whole current at this distance from where it was
@@ -31,7 +31,7 @@ class GripperFeedback:
     problem: LinkError | None = None  # it restarted, or sent nonsense; once
 
 
-def in_words(faults: Fault) -> str:
+def in_words(faults: MotorFault) -> str:
     """The faults of a board by name; empty without any."""
     return ", ".join(str(fault.name).replace("_", " ").lower() for fault in faults)
 
@@ -153,7 +153,7 @@ class GripperBoard:
             self._travel.forget()
             self._is_asked = False
         feedback.reply_at_s = board.reply_at_s
-        feedback.is_enabled = board.state is State.OPERATION_ENABLED
+        feedback.is_enabled = board.state is DriveState.OPERATION_ENABLED
         self.torque.note(feedback.is_enabled)
         if (reply := board.reply) is not None:
             feedback.current_A = self._gripper.motor_direction * reply.current_A
@@ -167,14 +167,14 @@ class GripperBoard:
         """Command a voltage, opening positive, or an open circuit (None). A board on its way gets the next state command."""
         board, torque = self._board, self.torque.wanted
         is_on = torque is Wanted.ENABLING or (torque is Wanted.ENABLED and self.feedback.is_enabled)
-        wanted = State.OPERATION_ENABLED if is_on else State.SWITCH_ON_DISABLED
+        wanted = DriveState.OPERATION_ENABLED if is_on else DriveState.SWITCH_ON_DISABLED
         if torque is Wanted.AS_FOUND:
             board.ask_state()
-        elif torque is Wanted.DISABLED and board.state is State.FAULT and board.has_torque:
+        elif torque is Wanted.DISABLED and board.state is DriveState.FAULT and board.has_torque:
             board.step_fault_reset()  # the hold that its time-out began ends, as it was asked for
         elif self._is_resetting:
             self._is_resetting = not board.step_fault_reset()
-        elif board.state is wanted or board.state is State.FAULT:
+        elif board.state is wanted or board.state is DriveState.FAULT:
             if volts is None:
                 board.command_off()
             else:
@@ -194,9 +194,9 @@ class GripperBoard:
         """Upload the parameters where the board does not have them. Waits."""
         board = self._board
         if self._configured_resets != board.resets:
-            if board.state is State.FAULT and board.has_torque:
+            if board.state is DriveState.FAULT and board.has_torque:
                 board.acknowledge_fault()  # it holds since the time-out of another host
-            board.go_to(State.SWITCH_ON_DISABLED)
+            board.go_to(DriveState.SWITCH_ON_DISABLED)
             for index, value in self._parameters():
                 board.write(index, value)
             self._configured_resets = board.resets
@@ -209,22 +209,22 @@ class GripperBoard:
     def emergency_stop(self) -> None:
         """The joints' stop is a broadcast, which this board hears, too."""
 
-    def _parameters(self) -> list[tuple[Parameter, int]]:
+    def _parameters(self) -> list[tuple[MotorParameter, int]]:
         gripper = self._gripper
         holds = gripper.on_fault == "hold"
         kp_V_m = gripper.resistance_ohm * gripper.current_limit_A / FULL_FORCE_AT_m
         per_count = abs(self._travel.m_per_count) if gripper.encoder_counts_per_rev else 0.0
         return [
-            (Parameter.WATCHDOG_ms, round(self._watchdog_s * 1e3)),
-            (Parameter.WATCHDOG_ACTION, Output.HOLD if holds else Output.OPEN_CIRCUIT),
-            (Parameter.STOP_AFTER_ms, round(self._stop.after_s * 1e3)),
-            (Parameter.STOP_TIME_ms, round(self._stop.time_s * 1e3)),
-            (Parameter.DISABLED_OUTPUT, Output.BRAKE if holds else Output.OPEN_CIRCUIT),
-            (Parameter.CURRENT_LIMIT_mA, round(gripper.current_limit_A * 1e3)),
-            (Parameter.VOLTAGE_LIMIT_mV, round(gripper.supply_V * 1e3)),
-            (Parameter.KP_uV_count, round(kp_V_m * per_count * 1e6)),
-            (Parameter.KI_uV_count_s, 0),
-            (Parameter.KD_nV_s_count, 0),
-            (Parameter.INTEGRAL_LIMIT_mV, round(gripper.resistance_ohm * gripper.current_limit_A * 1e3)),
-            (Parameter.SPEED_FEEDFORWARD_nV_s_count, round(gripper.constant_N_A * per_count * 1e9)),
+            (MotorParameter.WATCHDOG_ms, round(self._watchdog_s * 1e3)),
+            (MotorParameter.WATCHDOG_ACTION, IdleOutput.HOLD if holds else IdleOutput.OPEN_CIRCUIT),
+            (MotorParameter.STOP_AFTER_ms, round(self._stop.after_s * 1e3)),
+            (MotorParameter.STOP_TIME_ms, round(self._stop.time_s * 1e3)),
+            (MotorParameter.DISABLED_OUTPUT, IdleOutput.BRAKE if holds else IdleOutput.OPEN_CIRCUIT),
+            (MotorParameter.CURRENT_LIMIT_mA, round(gripper.current_limit_A * 1e3)),
+            (MotorParameter.VOLTAGE_LIMIT_mV, round(gripper.supply_V * 1e3)),
+            (MotorParameter.KP_uV_count, round(kp_V_m * per_count * 1e6)),
+            (MotorParameter.KI_uV_count_s, 0),
+            (MotorParameter.KD_nV_s_count, 0),
+            (MotorParameter.INTEGRAL_LIMIT_mV, round(gripper.resistance_ohm * gripper.current_limit_A * 1e3)),
+            (MotorParameter.SPEED_FEEDFORWARD_nV_s_count, round(gripper.constant_N_A * per_count * 1e9)),
         ]

@@ -16,7 +16,7 @@ from control.model.arm import Arm, Drive
 from control.model.end_effector import Gripper
 from control.model.joint_map import JointMap
 from firmware_iface.errors import BoardFaulted, BoardReset
-from firmware_iface.motor.wire import Fault
+from firmware_iface.motor.wire import MotorFault
 
 
 class GripperOnBoard:
@@ -40,7 +40,7 @@ class GripperOnBoard:
         feedback.current_A, feedback.reply_at_s = seen.current_A[joint], seen.reply_at_s[joint]
         feedback.is_enabled = seen.statusword[joint] & STATE_MASK == OPERATION_ENABLED
         self.torque.note(feedback.is_enabled)
-        feedback.faults = in_words(Fault(seen.drive_faults[joint]))
+        feedback.faults = in_words(MotorFault(seen.drive_faults[joint]))
         if self._encoder is not None:
             self._take_count(self._encoder)
         return feedback

@@ -82,7 +82,7 @@ class EndBoards:
             self.gripper.prepare()
 
 
-class Asked(Protocol):
+class Attended(Protocol):
     """A line whose boards speak only when they are asked."""
 
     def attend(self) -> None:
@@ -112,7 +112,7 @@ class Hardware(Protocol):
         """Wait until then; lines whose boards speak only when asked are served meanwhile, those of other arms `beside`, too."""
         ...
 
-    def polled_lines(self) -> Sequence[Asked]:
+    def polled_lines(self) -> Sequence[Attended]:
         """Those lines, as far as they are there."""
         ...
 

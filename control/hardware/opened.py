@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from control.hardware.roles import Drives, Encoders, Line, PolledLine
+from control.hardware.roles import AskedLine, Drives, Encoders, Line
 from firmware_iface.errors import LinkError
 
 
@@ -15,7 +15,7 @@ class Opened:
     encoders: list[Encoders] = field(default_factory=list)
     drives: list[Drives] = field(default_factory=list)
     lines: list[Line] = field(default_factory=list)
-    polled: list[PolledLine] = field(
+    polled: list[AskedLine] = field(
         default_factory=list
     )  # of `lines`: those that live from being attended to
     identities: list[tuple[str, str]] = field(default_factory=list)  # where, what the board says of itself

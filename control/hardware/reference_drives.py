@@ -14,8 +14,8 @@ from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, LinkError
 from firmware_iface.motor.board import MotorBoard, MotorBus
-from firmware_iface.motor.cia402 import State
-from firmware_iface.motor.wire import Mode, Output, Parameter
+from firmware_iface.motor.cia402 import DriveState
+from firmware_iface.motor.wire import IdleOutput, MotorParameter, SetpointMode
 
 ASK_COUNT_S = 0.04  # between two questions for a motor board's own count: 3 % of a 500 Hz bus
 FRESH_CYCLES = 2  # age of a count that is compared with one of another board
@@ -100,13 +100,13 @@ class ReferenceDrives:
         for joint, motor, sign in self._pairs:
             mode = modes[joint]
             target = self._target(wanted, motor)
-            is_driven = mode is OutputMode.VOLTAGE and motor.state is target is State.OPERATION_ENABLED
+            is_driven = mode is OutputMode.VOLTAGE and motor.state is target is DriveState.OPERATION_ENABLED
             sent_V[joint] = output[joint] if is_driven else math.nan
             if wanted is Wanted.AS_FOUND:
                 motor.ask_state()
-            elif wanted is Wanted.DISABLED and motor.state is State.FAULT and motor.has_torque:
+            elif wanted is Wanted.DISABLED and motor.state is DriveState.FAULT and motor.has_torque:
                 motor.step_fault_reset()  # the hold that its time-out began ends, as it was asked for
-            elif motor.state is target or motor.state is State.FAULT:
+            elif motor.state is target or motor.state is DriveState.FAULT:
                 self._command(joint, motor, sign, mode, output[joint], feedforward_V[joint])
             else:
                 with contextlib.suppress(BoardFaulted):  # the watch sees it in the feedback
@@ -114,11 +114,11 @@ class ReferenceDrives:
         if wanted.is_on:
             self._ask_motor_count(feedback)
 
-    def _target(self, wanted: Wanted, motor: MotorBoard) -> State:
+    def _target(self, wanted: Wanted, motor: MotorBoard) -> DriveState:
         is_on = wanted is Wanted.ENABLING or (
-            wanted is Wanted.ENABLED and motor.state is State.OPERATION_ENABLED
+            wanted is Wanted.ENABLED and motor.state is DriveState.OPERATION_ENABLED
         )
-        return State.OPERATION_ENABLED if is_on else State.SWITCH_ON_DISABLED
+        return DriveState.OPERATION_ENABLED if is_on else DriveState.SWITCH_ON_DISABLED
 
     def _command(
         self, joint: int, motor: MotorBoard, sign: float, mode: OutputMode, output: float, forward_V: float
@@ -165,7 +165,7 @@ class ReferenceDrives:
 
     def is_any_enabled(self) -> bool:
         """Whether a drive was in OPERATION ENABLED in its last reply."""
-        return any(motor.state is State.OPERATION_ENABLED for _, motor, _ in self._pairs)
+        return any(motor.state is DriveState.OPERATION_ENABLED for _, motor, _ in self._pairs)
 
     def has_torque(self, joint: int) -> bool:
         """Whether the board is in operation, or holds after its watchdog has expired."""
@@ -179,7 +179,7 @@ class ReferenceDrives:
             if self._configured_resets[wired.joint] != wired.motor.resets:
                 if wired.motor.resets:
                     wired.motor.identify(self._serial_numbers[wired.joint])
-                wired.motor.go_to(State.SWITCH_ON_DISABLED)
+                wired.motor.go_to(DriveState.SWITCH_ON_DISABLED)
                 for index, value in self._parameters(wired):
                     wired.motor.write(index, value)
                 self._configured_resets[wired.joint] = wired.motor.resets
@@ -206,35 +206,35 @@ class ReferenceDrives:
         """Sense of the motor board's own encoder, which counts up with positive voltage, relative to the joint's."""
         return drive.motor_direction * drive.encoder_direction
 
-    def _parameters(self, wired: DriveWiring) -> list[tuple[Parameter, int]]:
+    def _parameters(self, wired: DriveWiring) -> list[tuple[MotorParameter, int]]:
         """Parameters of a board: limits, what it does without the host, and its PID in volts per count of its own encoder."""
         drive = wired.drive
         gains = wired.gains if can_hold(drive) else NO_GAINS
         per_count = abs(self._maps[wired.joint].radians_per_count)
         volts_per_rad_s = drive.gear_ratio * drive.torque_constant_Nm_A
         parameters = [
-            (Parameter.WATCHDOG_ms, self._watchdog_ms),
-            (Parameter.WATCHDOG_ACTION, Output.HOLD),
-            (Parameter.STOP_AFTER_ms, round(self._board_stop.after_s * 1e3)),
-            (Parameter.STOP_TIME_ms, round(self._board_stop.time_s * 1e3)),
-            (Parameter.DISABLED_OUTPUT, Output.BRAKE),
-            (Parameter.VOLTAGE_LIMIT_mV, round(drive.supply_V * 1e3)),
-            (Parameter.KP_uV_count, round(gains.kp * per_count * 1e6)),
-            (Parameter.KI_uV_count_s, round(gains.ki * per_count * 1e6)),
-            (Parameter.KD_nV_s_count, round(gains.kd * per_count * 1e9)),
-            (Parameter.DERIVATIVE_FILTER_us, round(gains.derivative_filter_s * 1e6)),
-            (Parameter.INTEGRAL_LIMIT_mV, round(FULL_INTEGRAL * drive.supply_V * 1e3)),
-            (Parameter.SPEED_FEEDFORWARD_nV_s_count, round(volts_per_rad_s * per_count * 1e9)),
+            (MotorParameter.WATCHDOG_ms, self._watchdog_ms),
+            (MotorParameter.WATCHDOG_ACTION, IdleOutput.HOLD),
+            (MotorParameter.STOP_AFTER_ms, round(self._board_stop.after_s * 1e3)),
+            (MotorParameter.STOP_TIME_ms, round(self._board_stop.time_s * 1e3)),
+            (MotorParameter.DISABLED_OUTPUT, IdleOutput.BRAKE),
+            (MotorParameter.VOLTAGE_LIMIT_mV, round(drive.supply_V * 1e3)),
+            (MotorParameter.KP_uV_count, round(gains.kp * per_count * 1e6)),
+            (MotorParameter.KI_uV_count_s, round(gains.ki * per_count * 1e6)),
+            (MotorParameter.KD_nV_s_count, round(gains.kd * per_count * 1e9)),
+            (MotorParameter.DERIVATIVE_FILTER_us, round(gains.derivative_filter_s * 1e6)),
+            (MotorParameter.INTEGRAL_LIMIT_mV, round(FULL_INTEGRAL * drive.supply_V * 1e3)),
+            (MotorParameter.SPEED_FEEDFORWARD_nV_s_count, round(volts_per_rad_s * per_count * 1e9)),
         ]
         if math.isfinite(drive.current_limit_A):
-            parameters.append((Parameter.CURRENT_LIMIT_mA, round(drive.current_limit_A * 1e3)))
+            parameters.append((MotorParameter.CURRENT_LIMIT_mA, round(drive.current_limit_A * 1e3)))
         return parameters
 
     def _follow_position_count(self, wired: DriveWiring, fresh_count: Callable[[int], int]) -> None:
         """Offset of the motor board's count from the encoder board's, both read at rest."""
         drive = wired.drive
-        if drive.pid.mode != Mode.POSITION.name.lower():
+        if drive.pid.mode != SetpointMode.POSITION.name.lower():
             return
         count = fresh_count(wired.joint)
-        own_count = wired.motor.read(Parameter.POSITION_COUNT)
+        own_count = wired.motor.read(MotorParameter.POSITION_COUNT)
         self._position_offset_count[wired.joint] = own_count - self._sense(drive) * count

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from control.hardware.interface import Asked, Feedback, OutputMode
+from control.hardware.interface import Attended, Feedback, OutputMode
 from control.hardware.words import Wanted
 
 
@@ -25,7 +25,7 @@ class Line(Protocol):
         ...
 
 
-class PolledLine(Line, Asked, Protocol):
+class AskedLine(Line, Attended, Protocol):
     """A line whose boards speak only when they are asked."""
 
 

@@ -8,7 +8,7 @@ from control.model.camera import Camera, CameraStream
 from firmware_iface.camera import TIP_SOURCE, CameraReceiver
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
-from firmware_iface.mocap.bodies import BodyFrame, BodyStream, Pose, Quaternion, Vector, compose, inverse
+from firmware_iface.mocap.bodies import BodyFrame, BodyStream, Quaternion, RigidPose, Vector, compose, inverse
 from firmware_iface.mocap.leaps import LeapWatch
 from firmware_iface.mocap.open_stream import open_stream
 from firmware_iface.mocap.steady import SteadyPose
@@ -78,7 +78,7 @@ class BodyCamera:
     def __init__(self, stream: BodyStream, how: CameraStream) -> None:
         self.has_own_frame = not how.is_placed
         self._stream, self._body, self._base_body = stream, how.body, how.base_body
-        self._place = None if how.origin_m is None else Pose(how.origin_m, how.orientation)
+        self._place = None if how.origin_m is None else RigidPose(how.origin_m, how.orientation)
         self._leaps, self._base = LeapWatch(), SteadyPose()
         self._problem, self._is_lost = WITHOUT_A_STREAM, False
 
@@ -101,7 +101,7 @@ class BodyCamera:
             self._is_lost, self._problem = True, f"{error}; restart `armwright serve` once it is back"
             return []
 
-    def _of(self, frame: BodyFrame) -> Pose:
+    def _of(self, frame: BodyFrame) -> RigidPose:
         poses = {body.name: body.pose for body in frame.bodies}
         pose = poses[self._body]
         if self._base_body:

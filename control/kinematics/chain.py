@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Row = Sequence[Scalar]  # d, theta, L, alpha of one link
 
 
-class Step(NamedTuple):
+class ChainStep(NamedTuple):
     """One step of the chain: a move along and a turn about the x or the z of the moving frame.
 
     `turn` is the constant part of the angle, `joint` (0-based) the joint that adds to it, `link` its row.
@@ -32,19 +32,19 @@ class Step(NamedTuple):
     link: int
 
 
-def steps(dh: Sequence[Row], joints: Sequence[bool], convention: Convention) -> list[Step]:
+def steps(dh: Sequence[Row], joints: Sequence[bool], convention: Convention) -> list[ChainStep]:
     """Return the chain as steps from the base to the last frame."""
     result = []
     joint = 0
     for link, ((d, theta, length, alpha), turns) in enumerate(zip(dh, joints, strict=True)):
-        along_z = Step("z", d, theta, joint if turns else None, link)
-        along_x = Step("x", length, alpha, None, link)
+        along_z = ChainStep("z", d, theta, joint if turns else None, link)
+        along_x = ChainStep("x", length, alpha, None, link)
         result += [along_z, along_x] if convention == "standard" else [along_x, along_z]
         joint += turns
     return result
 
 
-def tip(chain: Sequence[Step], q: Sequence[Scalar], tool_m: Sequence[Scalar]) -> tuple[Scalar, ...]:
+def tip(chain: Sequence[ChainStep], q: Sequence[Scalar], tool_m: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """Return the tip in the base frame, from the last frame inwards.
 
     Turns about parallel axes (every step between them an x-step without a turn) are summed before any sine is
@@ -56,9 +56,9 @@ def tip(chain: Sequence[Step], q: Sequence[Scalar], tool_m: Sequence[Scalar]) ->
     return x, y, z
 
 
-def _parallel_groups(chain: Sequence[Step]) -> Iterator[list[Step]]:
+def _parallel_groups(chain: Sequence[ChainStep]) -> Iterator[list[ChainStep]]:
     """Split the chain before each x-step that turns the axis."""
-    group: list[Step] = []
+    group: list[ChainStep] = []
     for step in chain:
         if step.axis == "x" and not _is_nothing(step.turn):
             yield group
@@ -69,7 +69,9 @@ def _parallel_groups(chain: Sequence[Step]) -> Iterator[list[Step]]:
     yield group
 
 
-def _through_group(group: Sequence[Step], q: Sequence[Scalar], v: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+def _through_group(
+    group: Sequence[ChainStep], q: Sequence[Scalar], v: tuple[Scalar, ...]
+) -> tuple[Scalar, ...]:
     x, y, z = v
     if len(group) == 1 and group[0].axis == "x":
         c, s = cos(group[0].turn), sin(group[0].turn)
@@ -130,7 +132,7 @@ def link_transforms(dh: Array, q: Array, joints: Sequence[bool], convention: Con
     return frames
 
 
-def _step_matrices(step: Step, turn: Array) -> Array:
+def _step_matrices(step: ChainStep, turn: Array) -> Array:
     matrices = np.zeros((len(turn), 4, 4))
     matrices[:, 3, 3] = 1.0
     k = 0 if step.axis == "x" else 2

@@ -56,7 +56,7 @@ BRANCHES = (
 )
 
 
-class Margins(NamedTuple):
+class SingularityMargins(NamedTuple):
     """Distance of a pose from its singularities.
 
     `shoulder_m`: distance of the tip from axis 1 within the arm's plane, negative in the branch "back";
@@ -153,12 +153,12 @@ class PlanarInverse:
         from_shoulder = hypot((u if branch.shoulder == "front" else -u) - self._a_u, z - self._a_z)
         return max(from_shoulder - (self.l2 + self.l3), abs(self.l2 - self.l3) - from_shoulder, 0.0)
 
-    def margins(self, q: Sequence[float]) -> Margins:
+    def margins(self, q: Sequence[float]) -> SingularityMargins:
         """Return the distances of a pose of the (nearest) ideal structure from its singularities."""
         bend = wrapped(self._b3 - self._b2 - self._s3 * q[2])
         upper = self._b2 - self._s2 * q[1]
         u = self._a_u + self.l2 * math.cos(upper) + self.l3 * math.cos(upper + bend)
-        return Margins(u, -bend if u >= 0.0 else bend)
+        return SingularityMargins(u, -bend if u >= 0.0 else bend)
 
     def branch(self, q: Sequence[float]) -> Branch:
         """Return the branch of a pose."""

@@ -83,7 +83,7 @@ class PoseKinematics:
         return q, tuple(position), rotation, (*map(tuple, linear), *map(tuple, angular))
 
 
-def _turned(steps: Sequence[chain.Step], q: Sequence[Scalar], direction: Vector3) -> tuple[Scalar, ...]:
+def _turned(steps: Sequence[chain.ChainStep], q: Sequence[Scalar], direction: Vector3) -> tuple[Scalar, ...]:
     """A direction of the frame that the steps lead to, in the base frame: the chain without its lengths."""
     return chain.tip([step._replace(move=0.0) for step in steps], q, direction)
 

@@ -110,7 +110,7 @@ class Presence:
 
 
 class Neighbours:
-    """The other arms of one arm; meets `control.motion.guard.Beside`."""
+    """The other arms of one arm; meets `control.motion.guard.Obstacles`."""
 
     def __init__(self, own: Presence, others: Sequence[Presence], clearance_m: float) -> None:
         self._own, self._others, self.clearance_m = own, others, clearance_m

@@ -2,13 +2,13 @@
 
 import math
 
-from control.end_effector.grip_state import State
+from control.end_effector.grip_state import GripState
 from control.loop import set_points
 from control.loop.arm_state import ArmState
 from control.recording.record import COUNT_MOST
 from control.safety.table import Mode
 
-GRIPPER_STATE_NUMBER = {state: number for number, state in enumerate(State)}
+GRIPPER_STATE_NUMBER = {state: number for number, state in enumerate(GripState)}
 MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
 
 

@@ -29,7 +29,7 @@ DRIVE_FAULTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class JointLimits:
+class MeasuredLimits:
     """Limits of one joint's measured values; allowed following error = base + per_speed * |speed|."""
 
     lower_rad: float
@@ -54,7 +54,7 @@ class WatchLimits:
     the age by the clock, pauses and all.
     """
 
-    joints: tuple[JointLimits, ...]
+    joints: tuple[MeasuredLimits, ...]
     stale_s: float
     silent_s: float
     missed_in_row: int
@@ -285,7 +285,7 @@ class Watch:
     def _motion(
         self,
         joint: int,
-        limit: JointLimits,
+        limit: MeasuredLimits,
         q_rad: float,
         speed_rad_s: float,
         q_set_rad: float,
@@ -316,7 +316,7 @@ class Watch:
         if expected.is_homed:
             yield from self._range(joint, limit, q_rad, q_set_rad)
 
-    def _range(self, joint: int, limit: JointLimits, q_rad: float, q_set_rad: float) -> Iterator[Fault]:
+    def _range(self, joint: int, limit: MeasuredLimits, q_rad: float, q_set_rad: float) -> Iterator[Fault]:
         if not limit.holds(q_rad, q_set_rad):
             yield Fault(
                 "joint_range",

@@ -20,7 +20,7 @@ Corrected = Literal["torque", "encoder", "gear", "not"]
 
 
 @dataclass(frozen=True, slots=True)
-class Linear:
+class LinearForm:
     """Parameters as unknowns that an effect is linear in, and back.
 
     `values` of the file's parameters; `parameters` of values; `slopes`: derivatives of the parameters by the values, one row a
@@ -33,23 +33,23 @@ class Linear:
     is_possible: Callable[[Sequence[float]], bool] = lambda v: True
 
 
-def itself(parameter: str, nothing: float = 0.0) -> Linear:
+def itself(parameter: str, nothing: float = 0.0) -> LinearForm:
     """The parameter, counted from the value at which there is no effect."""
-    return Linear(
+    return LinearForm(
         lambda p: (p[parameter] - nothing,), lambda v: {parameter: v[0] + nothing}, lambda v: ((1.0,),)
     )
 
 
-def width(parameter: str) -> Linear:
+def width(parameter: str) -> LinearForm:
     """The parameter, which is above 0."""
-    return Linear(
+    return LinearForm(
         lambda p: (p[parameter],), lambda v: {parameter: v[0]}, lambda v: ((1.0,),), lambda v: v[0] > 0.0
     )
 
 
-def inverse(parameter: str) -> Linear:
+def inverse(parameter: str) -> LinearForm:
     """One over the parameter: the compliance of a stiffness, which is above 0."""
-    return Linear(
+    return LinearForm(
         lambda p: (1.0 / p[parameter],),
         lambda v: {parameter: 1.0 / v[0]},
         lambda v: ((-1.0 / v[0] ** 2,),),
@@ -57,7 +57,7 @@ def inverse(parameter: str) -> Linear:
     )
 
 
-def wave(amplitude: str) -> Linear:
+def wave(amplitude: str) -> LinearForm:
     """A sin(x + phase) = a sin(x) + b cos(x) with a = A cos(phase), b = A sin(phase)."""
 
     def values(p: Mapping[str, float]) -> tuple[float, ...]:
@@ -70,7 +70,7 @@ def wave(amplitude: str) -> Linear:
         size = max(math.hypot(v[0], v[1]), 1e-300)
         return (v[0] / size, v[1] / size), (-v[1] / size / size, v[0] / size / size)
 
-    return Linear(values, parameters, slopes, any)
+    return LinearForm(values, parameters, slopes, any)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class EffectKind:
     not_negative: tuple[str, ...] = ()
     pattern: str = ""  # parameter names beyond those listed
     one_of: tuple[str, ...] = ()  # exactly one of these
-    linear: Linear | None = None  # its unknowns, in which two of a kind add up; None where they do not
+    linear: LinearForm | None = None  # its unknowns, in which two of a kind add up; None where they do not
     alike: tuple[str, ...] = ()  # parameters that have to be the same for that
     torque: laws.TorqueLaw | None = None  # what the motor has to add
     is_dry: bool = False  # friction that holds at rest, up to torque_Nm

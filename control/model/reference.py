@@ -61,7 +61,7 @@ class Key:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Section:
+class FileSection:
     """One table of the file: its header, what it is, whether it may be absent, its keys."""
 
     header: str
@@ -69,7 +69,7 @@ class Section:
     keys: tuple[Key, ...]
 
 
-def sections() -> tuple[Section, ...]:
+def sections() -> tuple[FileSection, ...]:
     """Every table of an arm.toml, in the order in which the dataclasses name them."""
     return tuple(_sections("", Arm))
 
@@ -106,9 +106,9 @@ def _rows(keys: tuple[Key, ...]) -> Iterator[str]:
         yield from (" " * indent + line for line in text[1:])
 
 
-def _sections(header: str, kind: type[Any]) -> Iterator[Section]:
+def _sections(header: str, kind: type[Any]) -> Iterator[FileSection]:
     hints = get_type_hints(kind, include_extras=True)
-    inner: list[Section] = []
+    inner: list[FileSection] = []
     keys: list[Key] = []
     for name, field in keys_of(kind).items():
         table, is_list = _table_in(hints[field.name])
@@ -118,7 +118,7 @@ def _sections(header: str, kind: type[Any]) -> Iterator[Section]:
         parent = header.strip("[]")
         path = f"{parent}.{name}" if parent else name
         inner += _sections(f"[[{path}]]" if is_list else f"[{path}]", table)
-    yield Section(header, (kind.__doc__ or "").strip().replace("\n    ", "\n"), tuple(keys))
+    yield FileSection(header, (kind.__doc__ or "").strip().replace("\n    ", "\n"), tuple(keys))
     yield from inner
 
 

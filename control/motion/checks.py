@@ -18,7 +18,7 @@ from control.motion.errors import PathError
 from control.motion.joint_limits import JointLimits
 from control.motion.samples import Array, JointSamples, TipSamples
 from control.motion.waypoints import Waypoints
-from control.safety.workspace import Body, Workspace
+from control.safety.workspace import LinkThickness, Workspace
 
 # Smallest singular value of J [m/rad] allowed on a path: with less, a tip speed of 0.02 m/s needs 1
 # rad/s.
@@ -126,7 +126,7 @@ def check_room(
     An arm that begins inside may move out.
     """
     corners, workspace = Corners(arm), Workspace.of(arm)
-    body = Body(corners.radii_m, corners.first_free)
+    body = LinkThickness(corners.radii_m, corners.first_free)
     for distance_m, what in workspace.clearances(corners.batch(q_rad), body):
         allowed_m = min(float(distance_m[0]), 0.0) - _DEEPER_M
 

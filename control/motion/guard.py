@@ -20,11 +20,11 @@ from control.model.arm import Arm
 from control.motion.errors import MotionError
 from control.motion.jog_limits import reach_m
 from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import HARDEST, Stop, StraightStop
+from control.motion.joint_move import HARDEST, StopMotion, StraightStop
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion, SetPoint
-from control.safety.workspace import Body, Clearance, Workspace
+from control.safety.workspace import Clearance, LinkThickness, Workspace
 
 STEP_rad = 0.02  # between checked poses of a joint move: 15 mm at 0.75 m
 _STOP_STEP_s = (
@@ -38,11 +38,11 @@ _CLOSE_STEP_s, _CLOSE_POSES = (
     0.01,
     150,
 )  # of a motion that begins inside of something: as close as the loop looks
-_TIP_ALONE = Body((0.0,))
+_TIP_ALONE = LinkThickness((0.0,))
 _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_radius_m, and [table], say where they are"
 
 
-class Beside(Protocol):
+class Obstacles(Protocol):
     """What stands beside the arm, and itself: other arms of its cell."""
 
     def objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float], looks_ahead: bool) -> str:
@@ -59,8 +59,8 @@ class Guard:
     def __init__(self, arm: Arm, limits: JointLimits) -> None:
         self._corners, self._workspace, self._limits = Corners(arm), Workspace.of(arm), limits
         self._reach_m = reach_m(arm)
-        self.beside: Beside | None = None
-        self._body = Body(self._corners.radii_m, self._corners.first_free)
+        self.beside: Obstacles | None = None
+        self._body = LinkThickness(self._corners.radii_m, self._corners.first_free)
         self._corners.batch([(0.0,) * arm.joint_count])  # compiled now, not between two cycles
         self.clearance((0.0,) * arm.joint_count)
 
@@ -97,12 +97,12 @@ class Guard:
         way_m = self._reach_m * sum(abs(q - p) for q, p in zip(rest_rad, wanted.q_rad, strict=True))
         if self._workspace.is_far(self._corners.at(*rest_rad), self._body, way_m):
             return ""
-        deepest = self._deepest(Stop(wanted, self._limits))
+        deepest = self._deepest(StopMotion(wanted, self._limits))
         return deepest.what if self._is_deeper(deepest, here.q_rad) else ""
 
     def stop_from(self, state: SetPoint) -> Motion:
         """The gentlest stop that meets nothing: each joint for itself, or all on a line, ever harder; else the least deep one."""
-        best: Motion = Stop(state, self._limits)
+        best: Motion = StopMotion(state, self._limits)
         least = self._deepest(best)
         if not self._is_deeper(least, state.q_rad) or not any(state.speed_rad_s):
             return best
@@ -183,7 +183,11 @@ class Guard:
         self._require_clear(corners, np.asarray(times_s), self.clearance(here_rad), self._body)
 
     def _require_clear(
-        self, corners: list[NDArray[np.float64]], times_s: NDArray[np.float64], here: Clearance, body: Body
+        self,
+        corners: list[NDArray[np.float64]],
+        times_s: NDArray[np.float64],
+        here: Clearance,
+        body: LinkThickness,
     ) -> None:
         found = list(self._workspace.clearances(corners, body))
         if not found:

@@ -63,7 +63,7 @@ class JointMove:
         return _sample(self._trajectory, time_s)
 
 
-class Stop:
+class StopMotion:
     """Jerk-limited stop of each joint from `state`, each as soon as its limits allow.
 
     If the normal stop would leave a joint's range, that joint brakes harder, by the steps of `_HARDER`.

@@ -24,7 +24,7 @@ from control.model.arm import Arm
 from control.motion import checks
 from control.motion.errors import PathError
 from control.motion.following.by_posture import PostureFollower
-from control.motion.following.follower import Followed, Follower, Pose, Start
+from control.motion.following.follower import Followed, Follower, PathStart, Pose
 from control.motion.following.on_branch import BranchFollower
 from control.motion.following.orientation import turns_rad
 from control.motion.following.sections import BOUND_M, BOUND_RAD, JointSections, joint_sections
@@ -186,7 +186,7 @@ def _prepared(
     pace_m_s: float,
     inverse: InverseKinematics | None,
     kinematics: Kinematics | None,
-) -> tuple["_Planner", TimedWaypoints, Iterator[Start]]:
+) -> tuple["_Planner", TimedWaypoints, Iterator[PathStart]]:
     """What plans the path, its times, and the starts to try, the nearest first."""
     named = (
         waypoints if isinstance(waypoints, Waypoints) else Waypoints(tuple(checked_points(waypoints)), None)
@@ -201,7 +201,7 @@ def _prepared(
     return _Planner(arm, kinematics, follower, named, setup), recipe, starts
 
 
-def _first(planner: "_Planner", recipe: TimedWaypoints, starts: Iterable[Start]) -> PlannedPath:
+def _first(planner: "_Planner", recipe: TimedWaypoints, starts: Iterable[PathStart]) -> PlannedPath:
     """The plan from the first start that can be run; else the first start's error."""
     problems: list[ArmError] = []
     for start in starts:
@@ -234,7 +234,7 @@ class _Planner:
         self._waypoints, self._setup = waypoints, setup
         self._limits = JointLimits.of(arm)
 
-    def plan(self, recipe: TimedWaypoints, start: Start) -> PlannedPath:
+    def plan(self, recipe: TimedWaypoints, start: PathStart) -> PlannedPath:
         """Check, slow, check again; PathError if the path cannot be run from `start`."""
         self._follower.check(start)
         asked = np.diff(recipe.spline().times_s)
@@ -256,7 +256,7 @@ class _Planner:
         return PlannedPath(spline, seen.at_waypoints, str(start.branch or ""), slowdowns, joints)
 
     def as_timed(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, start: Start
+        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart
     ) -> tuple[PlannedPath, float, str]:
         """Check, and slow the whole path by one factor; with the factor and the limit. PathError if it cannot be run."""
         self._follower.check(start)
@@ -271,7 +271,7 @@ class _Planner:
         self,
         recipe: TimedWaypoints,
         spline: CartesianSpline,
-        start: Start,
+        start: PathStart,
         causes: dict[int, tuple[float, int, str]],
     ) -> tuple[Followed, float]:
         """The whole path followed and checked, and how many times slower it must be, at least 1."""

@@ -3,7 +3,7 @@
 from typing import Any
 
 from control.dynamics.joint_side import has_joint_side
-from control.end_effector.grip_state import State
+from control.end_effector.grip_state import GripState
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.recording.record import Layout
@@ -28,7 +28,7 @@ def about_columns(arm: Arm) -> dict[str, Any]:
     if arm.spare_tools:
         about["tools"] = [tool.name for tool in arm.tools]
     if arm.gripper is not None:
-        about["gripper_states"] = [state.name for state in State]
+        about["gripper_states"] = [state.name for state in GripState]
     if arm.digital:
         about["digital"] = [pin.name for pin in arm.digital]
     return about

@@ -10,7 +10,7 @@ INFORMATION, WARNING, ERROR = 2, 3, 4  # Foxglove's levels
 SAID_EVERY_s: Final = 1.0  # missed deadlines come in bursts: one message per second is enough
 
 
-class Events:
+class CycleChanges:
     """Compares each cycle with the last and describes the changes."""
 
     def __init__(self, modes: Sequence[str]) -> None:

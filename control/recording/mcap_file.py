@@ -25,7 +25,7 @@ from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.model.description import parse_arm
 from control.recording import mcap_scene as scene
-from control.recording.mcap_events import Events, mode_name
+from control.recording.mcap_events import CycleChanges, mode_name
 from control.recording.mcap_schemas import CAMERA, ERROR, LOOP, TOPICS, columns_of, schemas_of
 from control.recording.reading import Recording
 
@@ -141,7 +141,7 @@ class _Export:
             None  # time of the day [ns] and of the loop of the first row of all arms
         )
         self._next_scene_s = -math.inf
-        self._events = Events(recording.modes)
+        self._events = CycleChanges(recording.modes)
         self._channels = self._registered(layout.joint_count)
         self._kinematics = Kinematics(arm) if arm else None
         self._paths = _commanded_paths(recording, self._columns, self._kinematics) if self._kinematics else {}

@@ -131,7 +131,7 @@ class PartFile:
             os.close(self._fd)
 
 
-class Parts:
+class RecordingParts:
     """Appends rows to the recording `first`, which already has its header, and to its later parts.
 
     `say` is called once when rows are lost and once when recording resumes. `now_s` times the retries.

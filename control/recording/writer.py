@@ -22,7 +22,7 @@ from pathlib import Path
 from control.recording.parts import has_part, last_part
 from control.recording.reading import Recording
 from control.recording.recorder_state import RecorderState
-from control.recording.rotation import Parts, Policy, begin_next
+from control.recording.rotation import Policy, RecordingParts, begin_next
 
 GATHER_s = 0.02  # longest time that rows wait in the pipe; a killed writer loses no more
 REPORT_s = 0.5
@@ -30,7 +30,7 @@ CHUNK_bytes = 1 << 16
 RESTART_s = 0.1  # pause before a killed writer is replaced, in case the next one is killed, too
 
 
-def copy(source: int, parts: Parts, row_bytes: int, report: Callable[[RecorderState], None]) -> None:
+def copy(source: int, parts: RecordingParts, row_bytes: int, report: Callable[[RecorderState], None]) -> None:
     """Copy rows from a pipe until its other end closes; an incomplete last row is dropped."""
     rest, report_at_s, was_on = b"", 0.0, True
     while True:
@@ -57,7 +57,7 @@ def main() -> None:
     first, rotate_bytes, keep_bytes = sys.argv[1:]
     os.set_blocking(sys.stdout.fileno(), False)  # never wait for a loop that does not read the reports
     path = _supervised(Path(first))
-    parts = Parts(path, Policy(int(rotate_bytes), int(keep_bytes)), _say)
+    parts = RecordingParts(path, Policy(int(rotate_bytes), int(keep_bytes)), _say)
     copy(sys.stdin.fileno(), parts, parts.row_bytes, _report)
     parts.close()
 

@@ -31,7 +31,7 @@ class Clearance(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class LinkThickness:
     """What the corners do not say: how thick the body is that ends at each [m], and where it gets free of the base.
 
     The body before the corner `first_free` hangs on the base and always meets it. The tip is a point: it may touch.
@@ -48,8 +48,8 @@ class Body:
         object.__setattr__(self, "thickest_m", max(self.radii_m))
 
 
-def _lines(corners: int) -> Body:
-    return Body((0.0,) * corners)
+def _lines(corners: int) -> LinkThickness:
+    return LinkThickness((0.0,) * corners)
 
 
 class _Library(NamedTuple):
@@ -66,7 +66,7 @@ _ARRAYS = _Library(np.minimum, np.maximum, np.where, lambda heights: float(np.mi
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class TiltedBoard:
     """A calibration board that may be tilted about its centre: it covers a disc of the table."""
 
     origin_m: tuple[float, float, float]
@@ -81,7 +81,7 @@ class Workspace:
 
     floor_z_m: float
     tolerance_m: float
-    board: Board | None
+    board: TiltedBoard | None
     base_top_m: float
     base_radius_m: float
 
@@ -97,7 +97,7 @@ class Workspace:
             limits.base_radius_m,
         )
 
-    def clearance(self, corners: Sequence[Point], body: Body | None = None) -> Clearance:
+    def clearance(self, corners: Sequence[Point], body: LinkThickness | None = None) -> Clearance:
         """The least clearance of an arm whose body runs along `corners` (floats). ArmError if one is not finite.
 
         `body`: without it, lines.
@@ -111,7 +111,7 @@ class Workspace:
                 least_m, about = distance_m, what
         return Clearance(least_m, about)
 
-    def is_far(self, corners: Sequence[Point], body: Body, way_m: float) -> bool:
+    def is_far(self, corners: Sequence[Point], body: LinkThickness, way_m: float) -> bool:
         """Whether the arm surely meets nothing, however each of its points (floats) moves by up to `way_m`.
 
         Quick, for the cycle: where it is False, `clearance` tells. False, too, if a position is not finite.
@@ -132,11 +132,15 @@ class Workspace:
             or _is_beside_axis(corners[body.first_free :], reach_m + around_m)
         )
 
-    def clearances(self, corners: Sequence[Any], body: Body | None = None) -> Iterator[tuple[Any, str]]:
+    def clearances(
+        self, corners: Sequence[Any], body: LinkThickness | None = None
+    ) -> Iterator[tuple[Any, str]]:
         """For arrays: the clearances [m] of what may be near at all, and what each is about."""
         return self._clearances(corners, body or _lines(len(corners)), _ARRAYS)
 
-    def _clearances(self, corners: Sequence[Point], body: Body, of: _Library) -> Iterator[tuple[Any, str]]:
+    def _clearances(
+        self, corners: Sequence[Point], body: LinkThickness, of: _Library
+    ) -> Iterator[tuple[Any, str]]:
         lowest_m = of.lowest([corner[2] for corner in corners]) - body.thickest_m
         if not lowest_m >= self.floor_z_m - self.tolerance_m:
             yield from self._above_ground(corners, body, of)
@@ -150,7 +154,9 @@ class Workspace:
                     _BASE,
                 )
 
-    def _above_ground(self, corners: Sequence[Point], body: Body, of: _Library) -> Iterator[tuple[Any, str]]:
+    def _above_ground(
+        self, corners: Sequence[Point], body: LinkThickness, of: _Library
+    ) -> Iterator[tuple[Any, str]]:
         last = len(corners) - 1
         for number, ((x, y, z), radius_m) in enumerate(zip(corners, body.at_corners_m, strict=True)):
             yield z - radius_m - self._ground(x, y, of), _TIP if number == last else _BODY
@@ -177,12 +183,12 @@ _BODY = "the arm would be below the floor or table"
 _BASE = "the arm would meet its own base"
 
 
-def _board_of(arm: Arm) -> Board | None:
+def _board_of(arm: Arm) -> TiltedBoard | None:
     table = arm.table
     if table is None or not table.known_pose or table.origin_m is None:
         return None
     reach_m = max((math.hypot(x, y) for x, y, _ in board_cavities(table).values()), default=0.0)
-    return Board(
+    return TiltedBoard(
         table.origin_m,
         reach_m + BOARD_MARGIN_m,
         math.tan(table.roll_tilt_rad),

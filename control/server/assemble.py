@@ -35,8 +35,7 @@ from control.loop.neighbours import guard_itself
 from control.loop.parts import Checks, Parts, ToolParts
 from control.loop.punctuality import Strain
 from control.loop.runtime import Runtime
-from control.loop.watch import JointLimits as MeasuredLimits
-from control.loop.watch import Watch, WatchLimits
+from control.loop.watch import MeasuredLimits, Watch, WatchLimits
 from control.model.arm import Arm, Drive
 from control.model.board_kinds import BoardKind
 from control.model.cell import Cell
@@ -44,7 +43,7 @@ from control.model.joint_map import JointMap
 from control.motion.guard import Guard
 from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import Stop
+from control.motion.joint_move import StopMotion
 from control.motion.trajectory import prepare
 from control.recording.layout import layout_of
 from control.recording.record import NoSink, Recorder, RowSink
@@ -103,7 +102,7 @@ def assemble(
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
         homing=lambda: HomingSequence(_homes(arm), hardware),
         gravity_compensation=_gravity_compensation(arm, servo, names, limits),
-        stop_from=lambda state: Stop(state, limits),
+        stop_from=lambda state: StopMotion(state, limits),
         tools=tools,
         tool=tools[arm.tool.name],
         loads=loads,

@@ -4,14 +4,14 @@ from msgspec import UNSET
 
 from control.errors import ArmError
 from control.loop.jogging import JogRequest, JointSpeeds, JointStep, TipStep, TipVelocity
-from control.server.messages import Jog, numbers
+from control.server.messages import StartJog, numbers
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 KINDS = ("joint_speed_rad_s", "tip_velocity_m_s", "tip_turn_rad_s", "joint", "axis")
 _STILL = (0.0, 0.0, 0.0)
 
 
-def jog_request(request: Jog, joint_count: int) -> JogRequest:
+def jog_request(request: StartJog, joint_count: int) -> JogRequest:
     """The jog that is asked for. ArmError says what is wrong; whether the arm can follow is not checked here."""
     kinds = [kind for kind in KINDS if getattr(request, kind) is not UNSET]
     if len(kinds) != 1 and kinds != ["tip_velocity_m_s", "tip_turn_rad_s"]:
@@ -26,7 +26,7 @@ def jog_request(request: Jog, joint_count: int) -> JogRequest:
     return _joint_step(request, joint_count) if request.joint is not UNSET else _tip_step(request)
 
 
-def _joint_step(request: Jog, joint_count: int) -> JointStep:
+def _joint_step(request: StartJog, joint_count: int) -> JointStep:
     if request.joint is UNSET or not 1 <= request.joint <= joint_count:
         raise ArmError(
             f"request 'jog': expected joint to be a whole number from 1 to {joint_count}, got {request.joint}"
@@ -36,7 +36,7 @@ def _joint_step(request: Jog, joint_count: int) -> JointStep:
     return JointStep(request.joint - 1, request.by_rad, request.speed_rad_s)
 
 
-def _tip_step(request: Jog) -> TipStep:
+def _tip_step(request: StartJog) -> TipStep:
     if request.axis not in AXES:
         raise ArmError(f"request 'jog': expected axis to be one of {', '.join(AXES)}, got {request.axis!r}")
     index, of_tip = AXES.index(request.axis), request.frame == "tip"

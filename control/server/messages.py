@@ -56,7 +56,7 @@ class Owned(_Message, kw_only=True):
     detached: bool = False
 
 
-class Home(Owned, tag="home", kw_only=True):
+class StartHoming(Owned, tag="home", kw_only=True):
     """Search the zeros."""
 
     again: bool = False
@@ -112,7 +112,7 @@ class MoveTogether(Owned, tag="move_together", kw_only=True):
     moves: Mapping[str, OfOneArm]
 
 
-class Jog(_Message, tag="jog", kw_only=True):
+class StartJog(_Message, tag="jog", kw_only=True):
     """A velocity, or a step; control.server.jog_requests checks which keys belong together."""
 
     joint_speed_rad_s: Numbers | msgspec.UnsetType = msgspec.UNSET
@@ -141,13 +141,13 @@ class Guide(Owned, tag="guide", kw_only=True):
     weightless: bool = False
 
 
-class Average(_Message, tag="average", kw_only=True):
+class StartAverage(_Message, tag="average", kw_only=True):
     """Start an average."""
 
     duration_s: Annotated[float, Meta(ge=0.01, le=LONGEST_AVERAGE_S)]
 
 
-class Payload(_Message, tag="payload", kw_only=True):
+class SetPayload(_Message, tag="payload", kw_only=True):
     """Mass in the gripper."""
 
     mass_kg: Annotated[float, Meta(ge=0.0)]
@@ -181,7 +181,7 @@ class Off(_Message, tag="off", kw_only=True):
     lets_go: bool = False
 
 
-class Control(_Message, tag="control", kw_only=True):
+class TakeControl(_Message, tag="control", kw_only=True):
     """Take or release control, end that of another client, or join those who share a key."""
 
     take: bool | None = None
@@ -209,21 +209,21 @@ _ENVELOPE = msgspec.json.Decoder(_Envelope)
 _KINDS: Mapping[str, type[_Message]] = {
     str(kind.__struct_config__.tag): kind
     for kind in (
-        Home,
+        StartHoming,
         MoveJoints,
         RunPath,
         RunJoints,
         MoveTogether,
-        Jog,
+        StartJog,
         Override,
         Guide,
-        Average,
-        Payload,
+        StartAverage,
+        SetPayload,
         ChangeTool,
         Grip,
         SetOutput,
         Off,
-        Control,
+        TakeControl,
     )
 }
 _DECODERS = {do: msgspec.json.Decoder(kind) for do, kind in _KINDS.items()}

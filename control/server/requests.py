@@ -57,7 +57,7 @@ class Listener(Protocol):
     def hung_up(self, client: int) -> None: ...
 
 
-class Beside(Protocol):
+class OtherArms(Protocol):
     """The other arms of a cell."""
 
     def require_clear(self, motion: Motion) -> None:
@@ -79,7 +79,7 @@ class Requests:
         self._right = ControlRight()
         self._grips: int | None = None  # the client that moved the gripper last
         self.events: Listener | None = None
-        self.beside: Beside | None = None
+        self.beside: OtherArms | None = None
         self._serve: Mapping[str, Callable[[Any, int], Message]] = {
             "status": self._status,
             "arm": lambda request, client: self._arm,
@@ -178,7 +178,7 @@ class Requests:
             "is_settled": not runtime.bound.is_hold,
         }
 
-    def _control(self, request: messages.Control, client: int) -> Message:
+    def _control(self, request: messages.TakeControl, client: int) -> Message:
         mode = self._runtime.monitor.mode
         if request.key is not None:
             self._right.join(client, request.key)
@@ -199,7 +199,7 @@ class Requests:
             self._runtime.want_hold()
         return {"was_enabled": was_enabled}
 
-    def _home(self, request: messages.Home, client: int) -> Message:
+    def _home(self, request: messages.StartHoming, client: int) -> Message:
         runtime = self._runtime
         if not request.again and runtime.take_known_zeros():
             return {"homing": False}
@@ -237,7 +237,7 @@ class Requests:
         self._own(request, client)
         return {"duration_s": motion.duration_s, "run": self._runtime.run_number}
 
-    def _jog(self, request: messages.Jog, client: int) -> Message:
+    def _jog(self, request: messages.StartJog, client: int) -> Message:
         self._runtime.jog(jog_request(request, len(self._runtime.parts.joint_names)))
         self._right.own(client)
         return self._jogged()
@@ -282,7 +282,7 @@ class Requests:
             self._runtime.want_hold()
         return {}
 
-    def _average(self, request: messages.Average, client: int) -> Message:
+    def _average(self, request: messages.StartAverage, client: int) -> Message:
         self._runtime.averaging = Averaging(self._runtime.now_s, request.duration_s)
         return {}
 
@@ -292,7 +292,7 @@ class Requests:
             raise ArmError("no average is being taken (a fault ends one): send `average` first")
         return {"average": averaging.result}
 
-    def _payload(self, request: messages.Payload, client: int) -> Message:
+    def _payload(self, request: messages.SetPayload, client: int) -> Message:
         self._runtime.state_payload(request.mass_kg)
         return {}
 

@@ -51,7 +51,7 @@ class SocketTaken(ArmError):
     """The socket path is in use by another runtime, or by a file that is not a socket."""
 
 
-class Line(NamedTuple):
+class WaitingRequest(NamedTuple):
     """A request that waits, and how many stops the server had seen when it came."""
 
     content: bytes
@@ -65,7 +65,7 @@ class UnderWay(NamedTuple):
     answering: Generator[None, None, Message]
 
 
-class Listener(NamedTuple):
+class ListeningSocket(NamedTuple):
     """A socket that accepts connections, and the arm that they are for; empty where one arm is served."""
 
     arm: str
@@ -84,7 +84,7 @@ class Client:
         self.arm = arm
         self.may_command = may_command
         self.partial = bytearray()  # grows in place: a long line costs a cycle what came in it
-        self.lines: list[Line] = []
+        self.lines: list[WaitingRequest] = []
         self.is_over = False
 
     def receive(self, stops: int, most_bytes: int) -> bytes | None:
@@ -109,7 +109,7 @@ class Client:
                 urgent = line
                 stops += 1
             else:
-                self.lines.append(Line(line, stops))
+                self.lines.append(WaitingRequest(line, stops))
         return urgent
 
 
@@ -133,7 +133,7 @@ class Server:
         self._under_way: UnderWay | None = None
         for one in paths.values():
             require_free(one)
-        self._listeners = [Listener(arm, one, listen(one)) for arm, one in paths.items()]
+        self._listeners = [ListeningSocket(arm, one, listen(one)) for arm, one in paths.items()]
         self._selector = selectors.DefaultSelector()
         for listener in self._listeners:
             self._selector.register(listener.socket, selectors.EVENT_READ, listener)
@@ -145,13 +145,13 @@ class Server:
         share = max(CHUNK_bytes // max(len(ready), 1), LEAST_bytes)
         for key, _ in ready:
             client = key.data
-            if isinstance(client, Listener):
+            if isinstance(client, ListeningSocket):
                 self._accept(client)
                 continue
             if (line := client.receive(self._stops, share)) is not None:
                 self._stops += 1
                 stopped = True
-                self._serve(client, Line(line, self._stops))
+                self._serve(client, WaitingRequest(line, self._stops))
         if not stopped:
             self._read_on()
             self._serve_one()
@@ -173,7 +173,7 @@ class Server:
             listener.socket.close()
             listener.path.unlink(missing_ok=True)
 
-    def _accept(self, listener: Listener) -> None:
+    def _accept(self, listener: ListeningSocket) -> None:
         try:
             connection, _ = listener.socket.accept()
         except OSError:  # the client has disconnected, or no file descriptors are left
@@ -207,7 +207,7 @@ class Server:
             client is under_way.client or long_requests.is_long(client.lines[0].content)
         )
 
-    def _serve(self, client: Client, line: Line) -> None:
+    def _serve(self, client: Client, line: WaitingRequest) -> None:
         under_way = UnderWay(client, self._answering(line, client))
         if not self._goes_on(under_way):
             self._under_way = under_way
@@ -229,7 +229,7 @@ class Server:
             self._drop(under_way.client)
         return True
 
-    def _answering(self, line: Line, client: Client) -> Generator[None, None, Message]:
+    def _answering(self, line: WaitingRequest, client: Client) -> Generator[None, None, Message]:
         try:
             request = asked(line.content)
         except ArmError as error:
@@ -248,7 +248,7 @@ class Server:
             answer["id"] = request.id
         return answer
 
-    def _answer(self, request: Asked, line: Line, client: Client) -> Message:
+    def _answer(self, request: Asked, line: WaitingRequest, client: Client) -> Message:
         if not request.arm:
             request = request._replace(arm=client.arm)
         is_command = request.do not in STOPPING | WATCHING

@@ -8,9 +8,9 @@ from typing import Final
 
 from firmware_iface.canopen import wire
 from firmware_iface.canopen.bus import HOST_NODE, CanOpenBus
-from firmware_iface.canopen.wire import Entry, NmtCommand
-from firmware_iface.errors import BoardFaulted, BoardReset, BoardSilent, RequestRefused
-from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, State, next_command
+from firmware_iface.canopen.wire import DictionaryObject, NmtCommand
+from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent
+from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, DriveState, next_command
 
 ANSWER_TIMEOUT_s = 0.1  # drives answer SDO within some ms; some take 50 ms to store a value
 ATTEMPTS = 2
@@ -19,20 +19,26 @@ _STEP_s = 0.001
 CYCLIC_POSITION: Final = 8
 CYCLIC_TORQUE: Final = 10
 
-DEVICE_TYPE = Entry(0x1000, 0, "u32")
-VENDOR, PRODUCT, REVISION, SERIAL = (Entry(0x1018, sub, "u32") for sub in (1, 2, 3, 4))
-HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER = Entry(0x1016, 1, "u32"), Entry(0x1017, 0, "u16")
-ABORT_CONNECTION, QUICK_STOP_OPTION = Entry(0x6007, 0, "i16"), Entry(0x605A, 0, "i16")
-FAULT_REACTION, FOLLOWING_ERROR_WINDOW = Entry(0x605E, 0, "i16"), Entry(0x6065, 0, "u32")
+DEVICE_TYPE = DictionaryObject(0x1000, 0, "u32")
+VENDOR, PRODUCT, REVISION, SERIAL = (DictionaryObject(0x1018, sub, "u32") for sub in (1, 2, 3, 4))
+HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER = (
+    DictionaryObject(0x1016, 1, "u32"),
+    DictionaryObject(0x1017, 0, "u16"),
+)
+ABORT_CONNECTION, QUICK_STOP_OPTION = DictionaryObject(0x6007, 0, "i16"), DictionaryObject(0x605A, 0, "i16")
+FAULT_REACTION, FOLLOWING_ERROR_WINDOW = (
+    DictionaryObject(0x605E, 0, "i16"),
+    DictionaryObject(0x6065, 0, "u32"),
+)
 NO_WINDOW = 0xFFFF_FFFF  # of 0x6065: the drive watches no following error
-CONTROLWORD, STATUSWORD = Entry(0x6040, 0, "u16"), Entry(0x6041, 0, "u16")
-MODE = Entry(0x6060, 0, "i8")
-POSITION, TARGET_POSITION = Entry(0x6064, 0, "i32"), Entry(0x607A, 0, "i32")
-TORQUE, TARGET_TORQUE = Entry(0x6077, 0, "i16"), Entry(0x6071, 0, "i16")
-RATED_CURRENT, RATED_TORQUE = Entry(0x6075, 0, "u32"), Entry(0x6076, 0, "u32")
-MAX_TORQUE = Entry(0x6072, 0, "u16")
-SUPPLY, INPUTS = Entry(0x6079, 0, "u32"), Entry(0x60FD, 0, "u32")
-CYCLE_TIME, CYCLE_UNIT = Entry(0x60C2, 1, "u8"), Entry(0x60C2, 2, "i8")
+CONTROLWORD, STATUSWORD = DictionaryObject(0x6040, 0, "u16"), DictionaryObject(0x6041, 0, "u16")
+MODE = DictionaryObject(0x6060, 0, "i8")
+POSITION, TARGET_POSITION = DictionaryObject(0x6064, 0, "i32"), DictionaryObject(0x607A, 0, "i32")
+TORQUE, TARGET_TORQUE = DictionaryObject(0x6077, 0, "i16"), DictionaryObject(0x6071, 0, "i16")
+RATED_CURRENT, RATED_TORQUE = DictionaryObject(0x6075, 0, "u32"), DictionaryObject(0x6076, 0, "u32")
+MAX_TORQUE = DictionaryObject(0x6072, 0, "u16")
+SUPPLY, INPUTS = DictionaryObject(0x6079, 0, "u32"), DictionaryObject(0x60FD, 0, "u32")
+CYCLE_TIME, CYCLE_UNIT = DictionaryObject(0x60C2, 1, "u8"), DictionaryObject(0x60C2, 2, "i8")
 QUICK_STOP_WITHOUT_HOST, STAY_IN_QUICK_STOP = 3, 6  # of options 0x6007 and 0x605A
 EVERY_SYNC = 1  # transmission type
 _RPDO_1 = struct.Struct("<Hbi")
@@ -52,15 +58,21 @@ class Maker:
     """
 
     rated_torque_unit_Nm: float = 1e-3
-    rated_current: Entry = RATED_CURRENT  # mA
-    supply: Entry | None = None  # where 0x6079 does not exist, by SDO
+    rated_current: DictionaryObject = RATED_CURRENT  # mA
+    supply: DictionaryObject | None = None  # where 0x6079 does not exist, by SDO
     supply_unit_mV: int = 1
-    most: Entry | None = None
+    most: DictionaryObject | None = None
 
 
 # By vendor id, 0x1018:01. maxon: EDS of the EPOS4, firmware 0x0170, which has neither 0x6072 nor 0x6075 nor 0x6079.
 MAKERS: Final = {
-    0x0000_00FB: Maker(1e-6, Entry(0x3001, 1, "u32"), Entry(0x2200, 1, "u16"), 100, Entry(0x3001, 2, "u32"))
+    0x0000_00FB: Maker(
+        1e-6,
+        DictionaryObject(0x3001, 1, "u32"),
+        DictionaryObject(0x2200, 1, "u16"),
+        100,
+        DictionaryObject(0x3001, 2, "u32"),
+    )
 }
 
 
@@ -85,7 +97,7 @@ class Cia402Drive:
         self.node = node
         self.name = name
         self.statusword = 0
-        self.state: State | None = None
+        self.state: DriveState | None = None
         self.count = 0
         self.torque_permille = 0
         self.at_s = -math.inf
@@ -101,7 +113,7 @@ class Cia402Drive:
         self.rated_torque_Nm = self.rated_current_A = math.nan
         """The current is NaN where the drive does not say it."""
         self._maker = Maker()
-        self._slow: tuple[Entry, ...] = (SUPPLY, INPUTS)  # as TPDO 2 is mapped
+        self._slow: tuple[DictionaryObject, ...] = (SUPPLY, INPUTS)  # as TPDO 2 is mapped
         self._supply_asked_at_s = -math.inf
         self._bus = bus
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
@@ -137,7 +149,7 @@ class Cia402Drive:
         return min(mapped_at_s, self._supply_at_s + SUPPLY_LATE_s) if self._supply_by_sdo else mapped_at_s
 
     @property
-    def _supply_by_sdo(self) -> Entry | None:
+    def _supply_by_sdo(self) -> DictionaryObject | None:
         return None if SUPPLY in self._slow else self._maker.supply
 
     @property
@@ -147,10 +159,14 @@ class Cia402Drive:
 
     # ---- in the cycle
 
-    def step_towards(self, wanted: State) -> None:
+    def step_towards(self, wanted: DriveState) -> None:
         """Take the next step to a state, without a motion: the set-point is where the motor is. FAULT is not left."""
         now = self.state
-        if now is None or now in (State.FAULT, State.FAULT_REACTION_ACTIVE, State.NOT_READY_TO_SWITCH_ON):
+        if now is None or now in (
+            DriveState.FAULT,
+            DriveState.FAULT_REACTION_ACTIVE,
+            DriveState.NOT_READY_TO_SWITCH_ON,
+        ):
             self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         elif now is not wanted and (command := next_command(now, wanted)) is not None:
             self._controlword = int(command)
@@ -179,7 +195,7 @@ class Cia402Drive:
         self.supply_mV, self._supply_at_s = value * self._maker.supply_unit_mV, asked_at_s
 
     @property
-    def force_limit(self) -> Entry:
+    def force_limit(self) -> DictionaryObject:
         """The object that limits torque or current in every mode."""
         return self._maker.most or MAX_TORQUE
 
@@ -222,7 +238,7 @@ class Cia402Drive:
         self.identity = DriveIdentity(profile, *parts)
         self._maker = MAKERS.get(self.identity.vendor, Maker())
         self.rated_torque_Nm = self.read(RATED_TORQUE) * self._maker.rated_torque_unit_Nm
-        with contextlib.suppress(RequestRefused):
+        with contextlib.suppress(BoardRefused):
             self.rated_current_A = self.read(self._maker.rated_current) * 1e-3
         self._is_known = True
         return self.identity
@@ -268,20 +284,22 @@ class Cia402Drive:
         try:
             self._slow = (SUPPLY, INPUTS)
             self._map(0x1801, 0x1A01, wire.TPDO_2, self._slow)
-        except RequestRefused:
+        except BoardRefused:
             self._slow = (INPUTS,)
             self._map(0x1801, 0x1A01, wire.TPDO_2, self._slow)
         if (entry := self._supply_by_sdo) is not None:
             self._take_supply(self.read(entry), self._bus.clock.now_s())
 
-    def _map(self, communication: int, mapping: int, base: int, entries: tuple[Entry, ...]) -> None:
+    def _map(
+        self, communication: int, mapping: int, base: int, entries: tuple[DictionaryObject, ...]
+    ) -> None:
         """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid."""
-        cob, count = Entry(communication, 1, "u32"), Entry(mapping, 0, "u8")
+        cob, count = DictionaryObject(communication, 1, "u32"), DictionaryObject(mapping, 0, "u8")
         self.write(cob, base + self.node | 1 << 31)
-        self.write(Entry(communication, 2, "u8"), EVERY_SYNC)
+        self.write(DictionaryObject(communication, 2, "u8"), EVERY_SYNC)
         self.write(count, 0)
         for sub, entry in enumerate(entries, start=1):
-            self.write(Entry(mapping, sub, "u32"), entry.mapping)
+            self.write(DictionaryObject(mapping, sub, "u32"), entry.mapping)
         self.write(count, len(entries))
         self.write(cob, base + self.node)
 
@@ -315,27 +333,27 @@ class Cia402Drive:
                 )
 
     def _is_in_fault(self) -> bool:
-        return self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        return self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 
     def error_text(self) -> str:
         """The codes of its emergency messages."""
         return ", ".join(f"0x{code:04X}" for code in self.errors[-3:]) or "no emergency message"
 
-    def read(self, entry: Entry) -> int:
+    def read(self, entry: DictionaryObject) -> int:
         """Read an object. Raises BoardSilent, RequestRefused."""
         return wire.unpacked(entry.kind, self._ask(entry, wire.read_request(entry)).data)
 
-    def read_if_there(self, entry: Entry) -> int | None:
+    def read_if_there(self, entry: DictionaryObject) -> int | None:
         """Read an object; None where the drive does not have it. Raises BoardSilent."""
-        with contextlib.suppress(RequestRefused):
+        with contextlib.suppress(BoardRefused):
             return self.read(entry)
         return None
 
-    def write(self, entry: Entry, value: int) -> None:
+    def write(self, entry: DictionaryObject, value: int) -> None:
         """Write an object. Raises BoardSilent, RequestRefused."""
         self._ask(entry, wire.write_request(entry, value))
 
-    def _ask(self, entry: Entry, request: bytes) -> wire.SdoAnswer:
+    def _ask(self, entry: DictionaryObject, request: bytes) -> wire.SdoAnswer:
         clock = self._bus.clock
         for _ in range(ATTEMPTS):
             self._answers.clear()
@@ -347,7 +365,7 @@ class Cia402Drive:
                 answer = self._answers.get((entry.at, entry.sub))
                 if answer is not None:
                     if answer.abort:
-                        raise RequestRefused(
+                        raise BoardRefused(
                             f"{self.where}: refused object {entry}: {wire.abort_text(answer.abort)}; docs/cia402.md lists what a"
                             " drive must have"
                         )

@@ -47,7 +47,7 @@ class NmtCommand(IntEnum):
     RESET_NODE = 0x81
 
 
-class Entry(NamedTuple):
+class DictionaryObject(NamedTuple):
     """An object of the dictionary: index (`at`), sub-index and type."""
 
     at: int
@@ -84,12 +84,12 @@ def unpacked(kind: str, data: bytes) -> int:
     return int(value)
 
 
-def read_request(entry: Entry) -> bytes:
+def read_request(entry: DictionaryObject) -> bytes:
     """An SDO request to read (upload)."""
     return _SDO.pack(0x40, entry.at, entry.sub, bytes(4))
 
 
-def write_request(entry: Entry, value: int) -> bytes:
+def write_request(entry: DictionaryObject, value: int) -> bytes:
     """An SDO request to write (expedited download)."""
     data = packed(entry.kind, value)
     return _SDO.pack(0x23 | (4 - len(data)) << 2, entry.at, entry.sub, data.ljust(4, b"\0"))

@@ -7,10 +7,9 @@ from typing import ClassVar, Final
 
 from firmware_iface.clock import Clock
 from firmware_iface.dynamixel import wire
-from firmware_iface.dynamixel.wire import Instruction
 from firmware_iface.errors import WrongIdentity
 from firmware_iface.link import ByteLink
-from firmware_iface.servo_line import ServoLine
+from firmware_iface.servo_line import Instruction, ServoLine
 from firmware_iface.smart_servo import ServoWire, SmartServo
 
 REBOOT_s = 0.5

@@ -8,10 +8,9 @@ is CRC-16/BUYPASS (polynomial 0x8005 from 0) of all bytes before it.
 """
 
 from collections.abc import Sequence
-from enum import IntEnum
 from typing import Final
 
-from firmware_iface.servo_line import Status as StatusPacket
+from firmware_iface.servo_line import Instruction, StatusPacket
 
 HEADER: Final = b"\xff\xff\xfd\x00"
 BROADCAST: Final = 0xFE
@@ -26,17 +25,6 @@ REFUSALS: Final = {
     5: "the value is too short", 6: "the value is beyond the limit that is set in it", 7: "it cannot be written now",
 }  # fmt: skip
 """Why an instruction was not obeyed, by the error number of a status packet."""
-
-
-class Instruction(IntEnum):
-    """Instructions of protocol 2.0."""
-
-    PING = 0x01
-    READ = 0x02
-    WRITE = 0x03
-    REBOOT = 0x08
-    SYNC_READ = 0x82
-    SYNC_WRITE = 0x83
 
 
 def _crc_table() -> tuple[int, ...]:

@@ -9,13 +9,13 @@ from firmware_iface.encoder.board_time import BoardTime
 from firmware_iface.encoder.index_latches import IndexLatches
 from firmware_iface.encoder.wire import ChannelFlag, IndexAction
 from firmware_iface.errors import (
+    BoardRefused,
     BoardReset,
     BoardSilent,
     LinkLost,
     MisuseError,
     Problems,
     ProtocolViolation,
-    RequestRefused,
     WrongIdentity,
 )
 from firmware_iface.link import ByteLink
@@ -227,9 +227,9 @@ class EncoderBoard:
     def _request(self, frame: wire.Request) -> None:
         answer = self._ask(frame, ANSWER_TIMEOUT_s)
         result = answer.result if isinstance(answer, wire.Ack) else -1
-        if result != wire.Result.DONE:
-            reason = wire.Result(result).name if result in set(wire.Result) else f"result {result}"
-            raise RequestRefused(f"{self.where}: refused {frame}: {reason.replace('_', ' ').lower()}")
+        if result != wire.AckResult.DONE:
+            reason = wire.AckResult(result).name if result in set(wire.AckResult) else f"result {result}"
+            raise BoardRefused(f"{self.where}: refused {frame}: {reason.replace('_', ' ').lower()}")
 
     def _ask(self, frame: wire.Request, timeout_s: float) -> wire.Ack | wire.Identity:
         self._answer = None

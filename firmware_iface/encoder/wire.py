@@ -45,7 +45,7 @@ class ChannelFlag(IntFlag):
     SIGNAL_LOST = 0x20
 
 
-class Result(IntEnum):
+class AckResult(IntEnum):
     """Result code of an Ack."""
 
     DONE = 0

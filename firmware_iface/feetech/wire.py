@@ -7,26 +7,15 @@ The checksum is the inverted sum of all bytes from the id on. Numbers are little
 """
 
 from collections.abc import Sequence
-from enum import IntEnum
 from typing import Final
 
-from firmware_iface.servo_line import Status
+from firmware_iface.servo_line import Instruction, StatusPacket
 
 HEADER: Final = b"\xff\xff"
 BROADCAST: Final = 0xFE
 IDS: Final = range(253)
 STATUS_OVERHEAD: Final = 6  # header, id, length, error, checksum
 _SIGN: Final = 1 << 15
-
-
-class Instruction(IntEnum):
-    """Instructions of the protocol."""
-
-    PING = 0x01
-    READ = 0x02
-    WRITE = 0x03
-    SYNC_READ = 0x82
-    SYNC_WRITE = 0x83
 
 
 def checksum(inside: bytes) -> int:
@@ -67,7 +56,7 @@ def refusal(error: int) -> str | None:
     return None
 
 
-def status_in(received: bytes) -> Status | None:
+def status_in(received: bytes) -> StatusPacket | None:
     """The first status packet in what was received; None if it is not complete. ValueError if its checksum is wrong."""
     begin = received.find(HEADER)
     if begin < 0 or len(received) < begin + 4:
@@ -78,7 +67,7 @@ def status_in(received: bytes) -> Status | None:
     inside = received[begin + 2 : end - 1]
     if len(inside) < 3 or checksum(inside) != received[end - 1]:
         raise ValueError("checksum")
-    return Status(inside[0], inside[2], inside[3:], end)
+    return StatusPacket(inside[0], inside[2], inside[3:], end)
 
 
 def signed(raw: int, bit: int = 15) -> int:

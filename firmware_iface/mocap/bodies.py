@@ -16,22 +16,22 @@ UNIT_TOLERANCE = 1e-3  # of a quaternion in single precision, and of a rotation 
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class RigidPose:
     """A rigid motion: p -> turned(quaternion, p) + position_m."""
 
     position_m: Vector
     quaternion: Quaternion
 
 
-NOWHERE = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))  # of a body that is hidden
+NOWHERE = RigidPose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))  # of a body that is hidden
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class SeenBody:
     """A body in one frame. error_m: the system's own mean residual of its markers, None where it says none."""
 
     name: str
-    pose: Pose
+    pose: RigidPose
     is_visible: bool = True
     error_m: float | None = None
 
@@ -41,7 +41,7 @@ class BodyFrame:
     """All bodies of one picture. time_s: of the system's own clock, None where it says none."""
 
     number: int
-    bodies: tuple[Body, ...]
+    bodies: tuple[SeenBody, ...]
     time_s: float | None = None
 
 
@@ -95,15 +95,15 @@ def angle_rad(a: Quaternion, b: Quaternion) -> float:
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
 
 
-def compose(outer: Pose, inner: Pose) -> Pose:
+def compose(outer: RigidPose, inner: RigidPose) -> RigidPose:
     """a_T_c from a_T_b and b_T_c."""
     x, y, z = turned(outer.quaternion, inner.position_m)
     a, b, c = outer.position_m
-    return Pose((a + x, b + y, c + z), product(outer.quaternion, inner.quaternion))
+    return RigidPose((a + x, b + y, c + z), product(outer.quaternion, inner.quaternion))
 
 
-def inverse(pose: Pose) -> Pose:
+def inverse(pose: RigidPose) -> RigidPose:
     """b_T_a from a_T_b."""
     back = opposite(pose.quaternion)
     x, y, z = turned(back, pose.position_m)
-    return Pose((-x, -y, -z), back)
+    return RigidPose((-x, -y, -z), back)

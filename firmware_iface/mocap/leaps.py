@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 
-from firmware_iface.mocap.bodies import BodyFrame, Pose, angle_rad
+from firmware_iface.mocap.bodies import BodyFrame, RigidPose, angle_rad
 
 FASTEST_m, FASTEST_rad = 0.1, 0.5  # in one frame; of a tip at 10 m/s, or 50 rad/s, in 100 frames a second
 CLOSEST_m = 0.02  # of two bodies whose exchange is recognised
@@ -21,8 +21,8 @@ class LeapWatch:
     """Looks at every frame of a stream."""
 
     def __init__(self) -> None:
-        self._last: dict[str, tuple[int, Pose]] = {}  # newest place of each visible body
-        self._before: dict[str, Pose] = {}  # of bodies that leapt: where they had been
+        self._last: dict[str, tuple[int, RigidPose]] = {}  # newest place of each visible body
+        self._before: dict[str, RigidPose] = {}  # of bodies that leapt: where they had been
         self._why: dict[str, str] = {}
 
     def problem(self, name: str) -> str:
@@ -41,7 +41,7 @@ class LeapWatch:
         for name, pose in seen.items():
             self._last[name] = (frame.number, pose)
 
-    def _has_leapt(self, name: str, pose: Pose, number: int) -> bool:
+    def _has_leapt(self, name: str, pose: RigidPose, number: int) -> bool:
         if name not in self._last:
             return False
         before, last = self._last[name]
@@ -52,7 +52,7 @@ class LeapWatch:
         turn_rad = angle_rad(pose.quaternion, last.quaternion)
         return way_m > steps * FASTEST_m or turn_rad > min(steps * FASTEST_rad, 3.0)
 
-    def _exchanged(self, seen: dict[str, Pose]) -> set[str]:
+    def _exchanged(self, seen: dict[str, RigidPose]) -> set[str]:
         """Pairs of bodies that are now where the other one was, however small the leap."""
         found: set[str] = set()
         known = [name for name in seen if name in self._last]
@@ -67,7 +67,7 @@ class LeapWatch:
                 found |= {one, other}
         return found
 
-    def _judge(self, name: str, seen: dict[str, Pose], leapt: set[str], number: int) -> None:
+    def _judge(self, name: str, seen: dict[str, RigidPose], leapt: set[str], number: int) -> None:
         """Whether a leap led away or back, and whom the body was mistaken for."""
         pose, last = seen[name], self._last[name][1]
         way_m = math.dist(pose.position_m, last.position_m)
@@ -94,6 +94,6 @@ class LeapWatch:
             known.pop(name, None)
 
 
-def _is_near(pose: Pose, before: Pose, way_m: float) -> bool:
+def _is_near(pose: RigidPose, before: RigidPose, way_m: float) -> bool:
     is_turned_back = angle_rad(pose.quaternion, before.quaternion) < FASTEST_rad
     return math.dist(pose.position_m, before.position_m) < max(NEAR * way_m, FASTEST_m) and is_turned_back

@@ -28,7 +28,7 @@ class NatNetStream:
         self._commands = UdpListener("NatNet", 0, host)
         self._data: UdpListener | None = None
         self.name = f"natnet://{host}:{port}"
-        self._server: wire.Server | None = None
+        self._server: wire.NatNetServer | None = None
         self._names: dict[int, str] | None = None
         self._frames: list[BodyFrame] = []
         self._spoke_s = clock.now_s()

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from struct import Struct
 
-from firmware_iface.mocap.bodies import NOWHERE, Body, BodyFrame, Pose, unit
+from firmware_iface.mocap.bodies import NOWHERE, BodyFrame, RigidPose, SeenBody, unit
 from firmware_iface.mocap.fields import FARTHEST_m, Fields, Malformed
 
 CONNECT, SERVER_INFO, REQUEST_MODELS, MODELS, FRAME, KEEP_ALIVE = 0, 1, 4, 5, 7, 10
@@ -34,7 +34,7 @@ _TRACKED = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Server:
+class NatNetServer:
     """What a server says of itself; group is empty for unicast."""
 
     program: str
@@ -57,7 +57,7 @@ def message_of(packet: bytes) -> tuple[int, bytes] | None:
     return (message, packet[_HEADER.size :]) if size == len(packet) - _HEADER.size else None
 
 
-def unpack_server(payload: bytes) -> Server | None:
+def unpack_server(payload: bytes) -> NatNetServer | None:
     """A server info, or None."""
     if len(payload) < _SERVER.size:
         return None
@@ -65,7 +65,7 @@ def unpack_server(payload: bytes) -> Server | None:
     data_port, is_multicast = numbers[9], numbers[10]
     group = ".".join(map(str, numbers[11:])) if is_multicast else ""
     program = name.split(b"\0", 1)[0].decode(errors="replace")
-    return Server(program, (numbers[4], numbers[5]), data_port, group)
+    return NatNetServer(program, (numbers[4], numbers[5]), data_port, group)
 
 
 def unpack_models(payload: bytes, version: Version) -> dict[int, str] | None:
@@ -126,22 +126,22 @@ def unpack_frame(payload: bytes, version: Version, names: Mapping[int, str]) -> 
     return BodyFrame(int(number) & 0xFFFFFFFF, bodies, time_s)
 
 
-def _bodies(fields: Fields, version: Version, names: Mapping[int, str]) -> tuple[Body, ...]:
+def _bodies(fields: Fields, version: Version, names: Mapping[int, str]) -> tuple[SeenBody, ...]:
     count = fields.count(_COUNT)
     if version >= (4, 1) and _size(fields) != count * _BODY.size:
         raise Malformed
     return tuple(_body(fields, names) for _ in range(count))
 
 
-def _body(fields: Fields, names: Mapping[int, str]) -> Body:
+def _body(fields: Fields, names: Mapping[int, str]) -> SeenBody:
     number, x, y, z, qx, qy, qz, qw, error_m, flags = fields.read(_BODY, is_finite=False)
     name = names.get(int(number), str(int(number)))
     if not int(flags) & _TRACKED:
-        return Body(name, NOWHERE, is_visible=False)
+        return SeenBody(name, NOWHERE, is_visible=False)
     quaternion = unit((qw, qx, qy, qz))
     if quaternion is None or not max(abs(x), abs(y), abs(z)) <= FARTHEST_m:
         raise Malformed
-    return Body(name, Pose((x, y, z), quaternion), True, error_m)
+    return SeenBody(name, RigidPose((x, y, z), quaternion), True, error_m)
 
 
 def _skip_marker_set_of_frame(fields: Fields) -> None:

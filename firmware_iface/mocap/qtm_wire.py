@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from struct import Struct
 from xml.etree import ElementTree
 
-from firmware_iface.mocap.bodies import NOWHERE, Body, BodyFrame, Pose, Quaternion, unit
+from firmware_iface.mocap.bodies import NOWHERE, BodyFrame, Quaternion, RigidPose, SeenBody, unit
 from firmware_iface.mocap.fields import MOST_ITEMS, FARTHEST_m, Fields, Malformed
 
 ERROR, COMMAND, XML, DATA = 0, 1, 2, 3
@@ -82,7 +82,7 @@ def unpack_data(content: bytes, names: Sequence[tuple[str, bool]]) -> BodyFrame 
     fields = Fields(content)
     try:
         time_us, number, components = fields.read(_DATA)
-        bodies: tuple[Body, ...] | None = None
+        bodies: tuple[SeenBody, ...] | None = None
         for _ in range(int(components)):
             size, kind = fields.read(HEADER)
             end = fields.at - HEADER.size + int(size)
@@ -96,7 +96,7 @@ def unpack_data(content: bytes, names: Sequence[tuple[str, bool]]) -> BodyFrame 
     return BodyFrame(int(number), bodies, 1e-6 * time_us)
 
 
-def _bodies(fields: Fields, names: Sequence[tuple[str, bool]]) -> tuple[Body, ...]:
+def _bodies(fields: Fields, names: Sequence[tuple[str, bool]]) -> tuple[SeenBody, ...]:
     count, *_ = fields.read(_BODIES)
     called = [name for name, _ in names]
     if count != len(called):
@@ -106,14 +106,14 @@ def _bodies(fields: Fields, names: Sequence[tuple[str, bool]]) -> tuple[Body, ..
     return tuple(_body(name, *fields.read(_BODY, is_finite=False)) for name in called)
 
 
-def _body(name: str, x: float, y: float, z: float, *rest: float) -> Body:
+def _body(name: str, x: float, y: float, z: float, *rest: float) -> SeenBody:
     *matrix, residual_mm = rest
     if not all(map(math.isfinite, (x, y, z, *matrix))):
-        return Body(name, NOWHERE, is_visible=False)
+        return SeenBody(name, NOWHERE, is_visible=False)
     quaternion = _quaternion(matrix)
     if quaternion is None or max(abs(x), abs(y), abs(z)) > FARTHEST_m / _MM:
         raise Malformed
-    return Body(name, Pose((_MM * x, _MM * y, _MM * z), quaternion), True, _MM * residual_mm)
+    return SeenBody(name, RigidPose((_MM * x, _MM * y, _MM * z), quaternion), True, _MM * residual_mm)
 
 
 def _quaternion(columns: Sequence[float]) -> Quaternion | None:

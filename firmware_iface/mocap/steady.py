@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from firmware_iface.mocap.bodies import Pose
+from firmware_iface.mocap.bodies import RigidPose
 
 FRAMES = 500  # whose mean it is, some seconds
 MOVED_m, MOVED = (
@@ -17,9 +17,9 @@ class SteadyPose:
     """Mean of the newest poses of one body."""
 
     def __init__(self) -> None:
-        self._count, self._mean = 0, Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        self._count, self._mean = 0, RigidPose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
-    def after(self, pose: Pose) -> Pose:
+    def after(self, pose: RigidPose) -> RigidPose:
         """The mean, with one pose more."""
         place, q = pose.position_m, pose.quaternion
         if sum(a * b for a, b in zip(q, self._mean.quaternion, strict=True)) < 0.0:
@@ -34,5 +34,5 @@ class SteadyPose:
         turned = [m + share * (v - m) for m, v in zip(self._mean.quaternion, q, strict=True)]
         length = math.hypot(*turned)
         a, b, c, d = (value / length for value in turned)
-        self._mean = Pose((x, y, z), (a, b, c, d))
+        self._mean = RigidPose((x, y, z), (a, b, c, d))
         return self._mean

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from struct import Struct
 
-from firmware_iface.mocap.bodies import Body, BodyFrame, Pose, Quaternion, product
+from firmware_iface.mocap.bodies import BodyFrame, Quaternion, RigidPose, SeenBody, product
 from firmware_iface.mocap.fields import FARTHEST_m, Fields, Malformed
 from firmware_iface.udp import UdpListener
 
@@ -46,13 +46,13 @@ def unpack(datagram: bytes) -> BodyFrame | None:
     return BodyFrame(int(number), tuple(bodies))
 
 
-def _object(fields: Fields) -> Body:
+def _object(fields: Fields) -> SeenBody:
     name = fields.text(_NAME_bytes)
     x, y, z, *angles = fields.read(_NUMBERS)
     if not name or max(abs(x), abs(y), abs(z)) > FARTHEST_m / _MM or max(map(abs, angles)) > 2.0 * math.pi:
         raise Malformed
     is_visible = any((x, y, z, *angles))
-    return Body(name, Pose((_MM * x, _MM * y, _MM * z), from_euler_xyz(*angles)), is_visible)
+    return SeenBody(name, RigidPose((_MM * x, _MM * y, _MM * z), from_euler_xyz(*angles)), is_visible)
 
 
 def from_euler_xyz(x_rad: float, y_rad: float, z_rad: float) -> Quaternion:

@@ -14,7 +14,7 @@ from firmware_iface.errors import (
     WrongIdentity,
 )
 from firmware_iface.moteus import wire
-from firmware_iface.moteus.wire import Frame, Mode, Register
+from firmware_iface.moteus.wire import Frame, MoteusMode, Register
 from firmware_iface.node_bus import NodeBus
 
 ANSWER_TIMEOUT_s = 0.05
@@ -25,7 +25,7 @@ DRIVEN_FOR = 3  # commands of position mode in a row; replies of commands before
 LATER_s, LATER_REPLIES = 0.05, 3  # a start that moves by so much, in so many replies, is another one
 _HALF: Final = 1 << 31  # of the counter's range
 _IDENTITY: Final = {Register.HOME_STATE, Register.FIRMWARE, *(Register.SERIAL + k for k in range(3))}
-_NOT_RUNNING: Final = (Mode.STOPPED, Mode.FAULT, Mode.TIMEOUT)
+_NOT_RUNNING: Final = (MoteusMode.STOPPED, MoteusMode.FAULT, MoteusMode.TIMEOUT)
 
 
 class MoteusBus(NodeBus["Moteus"]):
@@ -48,7 +48,7 @@ class Moteus:
         """The command of the next cycle; at first none, so that nothing changes by connecting."""
         self.count = 0
         self.current_A, self.supply_V, self.temperature_degC = 0.0, math.nan, 0.0
-        self.mode, self.fault = int(Mode.STOPPED), 0
+        self.mode, self.fault = int(MoteusMode.STOPPED), 0
         self.is_switch_on = False
         self.at_s = -math.inf
         self.counted_at_s = -math.inf
@@ -77,7 +77,7 @@ class Moteus:
     @property
     def is_driving(self) -> bool:
         """Whether it was in position mode at its last reply."""
-        return self.mode == Mode.POSITION
+        return self.mode == MoteusMode.POSITION
 
     @property
     def is_running(self) -> bool:
@@ -208,7 +208,7 @@ class Moteus:
 
     def _look_for_others(self) -> None:
         """Driven by each of the last commands, and yet braked: by others. A reply tells the mode before its own command."""
-        is_braked = self.mode == Mode.BRAKE
+        is_braked = self.mode == MoteusMode.BRAKE
         self._is_ousted = is_braked and (self._was_obeying or (self._is_ousted and self._driven_for > 0))
         self._was_obeying = self.is_driving and self._driven_for >= DRIVEN_FOR
 

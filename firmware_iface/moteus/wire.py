@@ -34,7 +34,7 @@ _TEXT_BYTES: Final = 48  # of an answer
 Frame = tuple[int, bytes]
 
 
-class Mode(IntEnum):
+class MoteusMode(IntEnum):
     """Modes that are used here."""
 
     STOPPED = 0
@@ -84,7 +84,7 @@ def position(controller: int, command: Position) -> Frame:
     """Command position mode, and ask for the values."""
     c = command
     written = _POSITION.pack(
-        *_MODE, Mode.POSITION, 0x0C, 6, 0x20, c.turns, c.speed_turns_s, c.torque_Nm, c.gain, c.gain, c.most_Nm,
+        *_MODE, MoteusMode.POSITION, 0x0C, 6, 0x20, c.turns, c.speed_turns_s, c.torque_Nm, c.gain, c.gain, c.most_Nm,
         0x0D, 0x27, c.watchdog_s, 0x0D, 0x2B, c.gain,
     )  # fmt: skip
     return _frame(controller, written + QUERY)
@@ -92,7 +92,7 @@ def position(controller: int, command: Position) -> Frame:
 
 def drives(frame: Frame) -> bool:
     """Whether a frame commands position mode."""
-    return frame[1].startswith(_MODE + bytes((Mode.POSITION,)))
+    return frame[1].startswith(_MODE + bytes((MoteusMode.POSITION,)))
 
 
 def torque(torque_Nm: float, most_Nm: float, watchdog_s: float) -> Position:
@@ -102,12 +102,12 @@ def torque(torque_Nm: float, most_Nm: float, watchdog_s: float) -> Position:
 
 def brake(controller: int) -> Frame:
     """Short the windings, and ask for the values."""
-    return _frame(controller, _MODE + bytes((Mode.BRAKE,)) + QUERY)
+    return _frame(controller, _MODE + bytes((MoteusMode.BRAKE,)) + QUERY)
 
 
 def stop(controller: int) -> Frame:
     """Free the motor, end a fault or a time-out, and ask for the values."""
-    return _frame(controller, _MODE + bytes((Mode.STOPPED,)) + QUERY)
+    return _frame(controller, _MODE + bytes((MoteusMode.STOPPED,)) + QUERY)
 
 
 def ask(controller: int, query: bytes = QUERY) -> Frame:

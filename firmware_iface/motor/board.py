@@ -16,17 +16,17 @@ from firmware_iface.errors import (
 )
 from firmware_iface.motor import wire
 from firmware_iface.motor.bus import MotorBus
-from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, State, next_command
+from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, DriveState, next_command
 from firmware_iface.motor.parameters import ANSWER_TIMEOUT_s, ParameterChannel
 from firmware_iface.motor.reply_order import ReplyOrder
-from firmware_iface.motor.wire import Mode, Parameter
+from firmware_iface.motor.wire import MotorParameter, SetpointMode
 
 __all__ = ["MotorBoard", "MotorBus", "MotorIdentity"]
 
 _STEP_s = 0.001
 _RESEND_s = 0.02  # a COMMAND without REPLY for this long is sent again during state changes
 _SECOND_REPLIES = 3  # CAN may duplicate a frame now and then, but not three times in a row
-_OFF_STATES = (State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED)
+_OFF_STATES = (DriveState.NOT_READY_TO_SWITCH_ON, DriveState.SWITCH_ON_DISABLED)
 _KEEPS_OFF = (DriveCommand.DISABLE_VOLTAGE, DriveCommand.QUICK_STOP, DriveCommand.FAULT_RESET)
 
 
@@ -67,7 +67,7 @@ class MotorBoard:
         self._sent_at_s = -math.inf
         self._command_id = wire.COMMAND_ID + node
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
-        self._last_state: State | None = None
+        self._last_state: DriveState | None = None
         self._holds_alone = (
             True  # without a host, by its watchdog's action, unless it was found to do something else
         )
@@ -83,16 +83,16 @@ class MotorBoard:
         return f'motor board "{self.name}" (node {self.node}) on {self._bus.name}'
 
     @property
-    def state(self) -> State | None:
+    def state(self) -> DriveState | None:
         """The state in the latest reply; None before the first, and after a reset."""
         return self._last_state
 
     @property
     def has_torque(self) -> bool:
         """Whether it is in operation, or holds by itself after its watchdog has expired."""
-        if self._last_state is State.FAULT and self.reply is not None:
-            return self._holds_alone and self.reply.faults == wire.Fault.WATCHDOG
-        return self._last_state is State.OPERATION_ENABLED
+        if self._last_state is DriveState.FAULT and self.reply is not None:
+            return self._holds_alone and self.reply.faults == wire.MotorFault.WATCHDOG
+        return self._last_state is DriveState.OPERATION_ENABLED
 
     @property
     def reply_lag(self) -> int:
@@ -157,9 +157,9 @@ class MotorBoard:
     def ask_state(self) -> None:
         """Ask for a REPLY, and change nothing: a board in operation stops and holds, every other one stays out of operation."""
         before = self._controlword
-        is_between = self._last_state in (State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
+        is_between = self._last_state in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON)
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE if is_between else DriveCommand.ENABLE_OPERATION)
-        self.command(Mode.HOLD)
+        self.command(SetpointMode.HOLD)
         self._controlword = before
 
     def find_state(self) -> None:
@@ -170,25 +170,25 @@ class MotorBoard:
                 self._sent_at_s = self._bus.clock.now_s()
                 self.ask_state()
             self._wait_step(deadline_s, "does not reply to COMMAND")
-        if self._last_state is State.FAULT and self.reply.faults == wire.Fault.WATCHDOG:
-            self._holds_alone = self.read(Parameter.WATCHDOG_ACTION) == wire.Output.HOLD
+        if self._last_state is DriveState.FAULT and self.reply.faults == wire.MotorFault.WATCHDOG:
+            self._holds_alone = self.read(MotorParameter.WATCHDOG_ACTION) == wire.IdleOutput.HOLD
 
     def _keep(self) -> None:
         """While the loop waits for another board: brake or turn freely as before, else hold."""
-        if self._last_state is State.OPERATION_ENABLED and self._is_as_found:
+        if self._last_state is DriveState.OPERATION_ENABLED and self._is_as_found:
             with contextlib.suppress(LinkError):
                 self.ask_state()
-        elif self._last_state is State.OPERATION_ENABLED:
+        elif self._last_state is DriveState.OPERATION_ENABLED:
             with contextlib.suppress(LinkError):
                 self.command(self._last[0] if self._last in ((0, 0), (1, 0)) else 4)
 
     def ask_count(self) -> None:
         """Ask for the count of the board's own encoder without waiting; see `count_taken`."""
-        self._parameters.begin_read(Parameter.POSITION_COUNT)
+        self._parameters.begin_read(MotorParameter.POSITION_COUNT)
 
     def count_taken(self) -> int | None:
         """The count that `ask_count` asked for, once it has come; None before, and after a restart of the board."""
-        return self._parameters.taken(Parameter.POSITION_COUNT)
+        return self._parameters.taken(MotorParameter.POSITION_COUNT)
 
     def _milli(self, quantity: float) -> int:
         try:
@@ -196,7 +196,7 @@ class MotorBoard:
         except (ValueError, OverflowError):
             raise MisuseError(f"{self.where}: a set-point must be finite, got {quantity}") from None
 
-    def go_to(self, state: State, timeout_s: float = 0.5) -> None:
+    def go_to(self, state: DriveState, timeout_s: float = 0.5) -> None:
         """Change to `state`; OPERATION ENABLED is entered at 0 V, so the motor brakes.
 
         Raises BoardFaulted from FAULT (see acknowledge_fault), BoardSilent, MisuseError if unreachable.
@@ -205,28 +205,28 @@ class MotorBoard:
         while not self.step_towards(state):
             self._wait_step(deadline_s, f"does not reach {state.value}, stays in {self._state_name()}")
 
-    def step_towards(self, state: State) -> bool:
+    def step_towards(self, state: DriveState) -> bool:
         """One step of `go_to` without waiting: send the command that is due; True once a reply confirms the state.
 
         To change several boards together, call this for each, then `MotorBus.update()`.
         """
-        if state in (State.NOT_READY_TO_SWITCH_ON, State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if state in (DriveState.NOT_READY_TO_SWITCH_ON, DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             raise MisuseError(f"{self.where}: no command leads to {state.value}")
         now = self._last_state
-        if now in (State.FAULT, State.FAULT_REACTION_ACTIVE) and self.reply is not None:
+        if now in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE) and self.reply is not None:
             raise BoardFaulted(
                 f"{self.where}: in FAULT ({self._fault_names()}): remove the cause, acknowledge the fault, "
                 f"then go to {state.value}"
             )
         if now is state and self._is_answered():
             return True
-        if now is not None and now is not state and now is not State.NOT_READY_TO_SWITCH_ON:
+        if now is not None and now is not state and now is not DriveState.NOT_READY_TO_SWITCH_ON:
             self._step_from(now, state)
         elif self._is_due():
             self._send_walking(self._controlword)
         return False
 
-    def _step_from(self, now: State, state: State) -> None:
+    def _step_from(self, now: DriveState, state: DriveState) -> None:
         command = next_command(now, state)
         if command is None:
             raise MisuseError(f"{self.where}: no transition from {now.value} to {state.value}")
@@ -236,7 +236,7 @@ class MotorBoard:
     def _send_walking(self, controlword: int) -> None:
         self._controlword, self._is_as_found = controlword, False
         self._sent_at_s = self._bus.clock.now_s()
-        self.command(Mode.VOLTAGE)
+        self.command(SetpointMode.VOLTAGE)
 
     def _is_answered(self) -> bool:
         return self.reply is not None and self._commands_sent > 0 and self.reply_lag == 0
@@ -251,16 +251,16 @@ class MotorBoard:
         Raises BoardFaulted if the cause persists.
         """
         deadline_s = self._bus.clock.now_s() + timeout_s
-        if self._last_state is State.OPERATION_ENABLED and self._is_as_found:
+        if self._last_state is DriveState.OPERATION_ENABLED and self._is_as_found:
             return
-        if self._last_state is State.OPERATION_ENABLED:
+        if self._last_state is DriveState.OPERATION_ENABLED:
             self._send_and_wait(self._controlword, deadline_s)
-            if self._last_state is State.OPERATION_ENABLED:
+            if self._last_state is DriveState.OPERATION_ENABLED:
                 return
         while True:
             # 0 first, so that there is an edge whatever was sent before
             self._send_and_wait(DriveCommand.DISABLE_VOLTAGE, deadline_s)
-            if self._last_state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            if self._last_state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
                 return
             if self._bus.clock.now_s() >= deadline_s:
                 raise BoardFaulted(
@@ -270,7 +270,7 @@ class MotorBoard:
 
     def step_fault_reset(self) -> bool:
         """One step of `acknowledge_fault` without waiting; True once no reply says FAULT. LinkLost."""
-        if self._last_state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if self._last_state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             return True
         if self._is_answered() or self._is_due():
             was_reset = self._controlword == DriveCommand.FAULT_RESET
@@ -296,7 +296,7 @@ class MotorBoard:
         return self._last_state.value if self._last_state else "an unknown state"
 
     def _fault_names(self) -> str:
-        faults = self.reply.fault_flags if self.reply else wire.Fault(0)
+        faults = self.reply.fault_flags if self.reply else wire.MotorFault(0)
         return ", ".join(str(fault.name).replace("_", " ").lower() for fault in faults) or "no bit set"
 
     def identify(self, serial_number: int | None = None) -> MotorIdentity:
@@ -304,21 +304,21 @@ class MotorBoard:
         ProtocolViolation if two boards answer as this node.
         """
         self.identity = None
-        protocol = self.read(Parameter.PROTOCOL_VERSION)
+        protocol = self.read(MotorParameter.PROTOCOL_VERSION)
         if protocol != wire.PROTOCOL_VERSION:
             raise WrongIdentity(
                 f"{self.where}: speaks protocol version {protocol}, expected {wire.PROTOCOL_VERSION}; "
                 "update the board's firmware or this program"
             )
-        found = self.read(Parameter.BOARD_SERIAL_NUMBER) & 0xFFFFFFFF
-        self._parameters.require_single_board(Parameter.BOARD_SERIAL_NUMBER)
+        found = self.read(MotorParameter.BOARD_SERIAL_NUMBER) & 0xFFFFFFFF
+        self._parameters.require_single_board(MotorParameter.BOARD_SERIAL_NUMBER)
         if serial_number is not None and found != serial_number:
             raise WrongIdentity(
                 f"{self.where}: expected the board with serial number {serial_number}, found {found}; "
                 "check for swapped boards or node ids"
             )
-        firmware = self.read(Parameter.FIRMWARE_VERSION)
-        counts = self.read(Parameter.ENCODER_COUNTS_PER_TURN)
+        firmware = self.read(MotorParameter.FIRMWARE_VERSION)
+        counts = self.read(MotorParameter.ENCODER_COUNTS_PER_TURN)
         self.identity = MotorIdentity(protocol, found, firmware, counts)
         return self.identity
 
@@ -352,7 +352,7 @@ class MotorBoard:
         if state is not self._last_state:
             self._take_state(state)
 
-    def _take_state(self, state: State) -> None:
+    def _take_state(self, state: DriveState) -> None:
         before, self._last_state = self._last_state, state
         # Only a command leads to this state; without one, it is a restart whose start-up message was lost.
         if (

@@ -8,7 +8,7 @@ from enum import Enum, IntEnum
 from types import MappingProxyType
 
 
-class State(Enum):
+class DriveState(Enum):
     """Drive states by their CiA 402 names."""
 
     NOT_READY_TO_SWITCH_ON = "NOT READY TO SWITCH ON"
@@ -32,8 +32,8 @@ class DriveCommand(IntEnum):
     FAULT_RESET = 0x80  # acts on the change of bit 7 from 0 to 1
 
 
-def _transitions() -> dict[tuple[State, DriveCommand], State]:
-    s, c = State, DriveCommand
+def _transitions() -> dict[tuple[DriveState, DriveCommand], DriveState]:
+    s, c = DriveState, DriveCommand
     # In brackets: the number of the transition in CiA 402.
     return {
         (s.SWITCH_ON_DISABLED, c.SHUTDOWN): s.READY_TO_SWITCH_ON,  # (2)
@@ -57,47 +57,47 @@ def _transitions() -> dict[tuple[State, DriveCommand], State]:
 TRANSITIONS = MappingProxyType(_transitions())
 
 
-def after(state: State, command: DriveCommand) -> State:
+def after(state: DriveState, command: DriveCommand) -> DriveState:
     """The state after `command`; unchanged if the table has no such transition."""
     return TRANSITIONS.get((state, command), state)
 
 
-def _state_of_statusword(statusword: int) -> State | None:
+def _state_of_statusword(statusword: int) -> DriveState | None:
     """CiA 402: bits 0-3 and 6, with bit 5 (quick stop) where it matters; None if invalid."""
     match statusword & 0x4F:
         case 0x00:
-            return State.NOT_READY_TO_SWITCH_ON
+            return DriveState.NOT_READY_TO_SWITCH_ON
         case 0x40:
-            return State.SWITCH_ON_DISABLED
+            return DriveState.SWITCH_ON_DISABLED
         case 0x0F:
-            return State.FAULT_REACTION_ACTIVE
+            return DriveState.FAULT_REACTION_ACTIVE
         case 0x08:
-            return State.FAULT
+            return DriveState.FAULT
     return {
-        0x21: State.READY_TO_SWITCH_ON,
-        0x23: State.SWITCHED_ON,
-        0x27: State.OPERATION_ENABLED,
-        0x07: State.QUICK_STOP_ACTIVE,
+        0x21: DriveState.READY_TO_SWITCH_ON,
+        0x23: DriveState.SWITCHED_ON,
+        0x27: DriveState.OPERATION_ENABLED,
+        0x07: DriveState.QUICK_STOP_ACTIVE,
     }.get(statusword & 0x6F)
 
 
 # By statusword (0x6041, low byte), all 256 values, because it is read every cycle.
-STATE_OF_STATUSWORD: tuple[State | None, ...] = tuple(map(_state_of_statusword, range(256)))
+STATE_OF_STATUSWORD: tuple[DriveState | None, ...] = tuple(map(_state_of_statusword, range(256)))
 
 
-def next_command(state: State, wanted: State) -> DriveCommand | None:
+def next_command(state: DriveState, wanted: DriveState) -> DriveCommand | None:
     """The first command of the shortest path from `state` to `wanted`.
 
     None if there is no path. No path leads through OPERATION ENABLED or acknowledges a fault:
     that must be requested explicitly.
     """
-    ways: deque[tuple[State, DriveCommand | None]] = deque([(state, None)])
+    ways: deque[tuple[DriveState, DriveCommand | None]] = deque([(state, None)])
     seen = {state}
     while ways:
         at, first = ways.popleft()
         if at is wanted:
             return first
-        if at is State.OPERATION_ENABLED and at is not state:
+        if at is DriveState.OPERATION_ENABLED and at is not state:
             continue
         for (origin, command), target in TRANSITIONS.items():
             if origin is at and target not in seen and command is not DriveCommand.FAULT_RESET:

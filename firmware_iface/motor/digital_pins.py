@@ -2,11 +2,11 @@
 
 import math
 
-from firmware_iface.errors import ProtocolViolation, RequestRefused, WrongIdentity
+from firmware_iface.errors import BoardRefused, ProtocolViolation, WrongIdentity
 from firmware_iface.motor import wire
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
-from firmware_iface.motor.wire import DigitalCommand, DigitalReply, Parameter
+from firmware_iface.motor.wire import DigitalCommand, DigitalReply, MotorParameter
 
 
 class DigitalPins:
@@ -23,8 +23,8 @@ class DigitalPins:
     def require(self, count: int) -> None:
         """WrongIdentity unless the board has at least `count` pins; BoardSilent if it does not answer."""
         try:
-            found = self.board.read(Parameter.DIGITAL_PINS)
-        except RequestRefused:
+            found = self.board.read(MotorParameter.DIGITAL_PINS)
+        except BoardRefused:
             raise WrongIdentity(
                 f"{self.board.where}: has no digital pins, or a firmware that does not know them (parameter 48): remove its"
                 " [[digital]] from arm.toml, or update it"
@@ -36,9 +36,9 @@ class DigitalPins:
 
     def configure(self, outputs: int, safe_levels: int, safe_keep: int) -> None:
         """Write which pins are outputs, and what they do while the drive is not enabled; not while it is enabled."""
-        self.board.write(Parameter.DIGITAL_SAFE_LEVELS, safe_levels)
-        self.board.write(Parameter.DIGITAL_SAFE_KEEP, safe_keep)
-        self.board.write(Parameter.DIGITAL_OUTPUTS, outputs)
+        self.board.write(MotorParameter.DIGITAL_SAFE_LEVELS, safe_levels)
+        self.board.write(MotorParameter.DIGITAL_SAFE_KEEP, safe_keep)
+        self.board.write(MotorParameter.DIGITAL_OUTPUTS, outputs)
 
     def command(self, mask: int, levels: int) -> None:
         """Set the outputs of `mask` and ask for all pins; does not wait. LinkLost."""

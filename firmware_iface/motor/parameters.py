@@ -3,10 +3,16 @@
 import struct
 from collections.abc import Callable
 
-from firmware_iface.errors import BoardSilent, MisuseError, ProtocolViolation, RequestRefused
+from firmware_iface.errors import BoardRefused, BoardSilent, MisuseError, ProtocolViolation
 from firmware_iface.motor import wire
 from firmware_iface.motor.bus import MotorBus
-from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, ParameterRequest, ParameterResult
+from firmware_iface.motor.wire import (
+    MotorParameter,
+    Operation,
+    ParameterAnswer,
+    ParameterRequest,
+    ParameterResult,
+)
 
 ANSWER_TIMEOUT_s = 0.05  # the board answers within 5 ms; hosts are late by tens of milliseconds at times
 ATTEMPTS = 3
@@ -54,7 +60,9 @@ class ParameterChannel:
     def write(self, index: int, value: int) -> None:
         """Set the raw value. Raises RequestRefused, BoardSilent, ProtocolViolation if the board reports another."""
         stored = self._ask(Operation.WRITE, index, value)
-        if stored != value and index != Parameter.POSITION_COUNT:  # the count is live and may have changed
+        if (
+            stored != value and index != MotorParameter.POSITION_COUNT
+        ):  # the count is live and may have changed
             raise ProtocolViolation(f"{self._where()}: {_named(index)} is {stored} after {value} was written")
 
     def require_single_board(self, index: int) -> None:
@@ -78,7 +86,7 @@ class ParameterChannel:
         answer = self._answer_to(payload, index)
         if answer.result != ParameterResult.DONE:
             wanted = f" to {value}" if operation is Operation.WRITE else ""
-            raise RequestRefused(
+            raise BoardRefused(
                 f"{self._where()}: refused to {operation.name.lower()} {_named(index)}{wanted}: "
                 f"{_result_name(answer.result)}{_REMEDIES.get(answer.result, '')}"
             )
@@ -106,8 +114,8 @@ class ParameterChannel:
 
 
 def _named(index: int) -> str:
-    known = index in set(Parameter)
-    return f"parameter {index} ({Parameter(index).name})" if known else f"parameter {index}"
+    known = index in set(MotorParameter)
+    return f"parameter {index} ({MotorParameter(index).name})" if known else f"parameter {index}"
 
 
 def _result_name(result: int) -> str:

@@ -5,7 +5,13 @@ from dataclasses import dataclass, field
 from firmware_iface.clock import Clock
 from firmware_iface.link import FrameLink
 from firmware_iface.motor import wire
-from firmware_iface.motor.wire import Operation, Parameter, ParameterAnswer, ParameterRequest, ParameterResult
+from firmware_iface.motor.wire import (
+    MotorParameter,
+    Operation,
+    ParameterAnswer,
+    ParameterRequest,
+    ParameterResult,
+)
 
 ANSWER_WAIT_s = 0.06  # a board answers within 5 ms; hosts are late by tens of milliseconds at times
 _STEP_s = 0.001
@@ -38,7 +44,7 @@ def scan_nodes(link: FrameLink, clock: Clock, wait_s: float = ANSWER_WAIT_s) -> 
     """Request the serial number of every node and collect the answers. Raises LinkLost."""
     link.receive()
     for node in wire.NODES:
-        request = ParameterRequest(Operation.READ, Parameter.BOARD_SERIAL_NUMBER, _SEQUENCE, 0)
+        request = ParameterRequest(Operation.READ, MotorParameter.BOARD_SERIAL_NUMBER, _SEQUENCE, 0)
         link.send(wire.PARAMETER_REQUEST_ID + node, request.pack())
     return listen(link, clock, wait_s)
 
@@ -52,7 +58,7 @@ def _take(scan: BusScan, can_id: int, payload: bytes) -> None:
         scan.commanded.add(node)
     elif kind == wire.PARAMETER_ANSWER_ID and len(payload) == 8:
         answer = ParameterAnswer.unpack(payload)
-        is_ours = (answer.sequence, answer.index) == (_SEQUENCE, Parameter.BOARD_SERIAL_NUMBER)
+        is_ours = (answer.sequence, answer.index) == (_SEQUENCE, MotorParameter.BOARD_SERIAL_NUMBER)
         if is_ours and answer.result == ParameterResult.DONE:
             scan.serial_numbers.setdefault(node, []).append(answer.value & 0xFFFFFFFF)
 

@@ -18,7 +18,7 @@ from enum import IntEnum, IntFlag
 from struct import Struct
 from typing import NamedTuple, Self
 
-from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, State
+from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveState
 
 PROTOCOL_VERSION = 1
 NODES = range(1, 16)
@@ -42,7 +42,7 @@ pack_raw_command = _COMMAND.pack
 """(controlword, mode | sequence << 3, setpoint_raw, feedforward_mV) to bytes; struct.error if a number does not fit."""
 
 
-class Mode(IntEnum):
+class SetpointMode(IntEnum):
     """Meaning of the set-point of a COMMAND."""
 
     OFF = 0
@@ -52,7 +52,7 @@ class Mode(IntEnum):
     HOLD = 4
 
 
-class Fault(IntFlag):
+class MotorFault(IntFlag):
     """Fault bits of a board."""
 
     OVER_CURRENT = 0x01
@@ -82,7 +82,7 @@ class ParameterResult(IntEnum):
     NOT_IN_THIS_STATE = 4
 
 
-class Parameter(IntEnum):
+class MotorParameter(IntEnum):
     """Parameter indices; units are those of the raw value."""
 
     PROTOCOL_VERSION = 0
@@ -122,7 +122,7 @@ class ResetCause(IntEnum):
     PROGRAM = 5
 
 
-class Output(IntEnum):
+class IdleOutput(IntEnum):
     """Values of WATCHDOG_ACTION and (without HOLD) of DISABLED_OUTPUT."""
 
     OPEN_CIRCUIT = 0
@@ -131,7 +131,7 @@ class Output(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class MotorCommand:
     """One COMMAND; the set-point in the unit of the mode [mV], [mA], [count]."""
 
     controlword: int
@@ -165,14 +165,14 @@ class Reply(NamedTuple):
     faults: int
 
     @property
-    def state(self) -> State | None:
+    def state(self) -> DriveState | None:
         """The drive's state; None if the statusword is invalid."""
         return STATE_OF_STATUSWORD[self.statusword]
 
     @property
-    def fault_flags(self) -> Fault:
+    def fault_flags(self) -> MotorFault:
         """The fault bits by name."""
-        return Fault(self.faults)
+        return MotorFault(self.faults)
 
     @property
     def is_limited(self) -> bool:

@@ -6,16 +6,16 @@ from typing import Final
 
 from firmware_iface.errors import (
     BoardFaulted,
+    BoardRefused,
     BoardReset,
     BoardSilent,
     MisuseError,
     ProtocolViolation,
-    RequestRefused,
     WrongIdentity,
 )
 from firmware_iface.node_bus import NodeBus
 from firmware_iface.odrive import wire
-from firmware_iface.odrive.wire import AxisState, Command, Control, Error, Frame
+from firmware_iface.odrive.wire import AxisState, Error, Frame, OdriveCommand, OdriveControlMode
 
 STATUS_WAIT_s = 0.5  # an ODrive that sends more slowly cannot be used
 VERSION_WAIT_s = 0.01  # for an answer that only firmware 0.5 gives; no longer, as watchdogs of other axes run
@@ -23,10 +23,10 @@ GAP_s = 0.1  # without a heartbeat: it may have restarted meanwhile
 ASK_AGAIN_s = 0.1  # for a state: the heartbeat tells of it a little later, and asking twice leaves the state
 _GOES_ON: Final = (0, 1, 2, 3)  # procedure results: well, busy, cancelled, disarmed (an error says why)
 _SETTINGS: Final = {
-    Command.HEARTBEAT: "heartbeat_msg_rate_ms",
-    Command.ENCODER: "encoder_msg_rate_ms",
-    Command.IQ: "iq_msg_rate_ms",
-    Command.BUS: "bus_voltage_msg_rate_ms",
+    OdriveCommand.HEARTBEAT: "heartbeat_msg_rate_ms",
+    OdriveCommand.ENCODER: "encoder_msg_rate_ms",
+    OdriveCommand.IQ: "iq_msg_rate_ms",
+    OdriveCommand.BUS: "bus_voltage_msg_rate_ms",
 }
 
 
@@ -58,8 +58,8 @@ class OdriveAxis:
         self._at_s = dict.fromkeys(_SETTINGS, -math.inf)
         self._is_old = False
         self._wanted: AxisState | None = None
-        self._control: Control | None = None  # as the axis has it
-        self._input: tuple[Control, Frame] = (Control.TORQUE, wire.torque(node, 0.0))
+        self._control: OdriveControlMode | None = None  # as the axis has it
+        self._input: tuple[OdriveControlMode, Frame] = (OdriveControlMode.TORQUE, wire.torque(node, 0.0))
         self._asked_s = -math.inf
         self._bus = bus
         bus.nodes[node] = self
@@ -89,18 +89,18 @@ class OdriveAxis:
     def want_torque(self, torque_Nm: float) -> None:
         """Drive with a torque of the motor."""
         self._wanted = AxisState.CLOSED_LOOP_CONTROL
-        self._input = (Control.TORQUE, wire.torque(self.node, torque_Nm))
+        self._input = (OdriveControlMode.TORQUE, wire.torque(self.node, torque_Nm))
 
     def want_count(self, count: int, speed_count_s: float = 0.0) -> None:
         """Be at a count that moves at a speed, or hold it."""
         self._wanted = AxisState.CLOSED_LOOP_CONTROL
         turns, turns_s = count / self.counts_per_turn, speed_count_s / self.counts_per_turn
-        self._input = (Control.POSITION, wire.position(self.node, turns, turns_s))
+        self._input = (OdriveControlMode.POSITION, wire.position(self.node, turns, turns_s))
 
     def want_idle(self) -> None:
         """Drive nothing: the motor is free."""
         self._wanted = AxisState.IDLE
-        self._input = (Control.TORQUE, wire.torque(self.node, 0.0))
+        self._input = (OdriveControlMode.TORQUE, wire.torque(self.node, 0.0))
 
     def want_nothing(self) -> None:
         """Send nothing: the axis goes on with what it does."""
@@ -194,22 +194,22 @@ class OdriveAxis:
 
     def _take(self, command: int, payload: bytes, now_s: float) -> None:
         match command:
-            case Command.HEARTBEAT:
+            case OdriveCommand.HEARTBEAT:
                 self._follow(wire.heartbeat(payload), now_s)
-            case Command.ENCODER:
+            case OdriveCommand.ENCODER:
                 self._count(wire.pair(payload)[0], now_s)
-            case Command.IQ:
+            case OdriveCommand.IQ:
                 self.current_A = wire.pair(payload)[1]
-            case Command.TEMPERATURE:
+            case OdriveCommand.TEMPERATURE:
                 self.temperature_degC = max(
                     wire.pair(payload)
                 )  # without a motor's thermistor, NaN is the second
-            case Command.SENSORLESS_ERROR:
+            case OdriveCommand.SENSORLESS_ERROR:
                 self._is_old |= wire.is_sensorless_error(payload)
-            case Command.BUS:
+            case OdriveCommand.BUS:
                 self.supply_V = wire.pair(payload)[0]
         if command in self._at_s:
-            self._at_s[Command(command)] = now_s
+            self._at_s[OdriveCommand(command)] = now_s
 
     def _count(self, turns: float, now_s: float) -> None:
         if math.isfinite(turns):
@@ -222,7 +222,7 @@ class OdriveAxis:
             )
 
     def _follow(self, heartbeat: wire.Heartbeat, now_s: float) -> None:
-        was_driving, before_s = self.is_driving, self._at_s[Command.HEARTBEAT]
+        was_driving, before_s = self.is_driving, self._at_s[OdriveCommand.HEARTBEAT]
         self.errors, self.state = heartbeat.errors & ~Error.INITIALIZING, heartbeat.state
         # An operation that ends by an error says so; one that ends without was ended by the host, or by a restart.
         is_unasked = self._wanted is AxisState.CLOSED_LOOP_CONTROL or now_s - before_s > GAP_s
@@ -232,7 +232,7 @@ class OdriveAxis:
             self._restarted()
         elif self._asked_s >= before_s and heartbeat.result not in _GOES_ON:
             self._bus.problems.append(
-                RequestRefused(
+                BoardRefused(
                     f"{self.where}: it does not go into closed-loop control (procedure result {heartbeat.result}): calibrate it"
                     " with odrivetool"
                 )

@@ -28,7 +28,7 @@ PASSTHROUGH: Final = 1  # an input mode: set-points take effect as they come
 Frame = tuple[int, bytes]
 
 
-class Command(IntEnum):
+class OdriveCommand(IntEnum):
     """Commands of CANSimple."""
 
     HEARTBEAT = 0x01
@@ -52,7 +52,7 @@ class AxisState(IntEnum):
     CLOSED_LOOP_CONTROL = 8
 
 
-class Control(IntEnum):
+class OdriveControlMode(IntEnum):
     """Control modes that are used here."""
 
     TORQUE = 1
@@ -101,38 +101,38 @@ def frame_id(node: int, command: int) -> int:
 
 def axis_state(node: int, state: AxisState) -> Frame:
     """Ask for a state. An axis that is asked for the state that it has leaves it and enters it anew."""
-    return frame_id(node, Command.SET_AXIS_STATE), struct.pack("<I", state)
+    return frame_id(node, OdriveCommand.SET_AXIS_STATE), struct.pack("<I", state)
 
 
-def controller_mode(node: int, control: Control) -> Frame:
+def controller_mode(node: int, control: OdriveControlMode) -> Frame:
     """Choose what the inputs are; they take effect as they come."""
-    return frame_id(node, Command.SET_CONTROLLER_MODE), struct.pack("<II", control, PASSTHROUGH)
+    return frame_id(node, OdriveCommand.SET_CONTROLLER_MODE), struct.pack("<II", control, PASSTHROUGH)
 
 
 def position(node: int, turns: float, speed_turns_s: float = 0.0) -> Frame:
     """Set the encoder's position, and the speed at which it moves there: at most MOST_SPEED_turns_s, the field's end."""
     speed = round(1e3 * min(max(speed_turns_s, -MOST_SPEED_turns_s), MOST_SPEED_turns_s))
-    return frame_id(node, Command.SET_INPUT_POS), struct.pack("<fhh", turns, speed, 0)
+    return frame_id(node, OdriveCommand.SET_INPUT_POS), struct.pack("<fhh", turns, speed, 0)
 
 
 def torque(node: int, torque_Nm: float) -> Frame:
     """Set the motor's torque."""
-    return frame_id(node, Command.SET_INPUT_TORQUE), struct.pack("<f", torque_Nm)
+    return frame_id(node, OdriveCommand.SET_INPUT_TORQUE), struct.pack("<f", torque_Nm)
 
 
 def limits(node: int, speed_turns_s: float, current_A: float) -> Frame:
     """Limit speed and current until the next start; nothing is stored."""
-    return frame_id(node, Command.SET_LIMITS), struct.pack("<ff", speed_turns_s, current_A)
+    return frame_id(node, OdriveCommand.SET_LIMITS), struct.pack("<ff", speed_turns_s, current_A)
 
 
 def clear_errors(node: int) -> Frame:
     """Forget errors whose cause is gone."""
-    return frame_id(node, Command.CLEAR_ERRORS), b"\x00"
+    return frame_id(node, OdriveCommand.CLEAR_ERRORS), b"\x00"
 
 
 def ask_sensorless_error(node: int) -> Frame:
     """A question that firmware 0.5 answers, and no other."""
-    return frame_id(node, Command.SENSORLESS_ERROR), b""
+    return frame_id(node, OdriveCommand.SENSORLESS_ERROR), b""
 
 
 def is_sensorless_error(payload: bytes) -> bool:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from firmware_iface.errors import BoardReset, BoardSilent, LinkError, MisuseError, Problems, WrongIdentity
 from firmware_iface.roboclaw import wire
-from firmware_iface.roboclaw.line import VERSION_BYTES, PacketLine, Question
-from firmware_iface.roboclaw.wire import Command, Status
+from firmware_iface.roboclaw.line import VERSION_BYTES, PacketLine, RoboclawQuestion
+from firmware_iface.roboclaw.wire import RoboclawCommand, RoboclawStatus
 
 CHANNELS = 2
 LEAST_TIMEOUT = 1  # in 0.1 s; 0 switches the board's time-out off
@@ -49,23 +49,25 @@ class RoboClaw:
         self.obeyed_at_s = -math.inf
         self.supply_V: float | None = None
         self.temperature_degC = 0.0
-        self.status: Status | None = None
+        self.status: RoboclawStatus | None = None
         self.identity: RoboClawIdentity | None = None
         self.resets = 0
         self.problems: list[LinkError] = Problems()
         self._line = line
         self._timeout: int | None = None  # as set, in 0.1 s
-        self.counts_question = Question(address, Command.READ_ENCODERS, 8, self._take_counts)
-        self._duty = Question(address, Command.DUTY_M1_M2, None, self._take_duty, self._duty_data)
-        self._currents = Question(address, Command.READ_CURRENTS, 4, self._take_currents)
-        status = Question(address, Command.READ_STATUS, 4, self._take_status)
+        self.counts_question = RoboclawQuestion(address, RoboclawCommand.READ_ENCODERS, 8, self._take_counts)
+        self._duty = RoboclawQuestion(
+            address, RoboclawCommand.DUTY_M1_M2, None, self._take_duty, self._duty_data
+        )
+        self._currents = RoboclawQuestion(address, RoboclawCommand.READ_CURRENTS, 4, self._take_currents)
+        status = RoboclawQuestion(address, RoboclawCommand.READ_STATUS, 4, self._take_status)
         self._slow = (
             status,
-            Question(address, Command.READ_MAIN_BATTERY, 2, self._take_supply),
+            RoboclawQuestion(address, RoboclawCommand.READ_MAIN_BATTERY, 2, self._take_supply),
             status,
-            Question(address, Command.READ_SERIAL_TIMEOUT, 1, self._take_timeout),
+            RoboclawQuestion(address, RoboclawCommand.READ_SERIAL_TIMEOUT, 1, self._take_timeout),
             status,
-            Question(address, Command.READ_TEMPERATURE, 2, self._take_temperature),
+            RoboclawQuestion(address, RoboclawCommand.READ_TEMPERATURE, 2, self._take_temperature),
         )
         self._turn = 0
 
@@ -89,21 +91,21 @@ class RoboClaw:
 
     def stop_packet(self) -> bytes:
         """A packet that sets both duties to 0: the board shorts the windings."""
-        return wire.command_packet(self.address, Command.DUTY_M1_M2, wire.duty_data(0, 0))
+        return wire.command_packet(self.address, RoboclawCommand.DUTY_M1_M2, wire.duty_data(0, 0))
 
     # ---- outside of the cycle: these wait for answers
 
     def identify(self) -> RoboClawIdentity:
         """Ask who it is and how it is set up. Raises BoardSilent, WrongIdentity."""
-        text = self._read(Command.READ_FIRMWARE_VERSION, VERSION_BYTES)
+        text = self._read(RoboclawCommand.READ_FIRMWARE_VERSION, VERSION_BYTES)
         version = text.decode("ascii", errors="replace").strip("\n\0 ")
         if "claw" not in version.lower() and "mcp" not in version.lower():
             raise WrongIdentity(
                 f"{self.where}: expected a RoboClaw or MCP controller, it says it is {version!r}"
             )
-        pins = tuple(self._read(Command.READ_PIN_MODES, wire.PIN_MODE_BYTES))
-        modes = struct.unpack(">BB", self._read(Command.READ_ENCODER_MODES, 2))
-        self.found_duty = struct.unpack(">hh", self._read(Command.READ_DUTIES, 4))
+        pins = tuple(self._read(RoboclawCommand.READ_PIN_MODES, wire.PIN_MODE_BYTES))
+        modes = struct.unpack(">BB", self._read(RoboclawCommand.READ_ENCODER_MODES, 2))
+        self.found_duty = struct.unpack(">hh", self._read(RoboclawCommand.READ_DUTIES, 4))
         self.identity = RoboClawIdentity(version, pins, modes, self._pwm_idle(len(pins)))
         return self.identity
 
@@ -111,7 +113,7 @@ class RoboClaw:
         """How both motors idle; only today's firmware, with more pins, is asked."""
         if pins > wire.PIN_MODE_BYTES[0]:
             with contextlib.suppress(BoardSilent):
-                first, second = self._read(Command.READ_PWM_IDLE, 2)
+                first, second = self._read(RoboclawCommand.READ_PWM_IDLE, 2)
                 return first, second
         return 0, 0
 
@@ -149,7 +151,7 @@ class RoboClaw:
         recognised by its old one.
         """
         wanted = max(LEAST_TIMEOUT, math.floor(timeout_s / wire.TIMEOUT_STEP_s + 1e-9))
-        (found,) = self._read(Command.READ_SERIAL_TIMEOUT, 1)
+        (found,) = self._read(RoboclawCommand.READ_SERIAL_TIMEOUT, 1)
         if found == wanted:
             wanted = wanted - 1 if wanted > LEAST_TIMEOUT else wanted + 1
         self._timeout = None
@@ -158,28 +160,28 @@ class RoboClaw:
         if len(identity.pin_modes) > wire.PIN_MODE_BYTES[0]:
             change += change  # the same firmware asks for the fastest fall of the duty, too
         for channel, limit_A in enumerate(current_limits_A):
-            self._command(Command.SET_DUTY_ACCELERATION_1 + channel, change)
+            self._command(RoboclawCommand.SET_DUTY_ACCELERATION_1 + channel, change)
             if math.isfinite(limit_A):
                 self._command(
-                    Command.SET_CURRENT_LIMIT_1 + channel, struct.pack(">II", round(limit_A * 100), 0)
+                    RoboclawCommand.SET_CURRENT_LIMIT_1 + channel, struct.pack(">II", round(limit_A * 100), 0)
                 )
-        self._command(Command.SET_SERIAL_TIMEOUT, bytes((wanted,)))
+        self._command(RoboclawCommand.SET_SERIAL_TIMEOUT, bytes((wanted,)))
         self._timeout = wanted
         self.status = None  # of before a restart
 
     def read_counts(self) -> tuple[int, int]:
         """Both counts as they are now."""
-        self.counts = wire.pair_of_counts(self._read(Command.READ_ENCODERS, 8))
+        self.counts = wire.pair_of_counts(self._read(RoboclawCommand.READ_ENCODERS, 8))
         return self.counts
 
-    def read_status(self) -> Status:
+    def read_status(self) -> RoboclawStatus:
         """The status as it is now."""
-        self._take_status(self._read(Command.READ_STATUS, 4), 0.0)
-        return self.status or Status(0)
+        self._take_status(self._read(RoboclawCommand.READ_STATUS, 4), 0.0)
+        return self.status or RoboclawStatus(0)
 
     def set_count(self, channel: int, count: int) -> None:
         """Set the counter of a channel, 1 or 2."""
-        self._command(Command.SET_ENCODER_1 + channel - 1, struct.pack(">I", count & 0xFFFF_FFFF))
+        self._command(RoboclawCommand.SET_ENCODER_1 + channel - 1, struct.pack(">I", count & 0xFFFF_FFFF))
 
     def _read(self, command: int, reply_bytes: int | tuple[int, ...]) -> bytes:
         return self._line.read(self.address, command, reply_bytes, self.where)
@@ -206,7 +208,7 @@ class RoboClaw:
         self.currents_at_s = sent_at_s
 
     def _take_status(self, data: bytes, _: float) -> None:
-        self.status = Status(int.from_bytes(data, "big"))
+        self.status = RoboclawStatus(int.from_bytes(data, "big"))
 
     def _take_supply(self, data: bytes, _: float) -> None:
         self.supply_V = wire.tenths(data)

@@ -14,7 +14,7 @@ VERSION_BYTES = -1  # as `reply_bytes`: text that ends with 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Question:
+class RoboclawQuestion:
     """A command of the manual and its answer; meets `firmware_iface.polled_line.Question`.
 
     `reply_bytes`: of data, without the CRC; several, ascending, where firmwares differ; None: an acknowledgement; VERSION_BYTES:
@@ -87,7 +87,7 @@ class PacketLine(PolledLine):
         where: str,
     ) -> bytes:
         answers: list[bytes] = []
-        question = Question(address, command, reply_bytes, lambda got, _: answers.append(got), data)
+        question = RoboclawQuestion(address, command, reply_bytes, lambda got, _: answers.append(got), data)
         remedy = f"check its supply, packet serial mode, address {address:#04x}"
         self.converse(question, lambda: bool(answers), f"{where}: no answer to command {command}", remedy)
         return answers[0]

@@ -32,7 +32,7 @@ HOME_PINS: Final = (
 _CRC = struct.Struct(">H")
 
 
-class Command(IntEnum):
+class RoboclawCommand(IntEnum):
     """Command numbers of the manual; the names are its, too."""
 
     SET_SERIAL_TIMEOUT = 14  # u8 in 0.1 s
@@ -56,7 +56,7 @@ class Command(IntEnum):
     READ_PWM_IDLE = 161  # u8, u8: IDLES and a delay in 0.1 s, of each motor; today's firmware
 
 
-class Status(IntFlag):
+class RoboclawStatus(IntFlag):
     """Bits of READ_STATUS: errors, which stop the motors, in the lower half; warnings in the upper."""
 
     E_STOP = 0x0001

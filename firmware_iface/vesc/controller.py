@@ -26,7 +26,7 @@ TO_HOST: Final = (Packet.PONG, Packet.PROCESS_SHORT_BUFFER, Packet.PROCESS_RX_BU
 NEEDED: Final = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
 
 
-class Batch(NamedTuple):
+class AngleBatch(NamedTuple):
     """Angles that were read together: the count before them, the time since the ones before [s], how many."""
 
     count_before: int
@@ -94,7 +94,7 @@ class Vesc:
         self._at_s = dict.fromkeys(NEEDED, -math.inf)
         self._last_raw: int | None = None
         self._step = 0  # of the count, between the last two status messages
-        self._batch = Batch(0, math.inf, 0)
+        self._batch = AngleBatch(0, math.inf, 0)
         self._speed_count_s = 0.0
         self._counters: dict[int, tuple[int, int]] = {}
         self._is_here = False
@@ -221,7 +221,7 @@ class Vesc:
 
     def _begin_batch(self, now_s: float) -> None:
         """Angles that are read together were sent one after the other. Too few of them for the time: turns may be missing."""
-        last, self._batch = self._batch, Batch(self.count, now_s - self.counted_at_s, 0)
+        last, self._batch = self._batch, AngleBatch(self.count, now_s - self.counted_at_s, 0)
         if self.is_counted and last.messages and math.isfinite(last.lasted_s):
             between_s = last.lasted_s / last.messages
             turned = self._speed_count_s * between_s
@@ -260,7 +260,7 @@ class Vesc:
     def _forget(self) -> None:
         """Its count means nothing any more."""
         self.resets += 1
-        self._batch, self._speed_count_s = Batch(0, math.inf, 0), 0.0
+        self._batch, self._speed_count_s = AngleBatch(0, math.inf, 0), 0.0
 
     def _restarted(self) -> None:
         self._forget()

@@ -59,7 +59,7 @@ class Packet(IntEnum):
 Frame = tuple[int, bytes]
 
 
-class Status(NamedTuple):
+class VescStatus(NamedTuple):
     """Electrical speed [1/min], current [A] as described above, duty -1 to 1."""
 
     erpm: int
@@ -152,10 +152,10 @@ def settings_in(answer: bytes, controller: int) -> Settings | None:
     return Settings(timeout_ms * 1e-3, brake_A, application) if is_it else None
 
 
-def status(payload: bytes) -> Status:
+def status(payload: bytes) -> VescStatus:
     """STATUS. struct.error if it has another length."""
     erpm, current_, duty_ = struct.unpack(">ihh", payload)
-    return Status(erpm, current_ / 10, duty_ / 1000)
+    return VescStatus(erpm, current_ / 10, duty_ / 1000)
 
 
 def counters(payload: bytes) -> tuple[int, int]:

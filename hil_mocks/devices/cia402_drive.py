@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hil_mocks.devices.motor_inputs import OPEN, Frame, Output
-from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
+from hil_mocks.devices.motor_states import NEXT, MotorState, Word, word_of
 
 INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05
 CSP, CSV, CST = 8, 9, 10
@@ -89,7 +89,7 @@ class Cia402Mock:
             self.objects[0x1400 + pdo, 1] = ("u32", base + node)
             self.objects[0x1800 + pdo, 1] = ("u32", 0x8000_0000 | base - 0x80 + node)
         self.nmt_state = PRE_OPERATIONAL
-        self.state = State.NOT_READY
+        self.state = MotorState.NOT_READY
         self.error = 0
         self.output = OPEN
         self._origin = self._read_shaft()
@@ -226,24 +226,24 @@ class Cia402Mock:
 
     def _statusword(self) -> int:
         word = self.state.value
-        return word | 0x200 | (0x10 if self.state in (State.SWITCHED_ON, State.ENABLED) else 0)
+        return word | 0x200 | (0x10 if self.state in (MotorState.SWITCHED_ON, MotorState.ENABLED) else 0)
 
     def _control(self, controlword: int) -> None:
         word = word_of(controlword, self._word_before)
         new = NEXT.get((self.state, word))
         if (
-            self.state is State.QUICK_STOP
+            self.state is MotorState.QUICK_STOP
             and word is Word.ENABLE_OPERATION
             and self.objects[0x605A, 0][1] >= 5
         ):
-            new = State.ENABLED  # transition 16
+            new = MotorState.ENABLED  # transition 16
         self._word_before = controlword
-        if new is None or (self.state is State.FAULT and self._cause()):
+        if new is None or (self.state is MotorState.FAULT and self._cause()):
             return
-        if self.state is State.FAULT:
+        if self.state is MotorState.FAULT:
             self.error = 0
             self.outgoing.append((0x80 + self.setup.node, bytes(8)))  # no error
-        if new in (State.ENABLED, State.QUICK_STOP):
+        if new in (MotorState.ENABLED, MotorState.QUICK_STOP):
             self._integral_V, self._held = 0.0, self.position
         self.state = new
 
@@ -255,7 +255,7 @@ class Cia402Mock:
             self._control(controlword)
 
     def _fault(self, code: int) -> None:
-        self.error, self.state = code, State.FAULT_REACTION
+        self.error, self.state = code, MotorState.FAULT_REACTION
         self._held = self.position
         self.outgoing.append((0x80 + self.setup.node, struct.pack("<HB5s", code, 1, bytes(5))))
 
@@ -263,7 +263,7 @@ class Cia402Mock:
         """The error code of a present cause."""
         if self.forced_error:
             return self.forced_error
-        return SUPPLY_LOW if self._supply_V < _LOWEST_SUPPLY_V and self.state is State.ENABLED else 0
+        return SUPPLY_LOW if self._supply_V < _LOWEST_SUPPLY_V and self.state is MotorState.ENABLED else 0
 
     def tick(self, now_s: float, current_A: float, supply_V: float) -> None:
         """Run one control period."""
@@ -272,11 +272,11 @@ class Cia402Mock:
         rated_Nm = self.setup.rated_torque_Nm
         torque = round(1e3 * current_A * self.setup.torque_constant_Nm_A / rated_Nm)
         self._torque_permille = min(max(torque, -32768), 32767)
-        if self.state is State.NOT_READY:
-            self.state = State.SWITCH_ON_DISABLED
-        elif self.state is State.FAULT_REACTION:
-            self.state = State.FAULT
-        if (cause := self._cause()) and self.state not in (State.FAULT, State.FAULT_REACTION):
+        if self.state is MotorState.NOT_READY:
+            self.state = MotorState.SWITCH_ON_DISABLED
+        elif self.state is MotorState.FAULT_REACTION:
+            self.state = MotorState.FAULT
+        if (cause := self._cause()) and self.state not in (MotorState.FAULT, MotorState.FAULT_REACTION):
             self._fault(cause)
         self._watch_host(now_s)
         self._beat(now_s)
@@ -286,8 +286,8 @@ class Cia402Mock:
         timeout_s = (self.objects[0x1016, 1][1] & 0xFFFF) * 1e-3
         if timeout_s and self._heard_s is not None and now_s - self._heard_s > timeout_s:
             self._heard_s = None
-            if self.state is State.ENABLED and self.objects[0x6007, 0][1] == 3:
-                self.state, self._held, self._integral_V = State.QUICK_STOP, self.position, 0.0
+            if self.state is MotorState.ENABLED and self.objects[0x6007, 0][1] == 3:
+                self.state, self._held, self._integral_V = MotorState.QUICK_STOP, self.position, 0.0
             self.outgoing.append(
                 (0x80 + self.setup.node, struct.pack("<HB5s", HEARTBEAT_LOST, 0x11, bytes(5)))
             )
@@ -304,13 +304,13 @@ class Cia402Mock:
         shaft = self._read_shaft()
         rate, self._before = (shaft - self._before) / step_s, shaft
         self._speed += (rate - self._speed) * step_s / (step_s + SPEED_FILTER_S)
-        if self.state is not State.ENABLED or self.objects[0x6060, 0][1] != 8:
+        if self.state is not MotorState.ENABLED or self.objects[0x6060, 0][1] != 8:
             self._aim = self._target = self.position
-        if self.state is State.ENABLED:
+        if self.state is MotorState.ENABLED:
             self.output = self._by_mode(step_s)
-        elif self.state is State.QUICK_STOP:
+        elif self.state is MotorState.QUICK_STOP:
             self.output = self._to_position(self._held, step_s)
-        elif self.state is State.FAULT_REACTION and self.objects[0x605E, 0][1]:
+        elif self.state is MotorState.FAULT_REACTION and self.objects[0x605E, 0][1]:
             self.output = Output("voltage", 0.0)  # it slows down
         else:
             self.output = OPEN

@@ -53,7 +53,7 @@ STORED = {RETURN_DELAY: 0}  # other than at delivery
 NOMINAL_V = 12.0  # of the voltage limits in the table
 
 
-class Instruction(IntEnum):
+class DynamixelInstruction(IntEnum):
     """Instructions of protocol 2.0."""
 
     PING = 0x01
@@ -73,11 +73,11 @@ class Instruction(IntEnum):
 
 
 FAST: dict[int, int] = {
-    Instruction.FAST_SYNC_READ: Instruction.SYNC_READ,
-    Instruction.FAST_BULK_READ: Instruction.BULK_READ,
+    DynamixelInstruction.FAST_SYNC_READ: DynamixelInstruction.SYNC_READ,
+    DynamixelInstruction.FAST_BULK_READ: DynamixelInstruction.BULK_READ,
 }
 # From which status return level on an instruction is answered; others: 2.
-LEVELS: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
+LEVELS: dict[int, int] = {DynamixelInstruction.PING: 0, DynamixelInstruction.READ: 1}
 
 
 def _crc_of(byte: int) -> int:
@@ -174,10 +174,10 @@ class DynamixelMock:
 
     def read(self, address: int, count: int, now_s: float) -> tuple[int, bytes] | None:
         """Error number and bytes for one of several servos that are read at once; None if it is not there to answer."""
-        if now_s < self._deaf_until_s or self.table[RETURN_LEVEL] < LEVELS[Instruction.READ]:
+        if now_s < self._deaf_until_s or self.table[RETURN_LEVEL] < LEVELS[DynamixelInstruction.READ]:
             return None
         self._heard_s = now_s
-        error, data = self._obey(Instruction.READ, struct.pack("<HH", address, count), now_s)
+        error, data = self._obey(DynamixelInstruction.READ, struct.pack("<HH", address, count), now_s)
         return error | (ALERT if self.table[ERROR_STATUS] else 0), data
 
     def write(self, address: int, data: bytes) -> int:
@@ -206,24 +206,24 @@ class DynamixelMock:
     def _obey(self, instruction: int, parameters: bytes, now_s: float) -> tuple[int, bytes]:
         address, data = int.from_bytes(parameters[:2], "little"), parameters[2:]
         match instruction:
-            case Instruction.PING:
+            case DynamixelInstruction.PING:
                 return 0, bytes(self.table[0:2]) + bytes(self.table[6:7])
-            case Instruction.READ:
+            case DynamixelInstruction.READ:
                 end = address + int.from_bytes(data, "little")
                 if len(data) != 2:
                     return LENGTH_ERROR, b""
                 return (0, bytes(self.table[address:end])) if end <= TABLE_BYTES else (ACCESS_ERROR, b"")
-            case Instruction.WRITE:
+            case DynamixelInstruction.WRITE:
                 return self.write(address, data), b""
-            case Instruction.REG_WRITE:
+            case DynamixelInstruction.REG_WRITE:
                 return self._register(address, data), b""
-            case Instruction.ACTION:
+            case DynamixelInstruction.ACTION:
                 return self._act(), b""
-            case Instruction.REBOOT:
+            case DynamixelInstruction.REBOOT:
                 self.power_up(now_s)
                 self._deaf_until_s = now_s + REBOOT_S
                 return 0, b""
-            case Instruction.RESET | Instruction.CLEAR:
+            case DynamixelInstruction.RESET | DynamixelInstruction.CLEAR:
                 return RESULT_FAIL, b""
         return INSTRUCTION_ERROR, b""
 
@@ -317,20 +317,20 @@ class DynamixelLineMock:
         if number != BROADCAST:
             for servo in self._asked(number):
                 yield servo.delay_s, servo.answer(instruction, parameters, now_s)
-        elif instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
+        elif instruction in (DynamixelInstruction.SYNC_READ, DynamixelInstruction.BULK_READ):
             for which, address, count in _read_at_once(instruction, parameters):
                 said = self._read(which, address, count, now_s)
                 yield (0.0, None) if said is None else (said[0].delay_s, said[0].status(*said[1:]))
         elif instruction in FAST:
             yield LATENCY_S, self._chained(FAST[instruction], parameters, now_s)
-        elif instruction in (Instruction.SYNC_WRITE, Instruction.BULK_WRITE):
+        elif instruction in (DynamixelInstruction.SYNC_WRITE, DynamixelInstruction.BULK_WRITE):
             for which, address, data in _written_at_once(instruction, parameters):
                 for servo in self._asked(which):
                     servo.write(address, data)
         else:
             for _, servo in sorted(self.servos.items()):
                 status = servo.answer(instruction, parameters, now_s)
-                if instruction == Instruction.PING and status is not None:
+                if instruction == DynamixelInstruction.PING and status is not None:
                     yield servo.delay_s, status
 
     def _read(
@@ -364,7 +364,7 @@ def _with_crc(packet: bytes) -> bytes:
 
 def _read_at_once(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, int]]:
     """Id, address and count of each servo that is asked."""
-    if instruction == Instruction.BULK_READ:
+    if instruction == DynamixelInstruction.BULK_READ:
         yield from struct.iter_unpack("<BHH", parameters[: len(parameters) // 5 * 5])
     elif len(parameters) > 4:
         address, count = struct.unpack_from("<HH", parameters)
@@ -373,12 +373,12 @@ def _read_at_once(instruction: int, parameters: bytes) -> Iterator[tuple[int, in
 
 def _written_at_once(instruction: int, parameters: bytes) -> Iterator[tuple[int, int, bytes]]:
     """Id, address and bytes of each servo that is written."""
-    if instruction == Instruction.SYNC_WRITE and len(parameters) > 4:
+    if instruction == DynamixelInstruction.SYNC_WRITE and len(parameters) > 4:
         address, size = struct.unpack_from("<HH", parameters)
         for at in range(4, len(parameters) - size, size + 1):
             yield parameters[at], address, parameters[at + 1 : at + 1 + size]
     at = 0
-    while instruction == Instruction.BULK_WRITE and len(parameters) >= at + 5:
+    while instruction == DynamixelInstruction.BULK_WRITE and len(parameters) >= at + 5:
         number, address, size = struct.unpack_from("<BHH", parameters, at)
         yield number, address, parameters[at + 5 : at + 5 + size]
         at += 5 + size

@@ -44,7 +44,7 @@ LATENCY_S = 0.0001
 _EEPROM = range(5, STORED_END)  # written only while the lock is open
 
 
-class Instruction(IntEnum):
+class FeetechInstruction(IntEnum):
     """Instructions of the protocol."""
 
     PING = 0x01
@@ -108,15 +108,15 @@ class FeetechMock:
         if now_s < self._deaf_until_s:
             return None
         match instruction:
-            case Instruction.PING:
+            case FeetechInstruction.PING:
                 return self._status()
-            case Instruction.READ if len(parameters) == 2 and sum(parameters) <= TABLE_BYTES:
+            case FeetechInstruction.READ if len(parameters) == 2 and sum(parameters) <= TABLE_BYTES:
                 return self._status(bytes(self.table[parameters[0] : sum(parameters)]))
-            case Instruction.WRITE if len(parameters) > 1:
+            case FeetechInstruction.WRITE if len(parameters) > 1:
                 self.write(parameters[0], parameters[1:], now_s)
-            case Instruction.REG_WRITE if len(parameters) > 1:
+            case FeetechInstruction.REG_WRITE if len(parameters) > 1:
                 self._registered, self.table[REGISTERED] = (parameters[0], parameters[1:]), 1
-            case Instruction.ACTION:
+            case FeetechInstruction.ACTION:
                 registered, self._registered, self.table[REGISTERED] = self._registered, None, 0
                 if registered is not None:
                     self.write(*registered, now_s)
@@ -240,21 +240,23 @@ class FeetechLineMock:
         self, number: int, instruction: int, parameters: bytes, now_s: float
     ) -> Iterator[tuple[float, bytes]]:
         """The answers, each after its delay."""
-        if instruction == Instruction.SYNC_READ and number == BROADCAST:
+        if instruction == FeetechInstruction.SYNC_READ and number == BROADCAST:
             for which in parameters[2:]:
                 servo = self.servos.get(which)
-                status = servo.answer(Instruction.READ, parameters[:2], now_s) if servo else None
+                status = servo.answer(FeetechInstruction.READ, parameters[:2], now_s) if servo else None
                 if servo is None or status is None:
                     return
                 yield servo.delay_s, status
-        elif instruction == Instruction.SYNC_WRITE and len(parameters) > 2:
+        elif instruction == FeetechInstruction.SYNC_WRITE and len(parameters) > 2:
             address, size = parameters[:2]
             for at in range(2, len(parameters) - size, size + 1):
                 if (servo := self.servos.get(parameters[at])) is not None:
                     servo.write(address, parameters[at + 1 : at + 1 + size], now_s)
         elif number == BROADCAST:
             answers = [servo.answer(instruction, parameters, now_s) for servo in self.servos.values()]
-            if instruction == Instruction.PING and (said := [one for one in answers if one is not None]):
+            if instruction == FeetechInstruction.PING and (
+                said := [one for one in answers if one is not None]
+            ):
                 yield LATENCY_S, reduce(_collided, said)
         elif (asked := self.servos.get(number)) and (status := asked.answer(instruction, parameters, now_s)):
             yield asked.delay_s, status

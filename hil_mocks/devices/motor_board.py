@@ -19,7 +19,7 @@ from hil_mocks.devices.motor_inputs import (
     MotorBoardSetup,
     Output,
 )
-from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
+from hil_mocks.devices.motor_states import NEXT, MotorState, Word, word_of
 
 HOLD = 4  # mode
 COMMAND, REPLY, REQUEST, ANSWER, DIGITAL_COMMAND, DIGITAL_REPLY = 0x100, 0x180, 0x200, 0x280, 0x300, 0x380
@@ -33,10 +33,10 @@ _OVER_CURRENT_RATIO = 1.5
 _TRIP_S = 1e-3 - 1e-9  # an over-current that lasts as long is a fault
 _VOLTAGE_ENABLED, _WARNING = 0x10, 0x80
 # Members of an enumeration are slow to look up in Python 3.11, and a period looks at the state three times.
-_NOT_READY, _ENABLED, _FAULT_REACTION = State.NOT_READY, State.ENABLED, State.FAULT_REACTION
+_NOT_READY, _ENABLED, _FAULT_REACTION = MotorState.NOT_READY, MotorState.ENABLED, MotorState.FAULT_REACTION
 
 
-class Stop(NamedTuple):
+class OwnStop(NamedTuple):
     """A stop without the host: when and where it began, at what speed."""
 
     since_s: float
@@ -53,7 +53,7 @@ class MotorBoardMock(MotorBoardHardware):
         super().__init__(setup, read_shaft)
 
     def _boot(self) -> None:
-        self.state = State.NOT_READY
+        self.state = MotorState.NOT_READY
         self.pins.reset()
         self.faults = 0
         self.values = {index: row.at_power_up for index, row in self._rows.items()}
@@ -63,7 +63,7 @@ class MotorBoardMock(MotorBoardHardware):
         self._mode = self._setpoint = self._feedforward_mV = 0
         self._integral_mV = self._speed = 0.0
         self._holds = False  # the PID runs, whatever the mode is
-        self._stop: Stop | None = None  # without the host
+        self._stop: OwnStop | None = None  # without the host
         self._last_command_s = 0.0
         self._over_current_since_s: float | None = None
         self._now_s = 0.0
@@ -99,11 +99,11 @@ class MotorBoardMock(MotorBoardHardware):
         self._measure_speed(step_s)
         state = self.state
         if state is _NOT_READY:
-            self.state = State.SWITCH_ON_DISABLED
+            self.state = MotorState.SWITCH_ON_DISABLED
             self._apply()
             return [(ANSWER + self.setup.node, _REQUEST.pack(0, 0, 0, 0, self.setup.protocol))]
         if state is _FAULT_REACTION:
-            self.state = State.FAULT
+            self.state = MotorState.FAULT
         elif state is _ENABLED and now_s - self._last_command_s > self._soonest_s:
             if now_s - self._last_command_s > self._watchdog_s:
                 self._expire()
@@ -162,10 +162,10 @@ class MotorBoardMock(MotorBoardHardware):
         self._soonest_s = min(self._watchdog_s, stop_ms * 1e-3 - 1e-9 if stop_ms else math.inf)
 
     def _fault(self, bits: int) -> None:
-        first = self.state not in (State.FAULT, State.FAULT_REACTION)
+        first = self.state not in (MotorState.FAULT, MotorState.FAULT_REACTION)
         self.faults |= bits
         if first or bits & EMERGENCY_STOP:
-            self.state = State.FAULT_REACTION
+            self.state = MotorState.FAULT_REACTION
         if bits & OVER_CURRENT:
             self._put(OPEN)
         elif (bits & EMERGENCY_STOP and not self.faults & OVER_CURRENT) or first:
@@ -193,7 +193,7 @@ class MotorBoardMock(MotorBoardHardware):
             self.output, self._is_cut = BRAKE, False
         else:
             kind, voltage_V = self.output
-            self._stop = Stop(now_s, self.position_count, self._speed)
+            self._stop = OwnStop(now_s, self.position_count, self._speed)
             kv = self.values[parameter.SPEED_FEEDFORWARD] * 1e-6
             self._integral_mV = voltage_V * 1e3 - kv * self._speed if kind == "voltage" else 0.0
             self._feedforward_mV, self._holds = 0, True
@@ -225,7 +225,7 @@ class MotorBoardMock(MotorBoardHardware):
         mode = mode_and_sequence & 7
         if mode > HOLD:
             self._before = controlword
-            if self.state is not State.NOT_READY:
+            if self.state is not MotorState.NOT_READY:
                 self._fault(BAD_COMMAND)
             return self._reply(mode_and_sequence)
         if controlword != 0x0F or self.state is not _ENABLED or self._before != 0x0F:
@@ -273,9 +273,9 @@ class MotorBoardMock(MotorBoardHardware):
                 self.output = Output("current", min(max(wanted_A, -limit_A), limit_A))
             else:
                 self._control(0.0)
-        elif self.state is State.QUICK_STOP:
+        elif self.state is MotorState.QUICK_STOP:
             self.output = BRAKE
-        elif self.state not in (State.FAULT, State.FAULT_REACTION):
+        elif self.state not in (MotorState.FAULT, MotorState.FAULT_REACTION):
             self.output = BRAKE if self.values[parameter.DISABLED_OUTPUT] else OPEN
 
     def _control(self, step_s: float) -> None:
@@ -347,9 +347,9 @@ class MotorBoardMock(MotorBoardHardware):
         result = parameter.refusal(self._rows, index, value)
         if result != parameter.DONE:
             return result
-        if self.state not in (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON):
+        if self.state not in (MotorState.SWITCH_ON_DISABLED, MotorState.READY, MotorState.SWITCHED_ON):
             return parameter.NOT_IN_THIS_STATE
-        if index == parameter.WATCHDOG_MS and value == 0 and self.state is not State.SWITCH_ON_DISABLED:
+        if index == parameter.WATCHDOG_MS and value == 0 and self.state is not MotorState.SWITCH_ON_DISABLED:
             return parameter.NOT_IN_THIS_STATE
         if index == parameter.POSITION_COUNT:
             self._count_offset = self._read_shaft() - value

@@ -37,7 +37,7 @@ class Pins(Protocol):
         ...
 
 
-class Readings(NamedTuple):
+class ReplyReadings(NamedTuple):
     """What a REPLY has: mA, mV, degrees Celsius."""
 
     current_mA: int
@@ -146,7 +146,7 @@ class MotorBoardHardware(ABC):
         self._whole_degC = round(self._temperature_degC)
         self._heat_A2s = self._heated_s = 0.0
 
-    def _readings(self) -> Readings:
+    def _readings(self) -> ReplyReadings:
         """What the next REPLY has, with noise, or with what a fault makes the board say."""
         setup, noise, at = self.setup, self._noise, self._replies
         self._replies = (at + 2) % _NOISE_VALUES
@@ -165,4 +165,4 @@ class MotorBoardHardware(ABC):
             current_mA = 32767 if current_mA > 0 else -32767
         if not 0 <= supply_mV <= 65535:
             supply_mV = 65535 if supply_mV > 0 else 0
-        return Readings(current_mA, supply_mV, min(max(temperature_degC, -128), 127))
+        return ReplyReadings(current_mA, supply_mV, min(max(temperature_degC, -128), 127))

@@ -15,7 +15,7 @@ DIGITAL_PINS, DIGITAL_OUTPUTS, DIGITAL_SAFE_LEVELS, DIGITAL_SAFE_KEEP = 48, 49, 
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ParameterRange:
     """One writable parameter."""
 
     lowest: int
@@ -23,30 +23,30 @@ class Row:
     at_power_up: int
 
 
-def writable(rating_mA: int, digital_pins: int = 0) -> dict[int, Row]:
+def writable(rating_mA: int, digital_pins: int = 0) -> dict[int, ParameterRange]:
     """All writable parameters; `rating_mA` and `digital_pins` are the board's."""
-    pins = Row(0, (1 << digital_pins) - 1, 0)
+    pins = ParameterRange(0, (1 << digital_pins) - 1, 0)
     digital = (DIGITAL_OUTPUTS, DIGITAL_SAFE_LEVELS, DIGITAL_SAFE_KEEP) if digital_pins else ()
     return {
         **dict.fromkeys(digital, pins),
-        POSITION_COUNT: Row(*_I32, 0),
-        KP: Row(0, _I32[1], 0),
-        KI: Row(0, _I32[1], 0),
-        KD: Row(0, _I32[1], 0),
-        DERIVATIVE_FILTER_US: Row(0, 1_000_000, 1000),
-        CURRENT_LIMIT_MA: Row(1, min(rating_mA, 21_000), rating_mA),
-        VOLTAGE_LIMIT_MV: Row(0, 60_000, 24_000),
-        INTEGRAL_LIMIT_MV: Row(0, 60_000, 0),
-        SPEED_FEEDFORWARD: Row(0, _I32[1], 0),
-        WATCHDOG_MS: Row(0, 10_000, 200),
-        WATCHDOG_ACTION: Row(0, 2, 1),
-        DISABLED_OUTPUT: Row(0, 1, 1),
-        STOP_AFTER_MS: Row(0, 10_000, 0),
-        STOP_TIME_MS: Row(1, 10_000, 100),
+        POSITION_COUNT: ParameterRange(*_I32, 0),
+        KP: ParameterRange(0, _I32[1], 0),
+        KI: ParameterRange(0, _I32[1], 0),
+        KD: ParameterRange(0, _I32[1], 0),
+        DERIVATIVE_FILTER_US: ParameterRange(0, 1_000_000, 1000),
+        CURRENT_LIMIT_MA: ParameterRange(1, min(rating_mA, 21_000), rating_mA),
+        VOLTAGE_LIMIT_MV: ParameterRange(0, 60_000, 24_000),
+        INTEGRAL_LIMIT_MV: ParameterRange(0, 60_000, 0),
+        SPEED_FEEDFORWARD: ParameterRange(0, _I32[1], 0),
+        WATCHDOG_MS: ParameterRange(0, 10_000, 200),
+        WATCHDOG_ACTION: ParameterRange(0, 2, 1),
+        DISABLED_OUTPUT: ParameterRange(0, 1, 1),
+        STOP_AFTER_MS: ParameterRange(0, 10_000, 0),
+        STOP_TIME_MS: ParameterRange(1, 10_000, 100),
     }
 
 
-def refusal(rows: dict[int, Row], index: int, value: int) -> int:
+def refusal(rows: dict[int, ParameterRange], index: int, value: int) -> int:
     """DONE if the value is allowed at the index, else UNKNOWN_INDEX, READ_ONLY or OUT_OF_RANGE."""
     if index not in rows:
         is_read_only = index <= 6 or (index == DIGITAL_PINS and DIGITAL_OUTPUTS in rows)

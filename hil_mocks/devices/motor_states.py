@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 
 
-class State(Enum):
+class MotorState(Enum):
     """CiA 402 states; the value is the statusword, without warning and voltage-enabled."""
 
     NOT_READY = 0x00
@@ -30,22 +30,22 @@ class Word(Enum):
     NOTHING = 7
 
 
-NEXT: dict[tuple[State, Word], State] = {
-    (State.SWITCH_ON_DISABLED, Word.SHUTDOWN): State.READY,
-    (State.READY, Word.SWITCH_ON): State.SWITCHED_ON,
-    (State.READY, Word.ENABLE_OPERATION): State.SWITCHED_ON,
-    (State.READY, Word.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,
-    (State.READY, Word.QUICK_STOP): State.SWITCH_ON_DISABLED,
-    (State.SWITCHED_ON, Word.SHUTDOWN): State.READY,
-    (State.SWITCHED_ON, Word.ENABLE_OPERATION): State.ENABLED,
-    (State.SWITCHED_ON, Word.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,
-    (State.SWITCHED_ON, Word.QUICK_STOP): State.SWITCH_ON_DISABLED,
-    (State.ENABLED, Word.SHUTDOWN): State.READY,
-    (State.ENABLED, Word.SWITCH_ON): State.SWITCHED_ON,
-    (State.ENABLED, Word.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,
-    (State.ENABLED, Word.QUICK_STOP): State.QUICK_STOP,
-    (State.QUICK_STOP, Word.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,
-    (State.FAULT, Word.FAULT_RESET): State.SWITCH_ON_DISABLED,
+NEXT: dict[tuple[MotorState, Word], MotorState] = {
+    (MotorState.SWITCH_ON_DISABLED, Word.SHUTDOWN): MotorState.READY,
+    (MotorState.READY, Word.SWITCH_ON): MotorState.SWITCHED_ON,
+    (MotorState.READY, Word.ENABLE_OPERATION): MotorState.SWITCHED_ON,
+    (MotorState.READY, Word.DISABLE_VOLTAGE): MotorState.SWITCH_ON_DISABLED,
+    (MotorState.READY, Word.QUICK_STOP): MotorState.SWITCH_ON_DISABLED,
+    (MotorState.SWITCHED_ON, Word.SHUTDOWN): MotorState.READY,
+    (MotorState.SWITCHED_ON, Word.ENABLE_OPERATION): MotorState.ENABLED,
+    (MotorState.SWITCHED_ON, Word.DISABLE_VOLTAGE): MotorState.SWITCH_ON_DISABLED,
+    (MotorState.SWITCHED_ON, Word.QUICK_STOP): MotorState.SWITCH_ON_DISABLED,
+    (MotorState.ENABLED, Word.SHUTDOWN): MotorState.READY,
+    (MotorState.ENABLED, Word.SWITCH_ON): MotorState.SWITCHED_ON,
+    (MotorState.ENABLED, Word.DISABLE_VOLTAGE): MotorState.SWITCH_ON_DISABLED,
+    (MotorState.ENABLED, Word.QUICK_STOP): MotorState.QUICK_STOP,
+    (MotorState.QUICK_STOP, Word.DISABLE_VOLTAGE): MotorState.SWITCH_ON_DISABLED,
+    (MotorState.FAULT, Word.FAULT_RESET): MotorState.SWITCH_ON_DISABLED,
 }
 
 

@@ -35,7 +35,7 @@ def crc16(data: bytes) -> int:
 
 
 @dataclass(slots=True)
-class Settings:
+class StoredSettings:
     """What command 94 saves, and what a restart brings back."""
 
     timeout: int = 10  # in 0.1 s; 0: none
@@ -47,9 +47,9 @@ class Settings:
     main_voltages: tuple[int, int] = (60, 340)  # in 0.1 V
     pwm_idle: bytes = bytes(2)  # of both motors: 0x80, and a delay in 0.1 s
 
-    def copy(self) -> Settings:
+    def copy(self) -> StoredSettings:
         """A copy that shares nothing."""
-        return Settings(
+        return StoredSettings(
             self.timeout, list(self.duty_accelerations), list(self.current_limits), list(self.duty_falls),
             self.pin_modes, list(self.encoder_modes), self.main_voltages, self.pwm_idle,
         )  # fmt: skip
@@ -65,7 +65,7 @@ class RoboClawMock:
         self.address = address
         self.writes = CTRL_WRITES if has_ctrl_pins else WRITES
         self.reads = CTRL_READS if has_ctrl_pins else READS
-        self.saved = Settings()
+        self.saved = StoredSettings()
         if not has_ctrl_pins:
             self.saved.pin_modes = self.saved.pin_modes[:3]
         self.forced_errors = 0  # persistent causes, set by a fault of the scenario

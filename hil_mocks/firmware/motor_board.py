@@ -17,7 +17,7 @@ from hil_mocks.devices.motor_inputs import (
     MotorBoardSetup,
     Output,
 )
-from hil_mocks.devices.motor_states import State
+from hil_mocks.devices.motor_states import MotorState
 from hil_mocks.firmware.library import PROTOCOL, library, require_size, size_of
 
 _COMMAND, _REPLY, _ANSWER = 0x100, 0x180, 0x280
@@ -101,9 +101,9 @@ class MotorBoardFirmware(MotorBoardHardware):
         return int(self._code.aw_motor_count(self._board, self._read_shaft() & _U32))
 
     @property
-    def state(self) -> State:
+    def state(self) -> MotorState:
         """State of CiA 402."""
-        return State(self._code.aw_motor_state(self._board))
+        return MotorState(self._code.aw_motor_state(self._board))
 
     @property
     def faults(self) -> int:

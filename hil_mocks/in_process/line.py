@@ -6,11 +6,11 @@ import serial
 
 from hil_mocks.wires import newest_frames
 
-_LINES: dict[str, Line] = {}
+_LINES: dict[str, SerialLine] = {}
 _ROOM_BYTES = 4095  # as a tty holds for a host that does not read
 
 
-class Line:
+class SerialLine:
     """A serial line to one host at a time."""
 
     def __init__(self, name: str) -> None:
@@ -49,7 +49,7 @@ class Line:
         _LINES.pop(self.path, None)
 
 
-def line_at(path: str) -> Line:
+def line_at(path: str) -> SerialLine:
     """The line of a URL. SerialException, as pyserial's ports raise it, if there is none."""
     line = _LINES.get(path)
     if line is None or not line.is_there:

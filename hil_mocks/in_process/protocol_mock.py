@@ -1,4 +1,4 @@
-"""pyserial's handler of `mock://NAME`: the host's end of a `Line`. pyserial asks for this module's name and class."""
+"""pyserial's handler of `mock://NAME`: the host's end of a `SerialLine`. pyserial asks for this module's name and class."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from typing import Any
 
 import serial
 
-from hil_mocks.in_process.line import Line, line_at
+from hil_mocks.in_process.line import SerialLine, line_at
 
 
 class Serial(serial.SerialBase):
     """A port on a line within this process. A line has no modem lines, and no bit rate that could be wrong."""
 
-    _line: Line | None = None
+    _line: SerialLine | None = None
 
     def open(self) -> None:
         """Take the line; bytes from before are discarded, as at any port. SerialException if there is none or it is taken."""
@@ -46,7 +46,7 @@ class Serial(serial.SerialBase):
         """Number of bytes that can be read."""
         return len(self._here().to_host)
 
-    def _here(self) -> Line:
+    def _here(self) -> SerialLine:
         if self._line is None or not self._line.is_there:
             raise serial.PortNotOpenError() if self._line is None else serial.SerialException("unplugged")
         return self._line

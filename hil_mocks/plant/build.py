@@ -15,7 +15,7 @@ import numpy as np
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.flexure import LOSS_S, Beam, beam, ends_of, remaining_inertia, split_mass
-from hil_mocks.plant.geometry import Frame, Matrix, true_frame
+from hil_mocks.plant.geometry import LinkFrame, Matrix, true_frame
 from hil_mocks.plant.parts import ArmParts
 from hil_mocks.plant.transmission import HARD, Transmissions
 
@@ -205,7 +205,7 @@ class _Builder:
             load.mass, load.inertia = mass_kg, [0.0, 0.0, 0.0]
             load.ipos = [0.0, 0.0, 0.0]  # if unset, it would add the body's own pose again
 
-    def _true_frame(self, i: int) -> Frame:
+    def _true_frame(self, i: int) -> LinkFrame:
         deviation = {key: value for (at, key), value in self._effects.dh_deviation.items() if at == i}
         return true_frame(self._arm.links[i], deviation, self._arm.convention)
 
@@ -221,7 +221,7 @@ class _Builder:
         mass = link.mass_kg + self._effects.link_mass_kg.get(i, 0.0)
         return mass, np.array(link.com_m), np.array(link.inertia_kg_m2) + more
 
-    def _beam(self, i: int, frames: Sequence[Frame]) -> Beam:
+    def _beam(self, i: int, frames: Sequence[LinkFrame]) -> Beam:
         turns = [link.is_revolute for link in self._arm.links]
         ends = ends_of(i, frames, turns, self._arm.convention == "standard", np.array(self._arm.tool.tip_m))
         return beam(*ends, self._effects.link_EI_Nm2[i], f'arm "{self._arm.name}", link {i + 1}')
@@ -247,7 +247,7 @@ class _Builder:
                 self._bends.append(name)
         return far
 
-    def _hinge(self, body: Any, frame: Frame, j: int) -> None:
+    def _hinge(self, body: Any, frame: LinkFrame, j: int) -> None:
         drive = self._arm.drives[j]
         hinge = body.add_joint(
             name=f"q{j + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=frame.axis, pos=frame.anchor_m

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil_mocks.errors import MockError
-from hil_mocks.plant.geometry import Frame, Matrix
+from hil_mocks.plant.geometry import LinkFrame, Matrix
 
 LOSS_S = 2e-4  # damping over stiffness: 2 % of critical at 30 Hz, as of a bolted aluminium link
 _SHORTEST_M = 0.01
@@ -73,7 +73,7 @@ def beam(root_m: Matrix, end_m: Matrix, EI_Nm2: float, where: str) -> Beam:
 
 
 def ends_of(
-    i: int, frames: Sequence[Frame], is_revolute: Sequence[bool], is_standard: bool, tool_m: Matrix
+    i: int, frames: Sequence[LinkFrame], is_revolute: Sequence[bool], is_standard: bool, tool_m: Matrix
 ) -> tuple[Matrix, Matrix]:
     """Ends of bending link i in its own frame: its joint, and the next one or the tip, including fixed links between.
 

@@ -33,7 +33,7 @@ class DhLink(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class LinkFrame:
     """A link frame in its parent's at joint angle zero, with the hinge's axis and anchor in the link's own frame."""
 
     position_m: Matrix  # (3,)
@@ -54,23 +54,23 @@ def rotation_z(angle_rad: float) -> Matrix:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def standard_frame(d_m: float, theta_rad: float, L_m: float, alpha_rad: float) -> Frame:
+def standard_frame(d_m: float, theta_rad: float, L_m: float, alpha_rad: float) -> LinkFrame:
     """Tz(d) Rz(theta) Tx(L) Rx(alpha): the hinge is the parent's z axis, seen from the link's frame."""
     turn = rotation_z(theta_rad)
     rotation = turn @ rotation_x(alpha_rad)
     position_m = turn @ np.array([L_m, 0.0, 0.0]) + np.array([0.0, 0.0, d_m])
-    return Frame(position_m, rotation, rotation.T @ np.array([0.0, 0.0, 1.0]), -rotation.T @ position_m)
+    return LinkFrame(position_m, rotation, rotation.T @ np.array([0.0, 0.0, 1.0]), -rotation.T @ position_m)
 
 
-def modified_frame(d_m: float, theta_rad: float, L_m: float, alpha_rad: float) -> Frame:
+def modified_frame(d_m: float, theta_rad: float, L_m: float, alpha_rad: float) -> LinkFrame:
     """Rx(alpha) Tx(L) Rz(theta) Tz(d): the hinge is the link's own z axis."""
     tilt = rotation_x(alpha_rad)
     rotation = tilt @ rotation_z(theta_rad)
     position_m = tilt @ np.array([L_m, 0.0, d_m])
-    return Frame(position_m, rotation, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    return LinkFrame(position_m, rotation, np.array([0.0, 0.0, 1.0]), np.zeros(3))
 
 
-def true_frame(link: DhLink, deviation: Mapping[str, float], convention: Convention) -> Frame:
+def true_frame(link: DhLink, deviation: Mapping[str, float], convention: Convention) -> LinkFrame:
     """Frame of a link whose DH parameters are off nominal by `deviation` (keys of DH_KEYS; absent: 0)."""
     d, theta, length, alpha = (float(getattr(link, key)) + deviation.get(key, 0.0) for key in DH_KEYS)
     place = standard_frame if convention == "standard" else modified_frame

@@ -45,7 +45,7 @@ class DriveParts:
 
 
 @dataclass(frozen=True, slots=True)
-class ToolParts:
+class PlantTool:
     """A tool: its tip, and a point mass, in the frame of the last link."""
 
     tip_m: Vector
@@ -62,7 +62,7 @@ class ArmParts:
     convention: Convention
     links: tuple[LinkParts, ...]
     drives: tuple[DriveParts, ...]
-    tool: ToolParts
+    tool: PlantTool
 
 
 def parts_of(arm: Arm) -> ArmParts:
@@ -77,9 +77,9 @@ def parts_of(arm: Arm) -> ArmParts:
     )
 
 
-def tool_parts(tool: Tool) -> ToolParts:
+def tool_parts(tool: Tool) -> PlantTool:
     """The parts of a [tool]; its mass is at the tip if its centre is not given."""
-    return ToolParts(
+    return PlantTool(
         _vector(tool.position_m),
         tool.mass_kg,
         _vector(tool.position_m if tool.com_m is None else tool.com_m),

@@ -14,7 +14,7 @@ from hil_mocks.plant.bridge import CURRENT, OPEN, VOLTAGE, Bridges, windings_of
 from hil_mocks.plant.build import PlantModel, PlantOptions, Standing, build, to_build
 from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.hand import Hand, Point
-from hil_mocks.plant.parts import ArmParts, ToolParts
+from hil_mocks.plant.parts import ArmParts, PlantTool
 from hil_mocks.plant.shaft import Shaft
 
 _FALL_rad_s = 0.5  # of a link that an operator lets down by hand
@@ -178,7 +178,7 @@ class Plant:
         self._model.body_mass[self._at.payload_body] = mass_kg
         self._derive()
 
-    def set_tool(self, tool: ToolParts) -> None:
+    def set_tool(self, tool: PlantTool) -> None:
         """Mount another tool; the payload goes with its tip."""
         at, model = self._at, self._model
         model.site_pos[at.tip_site] = model.body_pos[at.payload_body] = tool.tip_m - at.end_shift_m

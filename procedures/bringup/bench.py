@@ -19,10 +19,10 @@ from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import LinkError, MisuseError, connect_all
 from firmware_iface.motor.board import MotorBoard, MotorBus
-from firmware_iface.motor.cia402 import State
-from firmware_iface.motor.wire import Output, Parameter
+from firmware_iface.motor.cia402 import DriveState
+from firmware_iface.motor.wire import IdleOutput, MotorParameter
 from firmware_iface.serial_link import open_serial
-from procedures.bringup.operator import Operator, Stopped
+from procedures.bringup.operator import BringupOperator, Stopped
 from procedures.bringup.workbench import Channel, DriveLimits, SafetyTrip, Sample
 
 PERIOD_S = 0.004
@@ -33,7 +33,7 @@ SPEED_FILTER_S = 0.004
 JUMP_SHARE = 0.6  # of the allowed speed: a slower joint cannot exceed the limit within one cycle
 
 
-class Bench:
+class ReferenceBench:
     """The open reference boards; meets `procedures.bringup.workbench.Workbench`.
 
     `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies.
@@ -43,7 +43,7 @@ class Bench:
     has_index = True
     has_volts = limits_current = True
 
-    def __init__(self, arm: Arm, clock: Clock, operator: Operator) -> None:
+    def __init__(self, arm: Arm, clock: Clock, operator: BringupOperator) -> None:
         self.clock = clock
         self.operator = operator
         self.latest: Sample | None = None
@@ -104,7 +104,7 @@ class Bench:
         motor = self.motors[node]
         self._set_up(motor, limits)
         try:
-            motor.go_to(State.OPERATION_ENABLED)
+            motor.go_to(DriveState.OPERATION_ENABLED)
             self._driven, self._limits, self._origin = motor, limits, {}
             self._deadline_s = self.clock.now_s()
             for _ in range(SETTLING_CYCLES):
@@ -117,14 +117,17 @@ class Bench:
 
     def _set_up(self, motor: MotorBoard, limits: DriveLimits) -> None:
         motor.acknowledge_fault()  # the operator has just allowed the motion
-        motor.go_to(State.SWITCH_ON_DISABLED)
+        motor.go_to(DriveState.SWITCH_ON_DISABLED)
         for index, value in (
-            (Parameter.WATCHDOG_ms, round(self._arm.limits.watchdog_s * 1e3)),
-            (Parameter.WATCHDOG_ACTION, Output.BRAKE),
-            (Parameter.STOP_AFTER_ms, 0),  # a PID on an encoder whose sign is not known yet would run away
-            (Parameter.DISABLED_OUTPUT, Output.BRAKE),
-            (Parameter.VOLTAGE_LIMIT_mV, round(limits.voltage_V * 1e3)),
-            (Parameter.CURRENT_LIMIT_mA, max(1, round(limits.current_A * 1e3))),
+            (MotorParameter.WATCHDOG_ms, round(self._arm.limits.watchdog_s * 1e3)),
+            (MotorParameter.WATCHDOG_ACTION, IdleOutput.BRAKE),
+            (
+                MotorParameter.STOP_AFTER_ms,
+                0,
+            ),  # a PID on an encoder whose sign is not known yet would run away
+            (MotorParameter.DISABLED_OUTPUT, IdleOutput.BRAKE),
+            (MotorParameter.VOLTAGE_LIMIT_mV, round(limits.voltage_V * 1e3)),
+            (MotorParameter.CURRENT_LIMIT_mA, max(1, round(limits.current_A * 1e3))),
         ):
             motor.write(index, value)
 
@@ -134,8 +137,8 @@ class Bench:
             motor.command_voltage(0.0)
             with contextlib.suppress(LinkError):
                 self._bus.update()
-            if motor.state is not State.FAULT:
-                motor.go_to(State.SWITCH_ON_DISABLED)
+            if motor.state is not DriveState.FAULT:
+                motor.go_to(DriveState.SWITCH_ON_DISABLED)
         except LinkError:
             with contextlib.suppress(LinkError):
                 self._bus.emergency_stop(1)
@@ -215,7 +218,7 @@ class Bench:
         for encoder in self.encoders:
             encoder.require_fresh(now_s, stale_s)
         motor.require_fresh(now_s, stale_s)
-        if motor.state is not State.OPERATION_ENABLED or motor.reply is None:
+        if motor.state is not DriveState.OPERATION_ENABLED or motor.reply is None:
             raise SafetyTrip(
                 f"{motor.where}: left the state OPERATION ENABLED without a command ({_fault_names(motor)}); run"
                 " `armwright doctor`"
@@ -268,7 +271,7 @@ class Bench:
 
     def motor_count(self, node: int) -> int:
         """The motor board's own count of its encoder; counts up with positive voltage if both are wired correctly."""
-        return self.motors[node].read(Parameter.POSITION_COUNT)
+        return self.motors[node].read(MotorParameter.POSITION_COUNT)
 
     def counts_per_turn(self, at: Channel) -> int | None:
         """What the encoder's board says of it."""

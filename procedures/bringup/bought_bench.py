@@ -19,7 +19,7 @@ from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError, MisuseError
-from procedures.bringup.operator import Operator, Stopped
+from procedures.bringup.operator import BringupOperator, Stopped
 from procedures.bringup.workbench import Channel, DriveLimits, SafetyTrip, Sample
 
 ENABLE_S = 1.0
@@ -44,7 +44,9 @@ class BoughtBench:
 
     has_index = False
 
-    def __init__(self, arm: Arm, clock: Clock, operator: Operator, currents_A: Mapping[int, float]) -> None:
+    def __init__(
+        self, arm: Arm, clock: Clock, operator: BringupOperator, currents_A: Mapping[int, float]
+    ) -> None:
         """`currents_A`: by joint, what its drive may draw. Raises the errors of `connect`."""
         self.clock, self.operator = clock, operator
         self._arm = _cautious(arm, currents_A)

@@ -12,9 +12,9 @@ from statistics import fmean, median
 from control.hardware.words import QUADRATURE_ERROR, SIGNAL_LOST
 from control.model.arm import Drive
 from procedures.bringup.findings import Diagnosis
-from procedures.bringup.measuring import ODD_RATIO, Measured
+from procedures.bringup.measuring import ODD_RATIO, JointMeasurements
 from procedures.bringup.placing import place_home, place_limits
-from procedures.bringup.wiring import JointWiring
+from procedures.bringup.wiring import MeasuredWiring
 
 READING_SD_RAD = 0.004  # of a protractor, including the reading error
 SCALE_TOLERANCE = 0.015  # of the gear ratio; a wrong gear is off by more
@@ -30,7 +30,7 @@ RESISTANCE_TOLERANCE = 0.6  # leads, brushes and heat add to the data sheet's va
 LEAST_CURRENT_A = 0.1  # smallest current that determines a resistance
 
 
-def diagnose(draft: Drive, wiring: JointWiring, found: Measured, board_counts: int) -> Diagnosis:
+def diagnose(draft: Drive, wiring: MeasuredWiring, found: JointMeasurements, board_counts: int) -> Diagnosis:
     """The diagnosis of a joint; `board_counts`: counts per turn of its encoder by its boards."""
     drive = rewired(draft, wiring)
     result = Diagnosis(drive)
@@ -52,7 +52,7 @@ def diagnose(draft: Drive, wiring: JointWiring, found: Measured, board_counts: i
     return result
 
 
-def rewired(draft: Drive, wiring: JointWiring) -> Drive:
+def rewired(draft: Drive, wiring: MeasuredWiring) -> Drive:
     """The draft's drive with the measured wiring."""
     if wiring.board:
         return replace(
@@ -73,7 +73,7 @@ def rewired(draft: Drive, wiring: JointWiring) -> Drive:
     )
 
 
-def _slip(result: Diagnosis, found: Measured) -> bool:
+def _slip(result: Diagnosis, found: JointMeasurements) -> bool:
     """Whether the counts fail to repeat when the joint returns to a place."""
     name = f"joint {result.drive.joint}"
     evidence = []
@@ -113,7 +113,7 @@ def _slip(result: Diagnosis, found: Measured) -> bool:
     return True
 
 
-def _counts(result: Diagnosis, found: Measured, board_counts: int) -> None:
+def _counts(result: Diagnosis, found: JointMeasurements, board_counts: int) -> None:
     """Counts per motor turn, from index to index."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     spacings = found.spacings_count
@@ -149,7 +149,7 @@ def _counts(result: Diagnosis, found: Measured, board_counts: int) -> None:
         )
 
 
-def _line(result: Diagnosis, found: Measured, is_slipping: bool) -> tuple[float, float]:
+def _line(result: Diagnosis, found: JointMeasurements, is_slipping: bool) -> tuple[float, float]:
     """Fit reading = offset + slope * nominal angle by least squares; NaN with fewer than two places."""
     points = found.readings
     name = f"joint {result.drive.joint}"
@@ -217,7 +217,7 @@ def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
     result.drive = replace(drive, gear_ratio=rounded)
 
 
-def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
+def _motor(result: Diagnosis, found: JointMeasurements, draft: Drive) -> None:
     """Fit volts = R I + k w over all passes, w the motor's own speed; only a check of the data sheet's values."""
     if len(found.passes) < 4 or not found.has_volts:
         return
@@ -243,7 +243,7 @@ def _motor(result: Diagnosis, found: Measured, draft: Drive) -> None:
         )
 
 
-def _friction(result: Diagnosis, found: Measured, draft: Drive, scale: float) -> None:
+def _friction(result: Diagnosis, found: JointMeasurements, draft: Drive, scale: float) -> None:
     """Friction from half the difference of the currents in both directions: coulomb + viscous * speed; the mean is gravity."""
     constant = result.drive.torque_constant_Nm_A * result.drive.gear_ratio
     forth = [p for p in found.passes if p.speed_rad_s > 0.0]

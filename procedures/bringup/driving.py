@@ -28,7 +28,7 @@ REST_S = 0.2
 RUNAWAY = 3.0  # times the commanded speed
 
 
-class End(Enum):
+class MotionEnd(Enum):
     """Why a motion ended."""
 
     REACHED = "reached"
@@ -37,10 +37,10 @@ class End(Enum):
 
 
 @dataclass(slots=True)
-class Run:
+class DrivenMotion:
     """A motion: why it ended, and its cycles as (time, angle, speed, volts, amperes), all in the joint's sign."""
 
-    end: End
+    end: MotionEnd
     rows: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     flags: list[int] = field(default_factory=list)
     limited: list[bool] = field(default_factory=list)
@@ -104,14 +104,14 @@ class JointDriver:
         self,
         distance_rad: float,
         speed_rad_s: float,
-        until: Callable[[Run, Sample], bool] = lambda run, sample: False,
-    ) -> Run:
+        until: Callable[[DrivenMotion, Sample], bool] = lambda run, sample: False,
+    ) -> DrivenMotion:
         """Turn by a signed distance at a speed, until it arrives, stalls, or the caller ends it."""
         sign = math.copysign(1.0, distance_rad)
         speed_set = sign * abs(speed_rad_s)
         constant = self.drive.gear_ratio * self.drive.torque_constant_Nm_A
         integral = self._weight_V
-        run = Run(End.REACHED)
+        run = DrivenMotion(MotionEnd.REACHED)
         limits = self.limits(speed_rad_s, distance_rad)
         with self.bench.driving(self.node, limits):
             sample = self.bench.cycle(0.0)
@@ -132,10 +132,10 @@ class JointDriver:
                 if (row[1] - start_rad) * sign >= abs(distance_rad):
                     break
                 if until(run, sample):
-                    run.end = End.SEEN
+                    run.end = MotionEnd.SEEN
                     break
                 if has_stalled(run.rows, abs(speed_rad_s)):
-                    run.end = End.STALLED
+                    run.end = MotionEnd.STALLED
                     break
             self._hold()
         return run
@@ -155,7 +155,7 @@ class JointDriver:
         while self.bench.clock.now_s() < end_s:
             self.bench.cycle(self._motor_sign * self._weight_V)
 
-    def go_to(self, angle_rad: float, speed_rad_s: float) -> Run:
+    def go_to(self, angle_rad: float, speed_rad_s: float) -> DrivenMotion:
         """Move to an angle from the first pose."""
         return self.turn(angle_rad - self.where_rad(), speed_rad_s)
 
@@ -174,7 +174,7 @@ class JointDriver:
                 lambda run, sample: self.bench.index_latch(self.channel) is not None,
             )
             latch = self.bench.index_latch(self.channel)
-            if run.end is not End.SEEN or latch is None:
+            if run.end is not MotionEnd.SEEN or latch is None:
                 break
             found.append(latch)
         return found

@@ -12,9 +12,9 @@ from control.errors import ArmError
 from control.files import parsed_json, read_text, write_whole
 from control.model.arm import Arm, Drive, Effect, Home
 from procedures.bringup.findings import Diagnosis
-from procedures.bringup.measuring import Measured
+from procedures.bringup.measuring import JointMeasurements
 from procedures.bringup.survey import Pulse
-from procedures.bringup.wiring import JointWiring
+from procedures.bringup.wiring import MeasuredWiring
 
 FORMAT = "bringup/1"
 FRICTION = ("coulomb_friction", "viscous_friction")
@@ -62,7 +62,9 @@ class Journal:
         self._content["pulses"] = [pulse.as_json() for pulse in pulses]
         self._save()
 
-    def note_joint(self, joint: int, wiring: JointWiring, found: Measured, result: Diagnosis) -> None:
+    def note_joint(
+        self, joint: int, wiring: MeasuredWiring, found: JointMeasurements, result: Diagnosis
+    ) -> None:
         """Record one joint; it counts as done if there are no problems."""
         self._content["joints"][str(joint)] = {
             "passed": not result.problems,

@@ -10,8 +10,8 @@ from itertools import pairwise
 from statistics import fmean, median
 
 from control.hardware.words import HOME_SWITCH, QUADRATURE_ERROR, SIGNAL_LOST
-from procedures.bringup.driving import End, JointDriver, Run
-from procedures.bringup.operator import Operator, Stopped
+from procedures.bringup.driving import DrivenMotion, JointDriver, MotionEnd
+from procedures.bringup.operator import BringupOperator, Stopped
 
 SUPPORT_S = 0.3  # in which a joint comes to rest once the links are supported anew
 LATCHES = 5
@@ -41,7 +41,7 @@ class SteadyPass:
 
 
 @dataclass(slots=True)
-class Measured:
+class JointMeasurements:
     """One joint; angles nominal (draft's scale), from the first pose, unless stated otherwise. NaN or empty: not measured."""
 
     spacings_count: list[int] = field(default_factory=list)
@@ -65,11 +65,11 @@ class Measured:
 
 
 def measure(
-    driver: JointDriver, operator: Operator, speed_rad_s: float, with_stops: bool, joint: int
-) -> Measured:
+    driver: JointDriver, operator: BringupOperator, speed_rad_s: float, with_stops: bool, joint: int
+) -> JointMeasurements:
     """Take all measurements. Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off."""
     bench = driver.bench
-    found = Measured(
+    found = JointMeasurements(
         has_index=bench.has_index, has_volts=bench.has_volts, cycle_rad=bench.look_s * abs(speed_rad_s)
     )
     operator.support(joint)
@@ -93,14 +93,14 @@ def measure(
     return found
 
 
-def _allow(operator: Operator, joint: int, what: str, travel_rad: float | None) -> None:
+def _allow(operator: BringupOperator, joint: int, what: str, travel_rad: float | None) -> None:
     way = f", at most {math.degrees(travel_rad):.0f} deg" if travel_rad else ""
     if not operator.allow(f"Joint {joint} {what}{way}."):
         raise Stopped(f"the operator did not confirm the motion of joint {joint}")
 
 
 def _known_angle(
-    driver: JointDriver, operator: Operator, joint: int, found: Measured, angle_rad: float
+    driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements, angle_rad: float
 ) -> None:
     """Read, turn by the draft's scale, read again: this reveals a wrong scale before a long motion."""
     _read(driver, operator, joint, found)
@@ -116,18 +116,20 @@ def _known_angle(
     _take_scale(driver, found)
 
 
-def _turned(driver: JointDriver, found: Measured, distance_rad: float, speed_rad_s: float = 0.2) -> float:
+def _turned(
+    driver: JointDriver, found: JointMeasurements, distance_rad: float, speed_rad_s: float = 0.2
+) -> float:
     run = driver.turn(distance_rad, speed_rad_s)
     _note_flags(run, found)
     return run.travelled_rad
 
 
-def _note_flags(run: Run, found: Measured) -> None:
+def _note_flags(run: DrivenMotion, found: JointMeasurements) -> None:
     for flags in run.flags:
         found.flags |= flags & (QUADRATURE_ERROR | SIGNAL_LOST)
 
 
-def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
+def measure_index_spacing(driver: JointDriver, found: JointMeasurements) -> None:
     """Index pulses in the positive direction, or in the negative one if the joint is blocked."""
     start_rad = driver.where_rad()
     longest_rad = INDEX_TURNS * 2.0 * math.pi / driver.drive.gear_ratio
@@ -142,14 +144,14 @@ def measure_index_spacing(driver: JointDriver, found: Measured) -> None:
     driver.go_to(start_rad, 0.2)
 
 
-def _friction(driver: JointDriver, found: Measured) -> None:
+def _friction(driver: JointDriver, found: JointMeasurements) -> None:
     """Constant-speed passes over the same place in both directions, so that gravity is the same."""
     for speed_rad_s in PASS_SPEEDS_rad_s:
         length_rad = max(PASS_RAD, PASS_S * speed_rad_s)
         for direction in (1.0, -1.0):
             run = driver.turn(direction * length_rad, speed_rad_s)
             _note_flags(run, found)
-            if run.end is not End.REACHED:
+            if run.end is not MotionEnd.REACHED:
                 found.stalled_early = True
                 continue
             steady = _steady(run, driver.scale)
@@ -157,7 +159,7 @@ def _friction(driver: JointDriver, found: Measured) -> None:
                 found.passes.append(steady)
 
 
-def _steady(run: Run, scale: float) -> SteadyPass | None:
+def _steady(run: DrivenMotion, scale: float) -> SteadyPass | None:
     """Means over the middle of the pass; None if a limit of the board was active there."""
     begin_rad = run.rows[0][1]
     lower, upper = (part * abs(run.travelled_rad) for part in MIDDLE)
@@ -170,14 +172,14 @@ def _steady(run: Run, scale: float) -> SteadyPass | None:
     return SteadyPass(speed / scale, fmean(row[3] for row in rows), fmean(row[4] for row in rows))
 
 
-def _read(driver: JointDriver, operator: Operator, joint: int, found: Measured) -> None:
+def _read(driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements) -> None:
     where_rad = driver.where_rad() / driver.scale
     reading_rad = operator.angle_rad(joint)
     if reading_rad is not None:
         found.readings.append((where_rad, reading_rad))
 
 
-def _is_odd(found: Measured) -> bool:
+def _is_odd(found: JointMeasurements) -> bool:
     """Whether two readings give another scale than the draft; then a third reading reveals a misread one."""
     if len(found.readings) < 2:
         return False
@@ -185,7 +187,7 @@ def _is_odd(found: Measured) -> bool:
     return abs(q1 - q0 - (x1 - x0)) > ODD_RATIO * abs(x1 - x0)
 
 
-def _take_scale(driver: JointDriver, found: Measured) -> None:
+def _take_scale(driver: JointDriver, found: JointMeasurements) -> None:
     """Use the measured scale: with a wrong scale the joint must not be driven over its whole range."""
     if len(found.readings) >= 2:
         (x0, q0), (x1, q1) = found.readings[0], found.readings[-1]
@@ -193,31 +195,35 @@ def _take_scale(driver: JointDriver, found: Measured) -> None:
             driver.scale = abs((q1 - q0) / (x1 - x0))
 
 
-def _stops(driver: JointDriver, operator: Operator, joint: int, found: Measured, speed_rad_s: float) -> None:
+def _stops(
+    driver: JointDriver, operator: BringupOperator, joint: int, found: JointMeasurements, speed_rad_s: float
+) -> None:
     start_rad = driver.where_rad()
     drive = driver.drive
     range_rad = drive.joint_upper_rad - drive.joint_lower_rad
     longest_rad = 1.3 * range_rad + 0.3 if math.isfinite(range_rad) else 2.2 * math.pi
     for at, direction in enumerate((-1.0, 1.0)):
         run = _creep(driver, found, direction * longest_rad, speed_rad_s)
-        if run.end is End.STALLED:
+        if run.end is MotionEnd.STALLED:
             found.stops_rad[at].append(driver.where_rad() / driver.scale)
             for _ in range(TOUCHES - 1):
                 _creep(driver, found, -direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
                 if (
                     _creep(driver, found, 2.0 * direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s).end
-                    is End.STALLED
+                    is MotionEnd.STALLED
                 ):
                     found.stops_rad[at].append(driver.where_rad() / driver.scale)
             _creep(driver, found, -direction * 0.02, TOUCH_SPEED_rad_s)  # the joint is read free of the stop
             _read(driver, operator, joint, found)
     # Once more over the whole range: this reveals a small slip per turn.
-    if all(found.stops_rad) and _creep(driver, found, -longest_rad, speed_rad_s).end is End.STALLED:
+    if all(found.stops_rad) and _creep(driver, found, -longest_rad, speed_rad_s).end is MotionEnd.STALLED:
         found.stops_rad[0].append(driver.where_rad() / driver.scale)
     _creep(driver, found, start_rad - driver.where_rad(), speed_rad_s)
 
 
-def _creep(driver: JointDriver, found: Measured, distance_rad: float, speed_rad_s: float) -> Run:
+def _creep(
+    driver: JointDriver, found: JointMeasurements, distance_rad: float, speed_rad_s: float
+) -> DrivenMotion:
     """A slow motion that records the home switch and, in the search direction, the index behind it.
 
     The joint stops at the switch, because arming the index requires an answer of the board.
@@ -228,7 +234,7 @@ def _creep(driver: JointDriver, found: Measured, distance_rad: float, speed_rad_
         run = driver.turn(direction * left_rad, speed_rad_s, _switch_changes(found, direction))
         _note_flags(run, found)
         left_rad -= abs(run.travelled_rad)
-        if run.end is not End.SEEN:
+        if run.end is not MotionEnd.SEEN:
             return run
         edge_rad = _edge(run) / driver.scale
         is_active = bool(run.flags[-1] & HOME_SWITCH)
@@ -243,8 +249,8 @@ def _creep(driver: JointDriver, found: Measured, distance_rad: float, speed_rad_
             return run
 
 
-def _switch_changes(found: Measured, direction: int) -> Callable[[Run, object], bool]:
-    def has_changed(run: Run, sample: object) -> bool:
+def _switch_changes(found: JointMeasurements, direction: int) -> Callable[[DrivenMotion, object], bool]:
+    def has_changed(run: DrivenMotion, sample: object) -> bool:
         is_active = bool(run.flags[-1] & HOME_SWITCH)
         if not found.is_home_active or is_active not in found.is_home_active:
             found.is_home_active.append(is_active)
@@ -253,12 +259,12 @@ def _switch_changes(found: Measured, direction: int) -> Callable[[Run, object], 
     return has_changed
 
 
-def _edge(run: Run) -> float:
+def _edge(run: DrivenMotion) -> float:
     """Angle of the switch edge, between the two cycles around it; the braking distance does not count."""
     return 0.5 * (run.rows[-1][1] + run.rows[-2][1])
 
 
-def _index_behind(driver: JointDriver, found: Measured, direction: int) -> float:
+def _index_behind(driver: JointDriver, found: JointMeasurements, direction: int) -> float:
     """Find the first index pulse after the switch; return the distance.
 
     A joint that sinks while the index is armed passes it: the pulses lie whole motor turns apart.

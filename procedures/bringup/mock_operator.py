@@ -10,7 +10,7 @@ SEEN_RAD = 0.01  # the smallest visible turn
 
 
 class MockOperator:
-    """`procedures.bringup.operator.Operator` for a stepped rig. Its answers are printed."""
+    """`procedures.bringup.operator.BringupOperator` for a stepped rig. Its answers are printed."""
 
     def __init__(self, rig: SteppedRig, seed: int = 0, is_silent: bool = False) -> None:
         self._rig = rig

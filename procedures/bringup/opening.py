@@ -11,8 +11,8 @@ from control.hardware.connect import with_links
 from control.model.arm import Arm
 from control.model.description import load_arm
 from firmware_iface.clock import Clock, MonotonicClock
-from procedures.bringup.bench import Bench
-from procedures.bringup.operator import Operator
+from procedures.bringup.bench import ReferenceBench
+from procedures.bringup.operator import BringupOperator
 from procedures.bringup.workbench import Workbench
 from procedures.link_options import link_options
 
@@ -34,7 +34,7 @@ class Setting:
 
 @contextmanager
 def open_bench(
-    arm: Arm, clock: Clock, operator: Operator, currents_A: Mapping[int, float]
+    arm: Arm, clock: Clock, operator: BringupOperator, currents_A: Mapping[int, float]
 ) -> Iterator[Workbench]:
     """The boards of an arm, whose drives get at most `currents_A` by joint. ArmError where not all are of one sort."""
     bought = [drive.board for drive in arm.drives if drive.board]
@@ -49,7 +49,7 @@ def open_bench(
         with BoughtBench(arm, clock, operator, currents_A) as boards:
             yield boards
         return
-    with Bench(arm, clock, operator) as bench:
+    with ReferenceBench(arm, clock, operator) as bench:
         yield bench
 
 

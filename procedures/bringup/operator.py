@@ -7,7 +7,7 @@ class Stopped(Exception):
     """The operator did not confirm a motion, or stopped one. The drive is off."""
 
 
-class Operator(Protocol):
+class BringupOperator(Protocol):
     """A person at a terminal, or one at a mock arm."""
 
     def say(self, text: str) -> None:

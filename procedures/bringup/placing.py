@@ -6,7 +6,7 @@ from statistics import fmean
 
 from control.model.arm import Home
 from procedures.bringup.findings import Diagnosis
-from procedures.bringup.measuring import Measured
+from procedures.bringup.measuring import JointMeasurements
 
 TURN_TOLERANCE = 0.3  # of a motor turn, between the index by the readings and by the draft
 SWITCH_TOLERANCE = 0.15  # of a motor turn, of the switch
@@ -15,7 +15,7 @@ LEAST_CLEARANCE_RAD = 0.01
 SHORT_RANGE = 0.9  # of the draft's range
 
 
-def place_home(result: Diagnosis, found: Measured, offset_rad: float, scale: float) -> float:
+def place_home(result: Diagnosis, found: JointMeasurements, offset_rad: float, scale: float) -> float:
     """Index and switch by the readings; returns the angle of the joint's first pose, from the index if it is trusted."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     home = drive.home
@@ -44,7 +44,9 @@ def place_home(result: Diagnosis, found: Measured, offset_rad: float, scale: flo
     return _place_index(result, found, home, offset_rad, scale)
 
 
-def _place_index(result: Diagnosis, found: Measured, home: Home, offset_rad: float, scale: float) -> float:
+def _place_index(
+    result: Diagnosis, found: JointMeasurements, home: Home, offset_rad: float, scale: float
+) -> float:
     name = f"joint {result.drive.joint}"
     turn_rad = 2.0 * math.pi / result.drive.gear_ratio
     index_rad = home.index_rad
@@ -87,7 +89,7 @@ def _warn_of_far_index(result: Diagnosis, turn_rad: float, behind_rad: float) ->
         )
 
 
-def place_limits(result: Diagnosis, found: Measured, offset_rad: float, scale: float) -> None:
+def place_limits(result: Diagnosis, found: JointMeasurements, offset_rad: float, scale: float) -> None:
     """Place the limits in front of the stops."""
     if math.isnan(offset_rad):
         return

@@ -14,9 +14,9 @@ from procedures.bringup.driving import JointDriver
 from procedures.bringup.findings import Diagnosis
 from procedures.bringup.journal import Journal
 from procedures.bringup.measuring import measure
-from procedures.bringup.operator import Operator
+from procedures.bringup.operator import BringupOperator
 from procedures.bringup.survey import Caution, pulse
-from procedures.bringup.wiring import JointWiring, WiringFound, wiring_of
+from procedures.bringup.wiring import MeasuredWiring, WiringFound, wiring_of
 from procedures.bringup.workbench import SafetyTrip, Workbench, named
 
 SURVEY_SPEED_rad_s = 0.3
@@ -27,7 +27,7 @@ LOAD_SHARE = 0.6  # of the current limit, at most
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class BringupOptions:
     """Options of the operator."""
 
     joints: tuple[int, ...]
@@ -37,7 +37,7 @@ class Options:
 
 
 @dataclass(slots=True)
-class Outcome:
+class BringupOutcome:
     """Result of a run."""
 
     diagnoses: dict[int, Diagnosis] = field(default_factory=dict)
@@ -48,13 +48,13 @@ class Outcome:
 def bring_up(
     arm: Arm,
     bench: Workbench,
-    operator: Operator,
+    operator: BringupOperator,
     journal: Journal,
-    options: Options,
+    options: BringupOptions,
     say: Callable[[str], None],
-) -> Outcome:
+) -> BringupOutcome:
     """Pulse, then measure the joints that have not passed yet. Raises Stopped and board errors; all drives are then off."""
-    outcome = Outcome()
+    outcome = BringupOutcome()
     if options.with_stops and not bench.limits_current:
         say(
             "These boards do not take a current limit from armwright (docs/boards.md): end stops are left out, and so are home"
@@ -83,8 +83,8 @@ def bring_up(
 
 
 def measure_joint(
-    arm: Arm, bench: Workbench, operator: Operator, journal: Journal, options: Options, outcome: Outcome,
-    wiring: JointWiring, caution: Caution, say: Callable[[str], None],
+    arm: Arm, bench: Workbench, operator: BringupOperator, journal: Journal, options: BringupOptions, outcome: BringupOutcome,
+    wiring: MeasuredWiring, caution: Caution, say: Callable[[str], None],
 ) -> None:  # fmt: skip
     drive = arm.drive(wiring.joint)
     say(f"Joint {wiring.joint}, at most {caution.current_A:.2f} A.")
@@ -112,7 +112,7 @@ def _say_all(say: Callable[[str], None], problems: Sequence[str], others: Sequen
         say(f"        {text}")
 
 
-def caution_of(arm: Arm, drive: Drive, options: Options) -> Caution:
+def caution_of(arm: Arm, drive: Drive, options: BringupOptions) -> Caution:
     """Limits for a current that just moves the joint: the gravity load by the draft's masses, with a margin for friction."""
     speed_rad_s = min(SURVEY_SPEED_rad_s, drive.joint_speed_limit_rad_s)
     if options.current_A is not None:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from control.hardware.words import SIGNAL_LOST
 from control.model.arm import Drive
 from control.model.joint_map import JointMap
-from procedures.bringup.operator import Operator, Stopped
+from procedures.bringup.operator import BringupOperator, Stopped
 from procedures.bringup.workbench import Channel, DriveLimits, Sample, Workbench, named, node_of
 
 PULSE_RAD = 0.05  # joint travel of a pulse: visible, but harmless
@@ -63,7 +63,9 @@ class Pulse:
         return asdict(self)
 
 
-def pulse(bench: Workbench, operator: Operator, drive: Drive, caution: Caution, joint_count: int) -> Pulse:
+def pulse(
+    bench: Workbench, operator: BringupOperator, drive: Drive, caution: Caution, joint_count: int
+) -> Pulse:
     """Ramp the voltage of the draft's motor board for `drive` until something moves, ask what moved, and go back.
 
     Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off.

@@ -15,7 +15,7 @@ NOTHING = ("0", "n", "no", "none", "nothing")
 
 
 class TerminalOperator:
-    """`procedures.bringup.operator.Operator`. A context manager: it restores the terminal."""
+    """`procedures.bringup.operator.BringupOperator`. A context manager: it restores the terminal."""
 
     def __init__(self, without_confirmation: bool = False) -> None:
         """`without_confirmation`: motions are announced and begin without Enter; questions are still asked."""

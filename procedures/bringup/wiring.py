@@ -14,7 +14,7 @@ SAME_COUNT = 0.5  # tolerance of the motor board's count: a joint sinks between 
 
 
 @dataclass(frozen=True, slots=True)
-class JointWiring:
+class MeasuredWiring:
     """Measured wiring of a joint. Directions as in arm.toml."""
 
     joint: int
@@ -31,7 +31,7 @@ class JointWiring:
 class WiringFound:
     """The identified joints, and the problems of the others with remedies."""
 
-    joints: dict[int, JointWiring] = field(default_factory=dict)
+    joints: dict[int, MeasuredWiring] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -117,7 +117,7 @@ def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
         )
     encoder_direction = pulse.direction * (1 if pulse.moved_count > 0 else -1)
     holds = drive.board_holds if drive.board else _can_board_hold(pulse)
-    found.joints[pulse.joint] = JointWiring(
+    found.joints[pulse.joint] = MeasuredWiring(
         pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction, holds,
         drive.board, drive.board_channel,
     )  # fmt: skip
@@ -168,7 +168,7 @@ def _same_channel(found: WiringFound) -> None:
         seen[wiring.channel] = joint
 
 
-def _changes(found: JointWiring, drive: Drive) -> list[str]:
+def _changes(found: MeasuredWiring, drive: Drive) -> list[str]:
     """Differences of the wiring from the draft; each is corrected in the new file."""
     changes = []
     name = f"joint {found.joint}"

@@ -8,7 +8,7 @@ from typing import Protocol
 from control.errors import ArmError
 from control.model.arm import Drive
 from firmware_iface.clock import Clock
-from procedures.bringup.operator import Operator
+from procedures.bringup.operator import BringupOperator
 
 Channel = tuple[int, int]
 """Encoder board and channel on it, both from 0."""
@@ -46,7 +46,7 @@ class Workbench(Protocol):
     """The open boards. `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies."""
 
     clock: Clock
-    operator: Operator
+    operator: BringupOperator
     look_s: float  # between two looks at a home switch, beyond those of an encoder board
     has_index: bool  # index pulses are latched
     limits_current: bool  # the boards keep to the current of bring-up

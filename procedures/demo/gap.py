@@ -29,7 +29,7 @@ from procedures import tour
 from procedures.demo.gap_hidden import Hidden
 from procedures.demo.handover import shut_down, start_again
 from procedures.gap.recording import record
-from procedures.mock import Bench
+from procedures.mock import MockBench
 from procedures.verify.models import Model
 from procedures.verify.places import Place, ways
 from procedures.verify.survey import Programme, Survey, compared, paired, recorded
@@ -43,7 +43,7 @@ NO_NAMES = ("link_geometry", "base_frame")
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class DrivenSurvey:
     """One model's visits and paths: camera measurements and following errors."""
 
     name: str
@@ -77,7 +77,7 @@ class Circle:
         return [one.name for one in self.named] == [EffectName(self.hidden.effect, self.hidden.joint)]
 
 
-def run(arm: Arm, bench: Bench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
+def run(arm: Arm, bench: MockBench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
     """Run the demo on the bench's arm; `arm` is the nominal one. Results in `out`."""
     programme = programme_of(arm)
     Survey(
@@ -135,8 +135,8 @@ def _recorded(
 
 
 def _driven_off_and_on(
-    arm: Arm, model: Arm, programme: Programme, bench: Bench, out: Path, advance: Advance
-) -> tuple[Drive, Drive]:
+    arm: Arm, model: Arm, programme: Programme, bench: MockBench, out: Path, advance: Advance
+) -> tuple[DrivenSurvey, DrivenSurvey]:
     """On a runtime that uses `model`: by its geometry without the added effects, and by the whole model."""
     advance("moving with the correction off", 0.8)
     client = start_again(model, bench)
@@ -183,9 +183,9 @@ def _driven(
     programme: Programme,
     client: ArmClient,
     recording: Path,
-    bench: Bench,
+    bench: MockBench,
     out: Path,
-) -> Drive:
+) -> DrivenSurvey:
     """Run every place and every path once by the model `arm`, on a runtime that uses the model `runtime_model`."""
     model = Model(arm)
     runtime = model if arm is runtime_model else Model(runtime_model)
@@ -197,7 +197,7 @@ def _driven(
         pass
     last = int(client.status()["run"])
     client.wait(0.3)
-    return Drive(name, survey, recording, _following_rad(recording, first, last, arm.joint_count))
+    return DrivenSurvey(name, survey, recording, _following_rad(recording, first, last, arm.joint_count))
 
 
 def _near(arm: Arm) -> tuple[float, ...]:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from control.model.arm import Arm
 from control.server.client import ArmClient
-from procedures.mock import Bench
+from procedures.mock import MockBench
 from procedures.ports import HandPort
 
 
-def shut_down(arm: Arm, bench: Bench, client: ArmClient) -> Path:
+def shut_down(arm: Arm, bench: MockBench, client: ArmClient) -> Path:
     """Move to the rest pose, if there is one, and end the runtime there, with the tip held; returns its recording."""
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
@@ -19,7 +19,7 @@ def shut_down(arm: Arm, bench: Bench, client: ArmClient) -> Path:
     return bench.stop()
 
 
-def start_again(arm: Arm, bench: Bench) -> ArmClient:
+def start_again(arm: Arm, bench: MockBench) -> ArmClient:
     """Start a runtime with the model `arm`; its drives hold, homed, before the operator lets go."""
     client = bench.start(arm)
     client.enable()

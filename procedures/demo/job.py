@@ -20,7 +20,7 @@ from calib.points.writer import PointsWriter
 from calib.report.report import write_report
 from calib.report.report_data import ReportData
 from calib.session.moves import ArmGeometry
-from calib.session.sequence import Stage, step_through
+from calib.session.sequence import PointStage, step_through
 from calib.session.table import board_points, with_reference_tips
 from calib.validation.verify import Comparison, TrackPair, compare
 from control.errors import ArmError
@@ -29,7 +29,7 @@ from control.model.arm import Arm, Table
 from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.demo.handover import shut_down, start_again
-from procedures.mock import Bench
+from procedures.mock import MockBench
 from procedures.ports import HandPort, RuntimePort
 from procedures.verify.models import Model
 from procedures.verify.places import SETUPS, places, ways
@@ -37,7 +37,7 @@ from procedures.verify.survey import Programme, Survey, compared, paired
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class JobOutcome:
     """What the demo found, and the paths of its files."""
 
     verification: Comparison
@@ -49,7 +49,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
+class DemoCalibration:
     """The points of the session and the calibration from them."""
 
     arm: Arm
@@ -66,7 +66,7 @@ class Calibrated:
         return {entry.name: entry.sha256 for entry in self.inputs}
 
 
-def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
+def run(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> JobOutcome:
     """Run the whole job on the bench's arm; results are in the folder `out`."""
     table = tables.table_of(arm)
     programme = programme_of(table)
@@ -108,7 +108,7 @@ def _survey(arm: Arm, programme: Programme, file: Path) -> Survey:
     return Survey(Model(arm), programme, near, file)
 
 
-def _drive(survey: Survey, bench: Bench, client: ArmClient) -> None:
+def _drive(survey: Survey, bench: MockBench, client: ArmClient) -> None:
     """The survey's points and paths, on a runtime that uses the same model."""
     for _ in survey.tour(1, survey.model, client, bench.speed):
         pass
@@ -116,7 +116,7 @@ def _drive(survey: Survey, bench: Bench, client: ArmClient) -> None:
         pass
 
 
-def _calibrate(arm: Arm, table: Table, out: Path) -> Calibrated:
+def _calibrate(arm: Arm, table: Table, out: Path) -> DemoCalibration:
     """Identify, and write the calibrated arm."""
     points, found = _identify(arm, table, out / "points.csv")
     inputs = (input_file(out / "points.csv", "tip seated in the cavities, encoders averaged"),)
@@ -125,12 +125,12 @@ def _calibrate(arm: Arm, table: Table, out: Path) -> Calibrated:
     file = out / "arm_calibrated.toml"
     hashes = {entry.name: entry.sha256 for entry in inputs}
     calibrated = write_calibrated_arm(file, arm, found, hashes, date, program)
-    return Calibrated(calibrated, file, points, found, inputs, date, program)
+    return DemoCalibration(calibrated, file, points, found, inputs, date, program)
 
 
 def _report(
-    arm: Arm, made: Calibrated, verification: Comparison, paths: tuple[TrackPair, ...], out: Path
-) -> Outcome:
+    arm: Arm, made: DemoCalibration, verification: Comparison, paths: tuple[TrackPair, ...], out: Path
+) -> JobOutcome:
     """Write calibration.json and report.html."""
     points, found = made.points, made.found
     calibration = compare(points.setup, points.point, points.tip_m, found.error_before_m, found.error_after_m)
@@ -154,18 +154,18 @@ def _report(
             notes=_notes(verification),
         ),
     )
-    return Outcome(verification, calibration, found, paths, report, made.file)
+    return JobOutcome(verification, calibration, found, paths, report, made.file)
 
 
 def _session(
-    arm: Arm, table: Table, bench: Bench, client: ArmClient, file: Path
+    arm: Arm, table: Table, bench: MockBench, client: ArmClient, file: Path
 ) -> Iterator[tuple[float, str]]:
     """Step through every cavity on every tilt; yields the share done and the present step."""
     targets = [point for setup in SETUPS for point in board_points(setup, tables.cavities(table, setup))]
     port, seat = RuntimePort(client, bench.speed), HandPort(bench.rig.hand, bench.wait)
     with PointsWriter(file, arm.joint_count) as writer:
         for step in step_through(targets, ArmGeometry(arm), port, seat, writer):
-            if step.stage is Stage.UNREACHABLE:
+            if step.stage is PointStage.UNREACHABLE:
                 raise ArmError(f"cavity {step.point} on the board's setup {step.setup}: {step.reason}")
             yield step.done_count / step.total_count, f"table: {step.setup} {step.point}"
 

@@ -26,26 +26,26 @@ from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table
 from control.progress import Advance
-from procedures.demo.paper_models import Model, commands, models_of, table_says, with_friction
+from procedures.demo.paper_models import PaperModel, commands, models_of, table_says, with_friction
 from procedures.demo.paper_moves import GentlePose, Mover
 from procedures.demo.paper_page import paper_page
 from procedures.demo.paper_poses import SETUPS, Target, free_poses, other_trajectory, verification_targets
-from procedures.demo.paper_result import Replay, document
-from procedures.mock import Bench
+from procedures.demo.paper_result import PaperReplay, document
+from procedures.mock import MockBench
 
 BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # share of the total time at the end of each part
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class PaperOutcome:
     """The result and its path."""
 
-    replay: Replay
+    replay: PaperReplay
     report: Path
     figures: Path
 
 
-def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
+def run(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> PaperOutcome:
     """Run the whole experiment on the bench's arm; results are in the folder `out`."""
     table = tables.table_of(arm)
     targets = (*verification_targets(table), *other_trajectory(table))
@@ -69,7 +69,9 @@ def run(arm: Arm, bench: Bench, out: Path, advance: Advance) -> Outcome:
         client.move_joints(arm.rest.q_rad, bench.speed)
     bench.stop()
     advance("report", 0.98)
-    replay = Replay(targets, before_m, models, reached, _table_error_m(arm, points), table_says(arm, points))
+    replay = PaperReplay(
+        targets, before_m, models, reached, _table_error_m(arm, points), table_says(arm, points)
+    )
     outcome = _written(arm, replay, out)
     advance("done", 1.0)
     return outcome
@@ -118,7 +120,7 @@ def _table_error_m(arm: Arm, points: Points) -> float:
     return float(norms(level.tip_m - ArmModel(arm).tips(arm.dh, level.q_rad)).mean())
 
 
-def _written(arm: Arm, replay: Replay, out: Path) -> Outcome:
+def _written(arm: Arm, replay: PaperReplay, out: Path) -> PaperOutcome:
     """Report, figures and calibrated arms."""
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     program = f"armwright {version('armwright')}"
@@ -131,10 +133,12 @@ def _written(arm: Arm, replay: Replay, out: Path) -> Outcome:
     write_whole(figures, text + "\n")
     report = out / "report.html"
     write_whole(report, paper_page(replay, arm.name, f"{date} · {program}", inputs))
-    return Outcome(replay, report, figures)
+    return PaperOutcome(replay, report, figures)
 
 
-def _write_arm(file: Path, arm: Arm, model: Model, inputs: dict[str, str], date: str, program: str) -> None:
+def _write_arm(
+    file: Path, arm: Arm, model: PaperModel, inputs: dict[str, str], date: str, program: str
+) -> None:
     """The calibrated arm, with the identified backlash."""
     known = {"points.csv": inputs["points.csv"]}
     write_calibrated_arm(file, arm, model.found, known, date, program)

@@ -22,7 +22,7 @@ TILTS, FREE, BACKLASH = "all tilts", "tilts and free", "with backlash"
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class PaperModel:
     """An identification: the resulting arm, the points used, and remarks."""
 
     name: str
@@ -38,7 +38,7 @@ class Model:
         return tuple(effect for effect in self.arm.effects if effect.effect == "backlash")
 
 
-def models_of(arm: Arm, points: Points) -> tuple[Model, ...]:
+def models_of(arm: Arm, points: Points) -> tuple[PaperModel, ...]:
     """The identifications: each tilt alone as the authors did, all tilts, free poses as well, backlash in the model."""
     tilts = [k for k, setup in enumerate(points.setup) if setup in SETUPS]
     alone = [
@@ -58,13 +58,13 @@ def models_of(arm: Arm, points: Points) -> tuple[Model, ...]:
 
 def _identified(
     arm: Arm, points: Points, rows: Sequence[int], name: str, what: str, has_backlash: bool = False
-) -> Model:
+) -> PaperModel:
     """Identify by the sum of distances within 5 mm and 2 degrees, as in the paper."""
     used = points.chosen(rows)
     wanted = [f"backlash:{joint}" for joint in range(1, arm.joint_count + 1)] if has_backlash else []
     found = identify(problem_of(arm, used, Choice(effects=tuple(wanted))))
     notes = (*unclear_flanks(arm, used, wanted), *unphysical(found.solution.corrections))
-    return Model(name, what, calibrated_arm(arm, found), len(used), found, (*found.in_words(), *notes))
+    return PaperModel(name, what, calibrated_arm(arm, found), len(used), found, (*found.in_words(), *notes))
 
 
 def table_says(arm: Arm, points: Points) -> tuple[str, ...]:
@@ -74,7 +74,7 @@ def table_says(arm: Arm, points: Points) -> tuple[str, ...]:
     return unclear_flanks(arm, tilts, wanted)
 
 
-def with_friction(model: Model, arm: Arm, points: Points) -> Arm:
+def with_friction(model: PaperModel, arm: Arm, points: Points) -> Arm:
     """The model's arm with the dry friction shown by its motors, from which flanks are predicted before motion."""
     gravity = gravity_Nm(arm, points.q_rad)
     level, _ = friction_Nm(arm, points.current_A * torque_per_A(arm) - gravity, gravity)

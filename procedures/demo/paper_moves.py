@@ -14,7 +14,7 @@ from calib.session.take import SessionSettings, take
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm, Vector3
 from control.server.client import ArmClient
-from procedures.mock import Bench
+from procedures.mock import MockBench
 from procedures.ports import HandPort, RuntimePort
 
 APPROACH_rad: Final = 0.06  # last approach of every joint: several times the backlash
@@ -39,7 +39,7 @@ class GentlePose:
 class Mover:
     """The bench's arm, commanded in encoder angles: its runtime knows the nominal arm; identified errors are corrected here."""
 
-    def __init__(self, arm: Arm, bench: Bench, client: ArmClient) -> None:
+    def __init__(self, arm: Arm, bench: MockBench, client: ArmClient) -> None:
         self._arm, self._client = arm, client
         self._inverse = InverseKinematics(arm)
         self._port = RuntimePort(client, bench.speed, as_encoders=True)

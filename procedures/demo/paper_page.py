@@ -21,9 +21,9 @@ from calib.report.page import (
     verdict,
 )
 from procedures.demo import paper_published as published
-from procedures.demo.paper_models import BACKLASH, FREE, TILTS, Model
+from procedures.demo.paper_models import BACKLASH, FREE, TILTS, PaperModel
 from procedures.demo.paper_poses import OTHER, SETUPS
-from procedures.demo.paper_result import PLACES, Improvement, Replay, own_tilt, widths_text
+from procedures.demo.paper_result import PLACES, Improvement, PaperReplay, own_tilt, widths_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +44,7 @@ MARKERS = "osD^Pv"
 SHOWN_COLOURS = (COLOURS[2], COLOURS[3], AFTER)
 
 
-def paper_page(replay: Replay, arm: str, about: str, inputs: Mapping[str, str]) -> str:
+def paper_page(replay: PaperReplay, arm: str, about: str, inputs: Mapping[str, str]) -> str:
     """The whole page."""
     return page(
         "The paper, replayed",
@@ -64,7 +64,7 @@ def paper_page(replay: Replay, arm: str, about: str, inputs: Mapping[str, str]) 
     )
 
 
-def findings(replay: Replay) -> tuple[str, ...]:
+def findings(replay: PaperReplay) -> tuple[str, ...]:
     """The results as sentences."""
     own = [f"{entry.percent:.1f} % ({s}; paper {theirs:.1f} %)" for s, entry, theirs in own_tilt(replay)]
     tilts, free, play = (_overall(replay, name) for name in (TILTS, FREE, BACKLASH))
@@ -78,11 +78,11 @@ def findings(replay: Replay) -> tuple[str, ...]:
     )
 
 
-def _overall(replay: Replay, name: str) -> float:
+def _overall(replay: PaperReplay, name: str) -> float:
     return float(norms(replay.error_m(name)).mean())
 
 
-def _tiles(replay: Replay) -> list[tuple[str, str, str]]:
+def _tiles(replay: PaperReplay) -> list[tuple[str, str, str]]:
     before = float(norms(replay.error_m(None)).mean())
     worst = max(_overall(replay, s) for s in SETUPS)
     return [
@@ -93,7 +93,7 @@ def _tiles(replay: Replay) -> list[tuple[str, str, str]]:
     ]
 
 
-def _own_section(replay: Replay) -> Section:
+def _own_section(replay: PaperReplay) -> Section:
     """The paper's Table 4."""
     rows: list[Sequence[Cell]] = []
     for setup, entry, theirs in own_tilt(replay):
@@ -119,7 +119,7 @@ def _mm(value_m: float, half_m: float) -> str:
     return f"{1e3 * value_m:.2f} ± {1e3 * half_m:.2f}"
 
 
-def _table_section(replay: Replay) -> Section:
+def _table_section(replay: PaperReplay) -> Section:
     rows: list[Sequence[Cell]] = []
     for model in replay.models:
         each = [replay.of(model.name, place) for place in PLACES]
@@ -145,7 +145,7 @@ def _table_section(replay: Replay) -> Section:
     )
 
 
-def _trajectory_section(replay: Replay) -> Section:
+def _trajectory_section(replay: PaperReplay) -> Section:
     shown = (SETUPS[-1], TILTS, BACKLASH)
     return Section(
         "The other trajectory: ideal and actual, as the paper's Fig. 10",
@@ -159,7 +159,7 @@ def _trajectory_section(replay: Replay) -> Section:
     )
 
 
-def _backlash_section(replay: Replay) -> Section:
+def _backlash_section(replay: PaperReplay) -> Section:
     model = _named(replay, BACKLASH)
     return Section(
         "Backlash",
@@ -171,7 +171,7 @@ def _backlash_section(replay: Replay) -> Section:
     )
 
 
-def _models_section(replay: Replay) -> Section:
+def _models_section(replay: PaperReplay) -> Section:
     parts = []
     for model in replay.models:
         entries = (e for e in model.found.estimates if e.deviation != 0.0)
@@ -194,11 +194,11 @@ def _models_section(replay: Replay) -> Section:
     return Section("The identifications", "".join(parts))
 
 
-def _named(replay: Replay, name: str) -> Model:
+def _named(replay: PaperReplay, name: str) -> PaperModel:
     return next(model for model in replay.models if model.name == name)
 
 
-def _draw_remaining(figure: "Figure", replay: Replay) -> None:
+def _draw_remaining(figure: "Figure", replay: PaperReplay) -> None:
     """Plot the mean error by place before and after each identification, with the published figures; logarithmic."""
     axes = figure.add_axes((0.07, 0.1, 0.72, 0.82))
     at = np.arange(len(PLACES), dtype=float)
@@ -230,7 +230,7 @@ def _draw_means(
     axes.errorbar(at, values, spans, fmt=marker, ms=5, lw=1.2, color=colour, label=label)
 
 
-def _draw_planes(figure: "Figure", replay: Replay, names: Sequence[str] | None) -> None:
+def _draw_planes(figure: "Figure", replay: PaperReplay, names: Sequence[str] | None) -> None:
     """Plot ideal and actual stops in three planes: before, or after with magnified errors."""
     planes = figure.subplots(1, 3)
     figure.subplots_adjust(left=0.065, right=0.985, top=0.8, bottom=0.14, wspace=0.3)
@@ -274,7 +274,7 @@ def _draw_actual(
     axes.plot(actual[rows, i], actual[rows, j], "-", marker=marker, ms=3.5, lw=1.1, color=colour, label=label)
 
 
-def _draw_errors(axes: "Axes", replay: Replay, names: Sequence[str]) -> None:
+def _draw_errors(axes: "Axes", replay: PaperReplay, names: Sequence[str]) -> None:
     """Length of the error at each stop, on a logarithmic axis."""
     axes.figure.subplots_adjust(left=0.065, right=0.985, top=0.88, bottom=0.15)
     rows = replay.rows(OTHER)

@@ -10,7 +10,7 @@ from calib.arrays import Array, norms
 from calib.validation.statistics import mean_half_width, student_t
 from calib.validation.verify import aligned
 from procedures.demo import paper_published as published
-from procedures.demo.paper_models import Model
+from procedures.demo.paper_models import PaperModel
 from procedures.demo.paper_poses import OTHER, SETUPS, Target
 
 PLACES = (*SETUPS, OTHER)
@@ -53,12 +53,12 @@ def improvement(before_m: Array, after_m: Array) -> Improvement:
 
 
 @dataclass(frozen=True, slots=True)
-class Replay:
+class PaperReplay:
     """The whole result: the models, and their results at the same targets; `before` by the nominal arm."""
 
     targets: tuple[Target, ...]
     before_m: Array
-    models: tuple[Model, ...]
+    models: tuple[PaperModel, ...]
     reached_m: Mapping[str, Array]
     table_error_m: float
     table_says: tuple[str, ...]
@@ -82,7 +82,7 @@ class Replay:
         return improvement(norms(self.error_m(None)[rows]), norms(self.error_m(model)[rows]))
 
 
-def table_rows(replay: Replay) -> list[tuple[str, ...]]:
+def table_rows(replay: PaperReplay) -> list[tuple[str, ...]]:
     """Identification by place: mean error in mm and improvement; then the published figures."""
     rows: list[tuple[str, ...]] = [("identified from", "points", *PLACES)]
     names = [model.name for model in replay.models]
@@ -103,17 +103,17 @@ def table_rows(replay: Replay) -> list[tuple[str, ...]]:
     return rows
 
 
-def table_text(replay: Replay) -> str:
+def table_text(replay: PaperReplay) -> str:
     """The table as plain text."""
     return aligned(table_rows(replay))
 
 
-def own_tilt(replay: Replay) -> list[tuple[str, Improvement, float]]:
+def own_tilt(replay: PaperReplay) -> list[tuple[str, Improvement, float]]:
     """Each tilt's identification verified on the same tilt, with the published figures."""
     return [(s, replay.of(s, s), published.IMPROVED_percent[s]) for s in SETUPS]
 
 
-def document(replay: Replay, program: str, date: str, inputs: Mapping[str, str]) -> dict[str, object]:
+def document(replay: PaperReplay, program: str, date: str, inputs: Mapping[str, str]) -> dict[str, object]:
     """paper.json: SI units, improvements in percent; a missing number is null."""
     return {
         "format": "paper-replay/1",
@@ -132,7 +132,7 @@ def document(replay: Replay, program: str, date: str, inputs: Mapping[str, str])
     }
 
 
-def _model(replay: Replay, model: Model) -> dict[str, object]:
+def _model(replay: PaperReplay, model: PaperModel) -> dict[str, object]:
     found = model.found
     return {
         "what": model.what,
@@ -171,7 +171,7 @@ def _percent(entry: Improvement) -> str:
     return f"{entry.percent:.1f} ± {entry.percent_half:.1f} %"
 
 
-def widths_text(model: Model) -> str:
+def widths_text(model: PaperModel) -> str:
     """Backlash of each joint of a model, in mrad."""
     widths = (f"joint {e.joint} {1e3 * e.parameters['width_rad']:.2f} mrad" for e in model.backlash)
     return ", ".join(widths) or "none"

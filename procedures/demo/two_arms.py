@@ -40,7 +40,7 @@ CHECK_SEED = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class PairOutcome:
     """What was found. Errors [m] of contacts that were not used: as the files say, bases placed alone, calibrated."""
 
     cell: Cell
@@ -55,7 +55,7 @@ class Outcome:
     files: dict[str, Path]
 
 
-def run(cell: Cell, scenario_file: Path, out: Path, advance: Advance) -> Outcome:
+def run(cell: Cell, scenario_file: Path, out: Path, advance: Advance) -> PairOutcome:
     """Run everything on a mock of the cell; results are in the folder `out`."""
     names = pair_of(cell)
     scenario = load_scenario(scenario_file)
@@ -98,7 +98,7 @@ def _judged(
     checked: Contacts,
     circle: TrackPair,
     out: Path,
-) -> Outcome:
+) -> PairOutcome:
     """The result on contacts that were not used: by the files, with the second base placed alone, and calibrated."""
     base = base_of(cell, (cell.names[0], cell.names[1]))
     placed = calibrate_pair(plan.arms, fitted, PairPlan(fixed=_geometry(found)))
@@ -107,7 +107,7 @@ def _judged(
         "calibrated cell": out / "calibrated" / f"{cell.name}.cell.toml",
         "recordings": out / "log",
     }
-    return Outcome(
+    return PairOutcome(
         cell,
         plan,
         found,

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.closed_chain.candidates import Candidates
-from calib.closed_chain.room import Poses, Room
+from calib.closed_chain.room import Poses, SharedRoom
 from calib.design.planning import short_path
 from calib.errors import CalibrationError
 from calib.validation.verify import Track
@@ -32,7 +32,7 @@ TURNS = 20  # steps to the best turn
 HELD_m = (0.4, 0.06, 0.4)  # where the first tip holds meanwhile, in the frame of the cell
 
 
-def go(bench: CellBench, room: Room, names: tuple[str, str], goal_rad: Poses) -> bool:
+def go(bench: CellBench, room: SharedRoom, names: tuple[str, str], goal_rad: Poses) -> bool:
     """Move both together on a way that is clear; False, and nothing moves, if there is none."""
     way = room.way(poses_now(bench, names), goal_rad)
     for poses in way or ():
@@ -42,7 +42,7 @@ def go(bench: CellBench, room: Room, names: tuple[str, str], goal_rad: Poses) ->
 
 def rest(cell: Cell, names: tuple[str, str], bench: CellBench) -> None:
     """Move both to their rest poses, from which they hardly sink when the drives go off."""
-    room = Room(cell, (cell.placed(names[0]), cell.placed(names[1])))
+    room = SharedRoom(cell, (cell.placed(names[0]), cell.placed(names[1])))
     go(bench, room, names, room.rest_rad)
 
 
@@ -51,7 +51,7 @@ def poses_now(bench: CellBench, names: tuple[str, str]) -> Poses:
     return [bench.clients[name].status()["joint_rad"] for name in names]
 
 
-def in_order(planned: Candidates, room: Room) -> list[int]:
+def in_order(planned: Candidates, room: SharedRoom) -> list[int]:
     """The order of the contacts from the rest poses with little joint travel, and few detours."""
     here_rad = room.rest_rad
     both = np.hstack((planned.first_away_rad, planned.second_away_rad))
@@ -78,7 +78,7 @@ def circle_beside(cell: Cell, names: tuple[str, str], bench: CellBench) -> Track
     q_held = inverse.nearest(holding.in_base(HELD_m), here)
     points = cell.beside_tip(moved, held, inverse.kinematics.tip(*q_held), _offsets())
     path = plan_path(moving.arm, Waypoints(points, None), q_near_rad=there)
-    room = Room(cell, (holding, moving))
+    room = SharedRoom(cell, (holding, moving))
     if not go(bench, room, names, (q_held, path.q_start_rad)):
         raise CalibrationError("demo two-arms: no clear way to where the circle begins")
     seen = _turned(_run(bench, names, path))

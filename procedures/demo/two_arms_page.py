@@ -23,7 +23,7 @@ from control.files import write_whole
 from control.kinematics.corners import Corners
 from control.model.cell import Placed
 from control.recording.reading import Recording
-from procedures.demo.two_arms import Outcome
+from procedures.demo.two_arms import PairOutcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,7 @@ ARM_COLOURS = (BEFORE, AFTER)
 CALIBRATED = ("as the files say", "second base placed alone", "both arms calibrated")
 
 
-def write_page(outcome: Outcome, out: Path) -> Path:
+def write_page(outcome: PairOutcome, out: Path) -> Path:
     """report.html."""
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     about = f"{date} · armwright {version('armwright')} · mock arms with hidden errors, no camera"
@@ -43,7 +43,7 @@ def write_page(outcome: Outcome, out: Path) -> Path:
     return path
 
 
-def findings(outcome: Outcome) -> tuple[str, ...]:
+def findings(outcome: PairOutcome) -> tuple[str, ...]:
     """The result in sentences."""
     files, placed, calibrated = (
         f"{_mean_mm(error_m):.2f} mm"
@@ -60,7 +60,7 @@ def findings(outcome: Outcome) -> tuple[str, ...]:
     )
 
 
-def circle_errors_m(outcome: Outcome) -> tuple[Array, Array]:
+def circle_errors_m(outcome: PairOutcome) -> tuple[Array, Array]:
     """Distances from the circle, before and after."""
     tracks = (outcome.circle.before, outcome.circle.after)
     before, after = (norms(track.measured_m - track.planned_m) for track in tracks)
@@ -71,7 +71,7 @@ def _mean_mm(error_m: Array) -> float:
     return 1e3 * float(error_m.mean())
 
 
-def _parts(outcome: Outcome) -> Iterator[Section | str]:
+def _parts(outcome: PairOutcome) -> Iterator[Section | str]:
     before, after = circle_errors_m(outcome)
     yield verdict(findings(outcome))
     yield tiles(
@@ -101,7 +101,7 @@ def _parts(outcome: Outcome) -> Iterator[Section | str]:
         yield Section(f"{nominal.name}: {section.title}", section.html)
 
 
-def _steps(outcome: Outcome) -> Iterator[str]:
+def _steps(outcome: PairOutcome) -> Iterator[str]:
     plan = outcome.plan
     kinds = [outcome.fitted.setup.count(kind) for kind in (CAVITY, APART)]
     yield "Both arms were homed, one after the other, and drew the circle with the models of their files."
@@ -118,7 +118,7 @@ def _steps(outcome: Outcome) -> Iterator[str]:
     yield "The runtime was started again with the calibrated cell, and drew the circle again."
 
 
-def _table(outcome: Outcome) -> str:
+def _table(outcome: PairOutcome) -> str:
     errors = (outcome.by_files_m, outcome.placed_m, outcome.calibrated_m)
     rows = [
         (("text", what), f"{_mean_mm(error_m):.3f}", f"{1e3 * float(error_m.max()):.3f}")
@@ -136,7 +136,7 @@ def _table(outcome: Outcome) -> str:
     )
 
 
-def _draw_contacts(figure: Figure, outcome: Outcome) -> None:
+def _draw_contacts(figure: Figure, outcome: PairOutcome) -> None:
     """Where the tips met, and both arms at the most valuable contact, from above and from the side."""
     figure.subplots_adjust(left=0.065, right=0.985, top=0.9, bottom=0.11, wspace=0.2)
     for axes, (i, j, seen) in zip(
@@ -157,7 +157,7 @@ def _draw_contacts(figure: Figure, outcome: Outcome) -> None:
     axes.legend(loc="upper right")
 
 
-def _joints(outcome: Outcome, arm: int) -> Array:
+def _joints(outcome: PairOutcome, arm: int) -> Array:
     contacts = outcome.plan.chosen.contacts
     return (contacts.first_rad, contacts.second_rad)[arm]
 
@@ -168,7 +168,7 @@ def _draw_arm(axes: Axes, placed: Placed, plane: tuple[int, int], q_rad: Array, 
     axes.plot(way[:, plane[0]], way[:, plane[1]], "-o", color=colour, lw=2.5, ms=4, label=placed.name)
 
 
-def _draw_errors(figure: Figure, outcome: Outcome) -> None:
+def _draw_errors(figure: Figure, outcome: PairOutcome) -> None:
     figure.subplots_adjust(left=0.12, right=0.98, top=0.9, bottom=0.15)
     axes = figure.subplots()
     errors = (outcome.by_files_m, outcome.placed_m, outcome.calibrated_m)
@@ -183,7 +183,7 @@ def _draw_errors(figure: Figure, outcome: Outcome) -> None:
     axes.set_title("contacts not used (lines: means)", loc="left")
 
 
-def _draw_motion(figure: Figure, outcome: Outcome) -> None:
+def _draw_motion(figure: Figure, outcome: PairOutcome) -> None:
     """Joint angles of both arms over some contacts, from their recordings."""
     figure.subplots_adjust(left=0.065, right=0.985, top=0.9, bottom=0.13, wspace=0.15)
     for axes, placed in zip(figure.subplots(1, 2, sharey=True), outcome.cell.arms, strict=True):

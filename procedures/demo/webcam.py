@@ -30,7 +30,7 @@ from calib.vision.intrinsics import LensFit, fit_lens
 from calib.vision.lens import Lens
 from calib.vision.measured_points import picture_name, with_pictures
 from calib.vision.opencv import picture_files, png_of
-from calib.vision.poses import CORNERS_LEAST, Camera, PoseSet, measure_poses
+from calib.vision.poses import CORNERS_LEAST, CameraPictures, PoseSet, measure_poses
 from calib.vision.sightings import look_for
 from calib.vision.targets import Charuco
 from control.files import write_whole
@@ -38,9 +38,9 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Tool
 from control.model.description import save_arm
 from control.progress import Advance
-from hil_mocks.arm_pictures import PicturedArm, Placed, looking_at
+from hil_mocks.arm_pictures import FramePose, PicturedArm, looking_at
 from hil_mocks.scenario import load_scenario
-from hil_mocks.webcam import Sheet, Webcam
+from hil_mocks.webcam import PrintedSheet, Webcam
 
 BOARD = Charuco(5, 7, 0.03, 0.0225)
 DOTS_A_METRE = 6000.0
@@ -61,7 +61,7 @@ RIM_px = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class WebcamOutcome:
     """Files in the folder, and errors [m] of the target over the workspace (k,), both arms placed where they fit best."""
 
     lens: LensFit
@@ -73,7 +73,7 @@ class Outcome:
     after_m: Array
 
 
-def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> Outcome:
+def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> WebcamOutcome:
     """Take the pictures, then do what `camera calibrate`, `camera poses` and `calibrate` do."""
     scenario = load_scenario(scenario_file)
     draw, webcam = np.random.default_rng(scenario.seed), Webcam()
@@ -92,7 +92,7 @@ def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> Outcome:
     )
     advance("measuring poses", 0.8)
     seen = look_for(BOARD, picture_files(out / "arm"), CORNERS_LEAST)
-    poses = measure_poses(BOARD, [Camera("webcam", fit.lens, seen)])
+    poses = measure_poses(BOARD, [CameraPictures("webcam", fit.lens, seen)])
     measured, _ = with_pictures(points, poses.measured)
     write_points(out / "points.csv", measured)
     advance("calibrating the arm", 0.9)
@@ -105,10 +105,10 @@ def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> Outcome:
     )
     before, after = _over_workspace(pictured, nominal, made.arm, draw)
     advance("done", 1.0)
-    return Outcome(fit, webcam.focal_px[0], poses, made, rank, before, after)
+    return WebcamOutcome(fit, webcam.focal_px[0], poses, made, rank, before, after)
 
 
-def summary(outcome: Outcome, out: Path) -> str:
+def summary(outcome: WebcamOutcome, out: Path) -> str:
     """What was found, against the truth."""
     found, lens = outcome.made.found, outcome.lens.lens
     return (
@@ -133,7 +133,7 @@ def _pictured(arm: Arm, deviations: dict[str, float], webcam: Webcam) -> Picture
     grey = BOARD.drawn(DOTS_A_METRE, MARGIN_m)
     width_m = grey.shape[1] / DOTS_A_METRE
     camera = looking_at(CAMERA_m, VIEW_m)
-    mount = Placed(rotation_of(MOUNT_rad), BOARD_OFF_m)
+    mount = FramePose(rotation_of(MOUNT_rad), BOARD_OFF_m)
     return PicturedArm(arm.links, arm.dh_convention, grey, width_m, mount, camera, webcam, deviations)
 
 
@@ -151,7 +151,7 @@ def _seen_poses(pictured: PicturedArm, arm: Arm, draw: np.random.Generator) -> A
     return np.array(found)
 
 
-def _is_inside(webcam: Webcam, place: Placed) -> bool:
+def _is_inside(webcam: Webcam, place: FramePose) -> bool:
     width, height = BOARD.print_m
     corners = np.array([[x, y, 0.0] for x in (-width / 2, width / 2) for y in (-height / 2, height / 2)])
     points = corners @ place.rotation.T + place.position_m
@@ -179,7 +179,7 @@ def _photograph_board(webcam: Webcam, folder: Path, draw: np.random.Generator, a
             np.array([0, 0, draw.uniform(-1.5, 1.5)])
         )
         place = np.array([column * away, row * away, away])
-        sheet = Sheet(grey, grey.shape[1] / DOTS_A_METRE, turn, place)
+        sheet = PrintedSheet(grey, grey.shape[1] / DOTS_A_METRE, turn, place)
         write_whole(folder / f"board_{k:02d}.png", png_of(webcam.picture([sheet], draw)))
 
 

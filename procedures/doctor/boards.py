@@ -15,7 +15,7 @@ from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import BoardSilent, LinkError, PortInUse, PortMissing
 from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.scan import BusScan, listen, scan_nodes
-from firmware_iface.motor.wire import Parameter, ResetCause
+from firmware_iface.motor.wire import MotorParameter, ResetCause
 from firmware_iface.serial_link import open_serial
 from procedures.doctor.finding import Finding, Level
 from procedures.doctor.links import CountedLink
@@ -37,7 +37,7 @@ OTHER_BAUDS = (1_000_000, 921_600, 500_000, 460_800, 230_400, 115_200)
 
 
 @dataclass(slots=True)
-class Boards:
+class AnsweringBoards:
     """The boards that answered: encoder boards by their index in arm.toml, motor boards by joint."""
 
     encoders: dict[int, EncoderBoard] = field(default_factory=dict)
@@ -61,9 +61,9 @@ class Boards:
         self.findings.append(Finding(level, GROUP, what, measured, expected, remedy))
 
 
-def open_boards(arm: Arm, clock: Clock, period_s: float) -> Boards:
+def open_boards(arm: Arm, clock: Clock, period_s: float) -> AnsweringBoards:
     """Open the boards of arm.toml and identify them; nothing is enabled, nothing moves. Never raises LinkError."""
-    boards = Boards()
+    boards = AnsweringBoards()
     _open_bought(boards, arm, clock, period_s)
     if not arm.encoder_boards and any(drive.encoder_board >= 0 for drive in arm.drives):
         boards.note(
@@ -85,7 +85,7 @@ def open_boards(arm: Arm, clock: Clock, period_s: float) -> Boards:
     return boards
 
 
-def _open_bought(boards: Boards, arm: Arm, clock: Clock, period_s: float) -> None:
+def _open_bought(boards: AnsweringBoards, arm: Arm, clock: Clock, period_s: float) -> None:
     """Open the [[board]]s, and time how fast they answer."""
     for drive in arm.drives:
         if drive.pid.mode in arm.kind_of(drive).frees_in:
@@ -130,7 +130,9 @@ def _took_s(encoders: Encoders, clock: Clock) -> float:
     return clock.now_s() - begun_s
 
 
-def _open_encoder(boards: Boards, arm: Arm, clock: Clock, index: int, port: EncoderBoardPort) -> None:
+def _open_encoder(
+    boards: AnsweringBoards, arm: Arm, clock: Clock, index: int, port: EncoderBoardPort
+) -> None:
     what = f'encoder board "{port.name}"'
     try:
         link = open_serial(port.port, port.baud)
@@ -160,7 +162,12 @@ def _open_encoder(boards: Boards, arm: Arm, clock: Clock, index: int, port: Enco
 
 
 def _compare_encoder(
-    boards: Boards, arm: Arm, what: str, index: int, port: EncoderBoardPort, identity: encoder_wire.Identity
+    boards: AnsweringBoards,
+    arm: Arm,
+    what: str,
+    index: int,
+    port: EncoderBoardPort,
+    identity: encoder_wire.Identity,
 ) -> None:
     if port.serial_number not in (None, identity.serial_number):
         remedy = "swap the plugs, or correct [[encoder_board]] serial_number"
@@ -185,7 +192,7 @@ def _compare_encoder(
             )  # fmt: skip
 
 
-def _same(boards: Boards, what: str, drive: Drive, name: str, found: int) -> None:
+def _same(boards: AnsweringBoards, what: str, drive: Drive, name: str, found: int) -> None:
     if found == drive.encoder_counts_per_rev:
         return
     boards.note(
@@ -227,7 +234,7 @@ def _answers(port: EncoderBoardPort, baud: int, clock: Clock) -> bool:
     return False
 
 
-def _open_bus(boards: Boards, arm: Arm, clock: Clock) -> None:
+def _open_bus(boards: AnsweringBoards, arm: Arm, clock: Clock) -> None:
     can = arm.can
     if can is None:
         return
@@ -258,7 +265,7 @@ def _open_bus(boards: Boards, arm: Arm, clock: Clock) -> None:
         _check_motor(boards, arm, drive, found)
 
 
-def _judge_bus(boards: Boards, arm: Arm, before: BusScan, found: BusScan) -> None:
+def _judge_bus(boards: AnsweringBoards, arm: Arm, before: BusScan, found: BusScan) -> None:
     where = arm.can.channel if arm.can else ""
     commanded = sorted(before.commanded | found.commanded)
     if commanded:
@@ -287,7 +294,7 @@ def _judge_bus(boards: Boards, arm: Arm, before: BusScan, found: BusScan) -> Non
         )  # fmt: skip
 
 
-def _check_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None:
+def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan) -> None:
     what = f"motor board of joint {drive.joint} (node {drive.motor_node})"
     if len(found.serial_numbers.get(drive.motor_node, [])) != 1:
         _note_not_one(boards, arm, drive, found, what)
@@ -322,10 +329,10 @@ def _check_motor(boards: Boards, arm: Arm, drive: Drive, found: BusScan) -> None
     _judge_reset(boards, what, board)
 
 
-def _judge_reset(boards: Boards, what: str, board: MotorBoard) -> None:
+def _judge_reset(boards: AnsweringBoards, what: str, board: MotorBoard) -> None:
     """What made the board start last, where it says so: firmware of before 2026-11 does not."""
     try:
-        cause = board.read(Parameter.RESET_CAUSE)
+        cause = board.read(MotorParameter.RESET_CAUSE)
     except LinkError:
         return
     if cause in _RESETS:
@@ -333,7 +340,7 @@ def _judge_reset(boards: Boards, what: str, board: MotorBoard) -> None:
         boards.note(Level.WARN, f"{what}: last start", measured, "a power-up", remedy)
 
 
-def _note_not_one(boards: Boards, arm: Arm, drive: Drive, found: BusScan, what: str) -> None:
+def _note_not_one(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan, what: str) -> None:
     serials = found.serial_numbers.get(drive.motor_node, [])
     if not serials:
         unknown = sorted(set(found.serial_numbers) - {d.motor_node for d in arm.drives})

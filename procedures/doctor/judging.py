@@ -1,4 +1,4 @@
-"""Evaluates the samples against the requirements of control. Pure functions of `Samples` and the arm."""
+"""Evaluates the samples against the requirements of control. Pure functions of `BoardSamples` and the arm."""
 
 import math
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from control.model.arm import Arm, Drive
 from control.model.can_bus import FRAME_bits
 from firmware_iface.encoder import wire
 from procedures.doctor.finding import Finding, Level, graded, percentile
-from procedures.doctor.sampling import EncoderSamples, MotorSamples, Samples
+from procedures.doctor.sampling import BoardSamples, EncoderSamples, MotorSamples
 
 REPLY_S = 0.0005  # within which a board replies
 CLOCK_LIMITS_ppm = (500.0, 5000.0)  # speeds are computed by board time: half a percent off is bad
@@ -24,7 +24,7 @@ LOST_LIMITS = (0.0, 0.01)  # of the frames
 MOST_NAMED = 3  # number of board messages shown
 
 
-def judge(samples: Samples, arm: Arm) -> Iterator[Finding]:
+def judge(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
     """Return all findings: boards, then buses, then signals."""
     for index, encoder in samples.encoders.items():
         yield from _encoder_timing(
@@ -47,7 +47,7 @@ def judge(samples: Samples, arm: Arm) -> Iterator[Finding]:
 
 
 def _encoder_timing(
-    what: str, found: EncoderSamples, samples: Samples, arm: Arm, index: int
+    what: str, found: EncoderSamples, samples: BoardSamples, arm: Arm, index: int
 ) -> Iterator[Finding]:
     if len(found.latched_s) < 10:
         text = f"{found.reports} in {samples.duration_s:.1f} s"
@@ -76,7 +76,9 @@ def _encoder_timing(
     )  # fmt: skip
 
 
-def _encoder_clock(what: str, found: EncoderSamples, samples: Samples, stale_s: float) -> Iterator[Finding]:
+def _encoder_clock(
+    what: str, found: EncoderSamples, samples: BoardSamples, stale_s: float
+) -> Iterator[Finding]:
     drift_ppm, sd_ppm, residual_s = clock_drift(found.latched_s, found.arrived_s)
     sd_ppm = math.hypot(sd_ppm, 1e6 * samples.resolution_s / samples.duration_s)
     yield graded(
@@ -127,7 +129,7 @@ def clock_drift(latched_s: list[float], arrived_s: list[float]) -> tuple[float, 
     return 1e6 * (1.0 / slope - 1.0), sd_ppm, [r - earliest_s for r in residual_s]
 
 
-def _reply_timing(what: str, found: MotorSamples, samples: Samples) -> Iterator[Finding]:
+def _reply_timing(what: str, found: MotorSamples, samples: BoardSamples) -> Iterator[Finding]:
     if not found.commands:
         return
     missing = 1.0 - found.replies / found.commands
@@ -148,7 +150,7 @@ def _reply_timing(what: str, found: MotorSamples, samples: Samples) -> Iterator[
     )  # fmt: skip
 
 
-def _buses(samples: Samples, arm: Arm) -> Iterator[Finding]:
+def _buses(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
     if arm.can is None or not samples.motors:
         return
     frames = 2 * len(arm.drives)

@@ -10,7 +10,7 @@ from control.hardware.reference_encoders import start_stream
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
 from firmware_iface.motor.board import MotorBoard
-from procedures.doctor.boards import Boards
+from procedures.doctor.boards import AnsweringBoards
 
 POLLS = 8  # polls per cycle: arrival times are late by at most an eighth of a cycle
 
@@ -46,7 +46,7 @@ class MotorSamples:
 
 
 @dataclass(slots=True)
-class Samples:
+class BoardSamples:
     """All samples of `duration_s`."""
 
     duration_s: float
@@ -59,9 +59,9 @@ class Samples:
     problems: list[str] = field(default_factory=list)
 
 
-def sample(boards: Boards, clock: Clock, period_s: float, duration_s: float) -> Samples:
+def sample(boards: AnsweringBoards, clock: Clock, period_s: float, duration_s: float) -> BoardSamples:
     """Listen for `duration_s`. Problems reported by boards are collected in `problems`; never raises LinkError."""
-    found = Samples(duration_s, period_s)
+    found = BoardSamples(duration_s, period_s)
     for index, encoder in boards.encoders.items():
         found.encoders[index] = EncoderSamples()
         try:
@@ -88,7 +88,7 @@ def sample(boards: Boards, clock: Clock, period_s: float, duration_s: float) -> 
     return found
 
 
-def _command(boards: Boards, found: Samples) -> bool:
+def _command(boards: AnsweringBoards, found: BoardSamples) -> bool:
     """Send one COMMAND to each motor board; False if the bus is lost."""
     if not boards.may_command:
         return True
@@ -102,7 +102,7 @@ def _command(boards: Boards, found: Samples) -> bool:
     return True
 
 
-def _hear(boards: Boards, found: Samples, now_s: float, sent_s: list[float]) -> None:
+def _hear(boards: AnsweringBoards, found: BoardSamples, now_s: float, sent_s: list[float]) -> None:
     for index, encoder in boards.encoders.items():
         before = encoder.reports
         _noting(found, encoder.update)
@@ -134,7 +134,7 @@ def _take_reply(seen: MotorSamples, motor: MotorBoard, now_s: float, sent_s: lis
     seen.faults |= motor.reply.faults
 
 
-def _noting(found: Samples, update: Callable[[], None]) -> None:
+def _noting(found: BoardSamples, update: Callable[[], None]) -> None:
     try:
         update()
     except LinkError as error:
@@ -142,7 +142,7 @@ def _noting(found: Samples, update: Callable[[], None]) -> None:
             found.problems.append(str(error))
 
 
-def _count(boards: Boards, found: Samples, sign: int) -> None:
+def _count(boards: AnsweringBoards, found: BoardSamples, sign: int) -> None:
     """Add the change of the boards' counters: called with -1 at the beginning and +1 at the end."""
     for index, encoder in boards.encoders.items():
         samples = found.encoders[index]

@@ -24,7 +24,7 @@ from firmware_iface.vesc import wire as vesc
 from hil_mocks.devices.dynamixel import DynamixelLineMock
 from hil_mocks.scenario import FaultTable
 from procedures.drills.drill import LOOKED, WATCHED_S
-from procedures.drills.promise import GOES_ON, Outcome, Promise, length_m, stood_s
+from procedures.drills.promise import GOES_ON, DrillOutcome, Promise, length_m, stood_s
 from procedures.drills.stage import REST, UNDER_WAY_S, Stage, TO_rad, stage
 from procedures.on_boards import on_boards
 
@@ -45,8 +45,8 @@ FULL_DUPLEX = "roboclaw"
 QUESTIONS: dict[str, bytes | tuple[int, bytes, CanFormat]] = {
     "dynamixel": dynamixel.read(1, 132, 4),
     "feetech": feetech.read(1, 56, 2),
-    "roboclaw": roboclaw.read_packet(0x80, roboclaw.Command.READ_ENCODERS),
-    "odrive": (odrive.frame_id(1, odrive.Command.CLEAR_ERRORS), b"\0", CanFormat.STANDARD),
+    "roboclaw": roboclaw.read_packet(0x80, roboclaw.RoboclawCommand.READ_ENCODERS),
+    "odrive": (odrive.frame_id(1, odrive.OdriveCommand.CLEAR_ERRORS), b"\0", CanFormat.STANDARD),
     "cia402": (canopen.SDO_REQUEST + 1, canopen.read_request(POSITION), CanFormat.STANDARD),
     "moteus": (1 << 8 | moteus.ask(1)[0], moteus.ask(1)[1], CanFormat.FD),
     "vesc": (vesc.frame_id(vesc.Packet.PING, 0), bytes((7,)), CanFormat.EXTENDED),
@@ -69,7 +69,7 @@ class BoardsDrill(Promise):
     kind: str = HOLDING[0]
     act: Callable[[Stage], str] = field(default=lambda played: "")  # what was wrong afterwards, as text
 
-    def run(self) -> Outcome:
+    def run(self) -> DrillOutcome:
         """Run it on a fresh arm."""
         with stage(on_boards(load_arm("right"), self.kind)) as played:
             played.run(0.1)
@@ -77,7 +77,7 @@ class BoardsDrill(Promise):
             wrong = self.act(played)
             way = played.way  # from what befell it on
             begun_s, before = way[0]
-            return Outcome(
+            return DrillOutcome(
                 self, max(dist(before, tip) for _, tip in way) * 1e3, length_m(way) * 1e3,
                 None if played.noticed_s is None else played.noticed_s - begun_s, stood_s(way, begun_s, LOOKED),
                 "nothing", played.found, played.message, 0.0, wrong,

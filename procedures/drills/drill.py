@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from control.model.arm import Arm
 from control.model.description import load_arm
-from procedures.drills.promise import Outcome, Promise, length_m, stood_s
+from procedures.drills.promise import DrillOutcome, Promise, length_m, stood_s
 from procedures.drills.stage import (
     MOVE,
     THINNED,
@@ -40,7 +40,7 @@ class Drill(Promise):
     is_refused: bool = False  # the arm must not be acknowledged into operation
     has_gripper: bool = False  # with an object in it
 
-    def run(self) -> Outcome:
+    def run(self) -> DrillOutcome:
         """Run it on a fresh arm, and let the arm recover."""
         with gripping_stage() if self.has_gripper else stage(self.arm(load_arm("right"))) as played:
             if self.arm is not _as_it_is:
@@ -54,7 +54,7 @@ class Drill(Promise):
             way, noticed_s, found, message = played.way.copy(), played.noticed_s, played.found, played.message
             refusal = played.recover()
             asked = asked_way(self.during, WATCHED_S)
-            return Outcome(
+            return DrillOutcome(
                 self,
                 max(off_way_m(tip, asked) for _, tip in (*way[::THINNED], way[-1])) * 1e3,
                 length_m(way) * 1e3,

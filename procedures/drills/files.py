@@ -14,14 +14,14 @@ from calib.errors import CalibrationError
 from calib.points.writer import Key, Record
 from calib.session.folder import POINTS, SessionFolder
 from calib.session.plan import SessionPlan, board_targets
-from calib.session.state import Event, Mark
+from calib.session.state import Mark, TargetEvent
 from control.errors import ArmError
 from control.files import NotWritten, write_whole
 from control.model.description import load_arm, save_arm
 from control.recording.reading import Recording
 from control.recording.record import Layout
 from procedures.drills.power import Disk, PowerLost
-from procedures.drills.promise import GOES_ON, Outcome, Promise
+from procedures.drills.promise import GOES_ON, DrillOutcome, Promise
 
 PLAN = SessionPlan("right", "00", 3, board_targets(["normal", "roll"], ["1", "2", "3"]))
 KEYS = [target.key for target in PLAN.targets]
@@ -36,12 +36,14 @@ class FileDrill(Promise):
 
     check: Callable[[Path], tuple[int, int]] = field(default=lambda folder: (0, 0))
 
-    def run(self) -> Outcome:
+    def run(self) -> DrillOutcome:
         """Break it everywhere."""
         with tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
             times, lost = self.check(Path(folder))
         message = f"{times} places"
-        return Outcome(self, 0.0, 0.0, None, 0.0, f"{lost} records" if lost else "nothing", (), message, 0.0)
+        return DrillOutcome(
+            self, 0.0, 0.0, None, 0.0, f"{lost} records" if lost else "nothing", (), message, 0.0
+        )
 
     @staticmethod
     def all() -> tuple[FileDrill, ...]:
@@ -80,8 +82,10 @@ def _take(path: Path, acknowledge: Acknowledge) -> None:
             folder.record(_record(key))
             acknowledge(key, Mark.DONE)
         for event, key, mark in (
-            (Event.SKIP, KEYS[4], Mark.SKIPPED), (Event.BAD, KEYS[3], Mark.BAD), (Event.REDO, KEYS[1], Mark.LEFT)
-        ):  # fmt: skip
+            (TargetEvent.SKIP, KEYS[4], Mark.SKIPPED),
+            (TargetEvent.BAD, KEYS[3], Mark.BAD),
+            (TargetEvent.REDO, KEYS[1], Mark.LEFT),
+        ):
             acknowledge(key, mark)  # either is right until it has returned: see `_missing`
             folder.happen(event, key)
         folder.note("a remark", KEYS[0])

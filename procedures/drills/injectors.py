@@ -15,7 +15,7 @@ from control.kinematics.kinematics import Kinematics
 from control.motion.plan import plan_path
 from control.server.messages import asked
 from firmware_iface.link import FrameLink
-from firmware_iface.motor.wire import COMMAND_ID, Mode
+from firmware_iface.motor.wire import COMMAND_ID, SetpointMode
 from hil_mocks.assembly import build_motor_board
 from hil_mocks.wiring import wiring_of
 from procedures.drills.stage import PERIOD_S, Stage
@@ -199,7 +199,7 @@ def second_board(joint: int) -> Inject:
 
 def another_host(node: int, volts: float) -> Inject:
     """Another program commands a board, cycle after cycle."""
-    command = struct.pack("<BBih", ENABLE_OPERATION, Mode.VOLTAGE, round(volts * 1e3), 0)
+    command = struct.pack("<BBih", ENABLE_OPERATION, SetpointMode.VOLTAGE, round(volts * 1e3), 0)
 
     def inject(played: Stage) -> None:
         guest = _guest(played)

@@ -24,7 +24,7 @@ from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
 from hil_mocks.scenario import FaultTable, Start, load_scenario
 from procedures.drills.drill import LOOKED
-from procedures.drills.promise import Outcome, Promise, length_m, stood_s
+from procedures.drills.promise import DrillOutcome, Promise, length_m, stood_s
 from procedures.drills.stage import REST, SETTLED_S, THINNED, UNDER_WAY_S, off_way_m, wired_as_real
 from procedures.guiding import PERIOD_S as FOLLOWS_S
 from procedures.guiding import Following
@@ -280,7 +280,7 @@ class PairDrill(Promise):
     cell: Callable[[], Cell] = the_pair
     watched_s: float = WATCHED_S
 
-    def run(self) -> Outcome:
+    def run(self) -> DrillOutcome:
         """Run it on a fresh pair."""
         with pair_stage(self.cell) as played:
             self.begin(played)
@@ -299,7 +299,7 @@ class PairDrill(Promise):
             runtimes = played.bench.runtimes.values()
             lost = [] if all(runtime.monitor.is_homed for runtime in runtimes) else ["the zero"]
             lost += ["the motion"] if self.begin not in AT_REST else []
-            return Outcome(
+            return DrillOutcome(
                 self,
                 1e3 * max(off_m, default=0.0),
                 1e3 * max((length_m(way) for way in sound.values()), default=0.0),

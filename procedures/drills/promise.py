@@ -25,13 +25,13 @@ class Promise:
     within_s: float = 0.3
     most_mm: float = 5.0  # off the asked path
 
-    def run(self) -> "Outcome":
+    def run(self) -> "DrillOutcome":
         """Run it on a fresh mock arm."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DrillOutcome:
     """What the arm did. Lengths in mm, times in s from the fault."""
 
     drill: Promise

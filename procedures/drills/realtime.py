@@ -17,7 +17,7 @@ from control.server.channel import RuntimeGone
 from control.server.client import ArmClient, RequestRefused
 from firmware_iface.clock import MonotonicClock
 from firmware_iface.errors import ConnectionFailed, PortInUse
-from procedures.drills.promise import Outcome, Promise, length_m, stood_s
+from procedures.drills.promise import DrillOutcome, Promise, length_m, stood_s
 from procedures.drills.stage import off_way_m
 from procedures.mock import RealTimeBench, wired_to
 
@@ -37,7 +37,7 @@ class RealTimeDrill(Promise):
     pause_s: float | None = None  # None: killed
     speed: float = 1.0  # of the limits
 
-    def run(self) -> Outcome:
+    def run(self) -> DrillOutcome:
         """Run it on a fresh mock arm."""
         with tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
             scenario = Path(folder) / "scenario.toml"
@@ -48,7 +48,7 @@ class RealTimeDrill(Promise):
             finally:
                 bench.close()
 
-    def _played(self, bench: RealTimeBench) -> Outcome:
+    def _played(self, bench: RealTimeBench) -> DrillOutcome:
         arm = load_arm("right")
         client = bench.start(arm)
         client.enable()
@@ -71,7 +71,7 @@ class RealTimeDrill(Promise):
         asked = [
             tips.tip(*(a + share * (b - a) for a, b in zip(start, TO_rad, strict=True))) for share in shares
         ]
-        return Outcome(
+        return DrillOutcome(
             self,
             max(off_way_m(tip, asked) for _, tip in way[::4]) * 1e3,
             length_m(way) * 1e3,

@@ -26,7 +26,7 @@ from control.safety.table import Mode
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
 from procedures.drills.drill import WATCHED_S
-from procedures.drills.promise import Outcome, Promise, length_m, stood_s
+from procedures.drills.promise import DrillOutcome, Promise, length_m, stood_s
 from procedures.drills.stage import PERIOD_S, THINNED, Stage, off_way_m, stage
 from procedures.ports import HandPort, MockHandSeat, RuntimePort
 
@@ -37,7 +37,7 @@ SEATED_rad = 1e-3  # between two seatings of the tip in one cavity: noise of the
 
 
 @dataclass(slots=True)
-class Session:
+class DrilledSession:
     """What was said to be recorded, and when the fault came."""
 
     path: Path
@@ -89,10 +89,10 @@ class SessionDrill(Promise):
     inject: Callable[[Stage], None] = field(default=lambda played: None)
     while_measuring: bool = False
 
-    def run(self) -> Outcome:
+    def run(self) -> DrillOutcome:
         """Record until the fault ends it, mend it, resume, and look at what is on the disk."""
         with stage() as played, tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
-            session = Session(Path(folder) / "session", played)
+            session = DrilledSession(Path(folder) / "session", played)
             played.client.enable()
             played.each_cycle.append(self._injector(session))
             said = _ended_by(session)
@@ -104,7 +104,7 @@ class SessionDrill(Promise):
             noticed_s, found, message = played.noticed_s, played.found, played.message or said
             resumed = _resumed(session)
             asked, taken = _undisturbed()
-            return Outcome(
+            return DrillOutcome(
                 self,
                 max(off_way_m(tip, asked) for tip in (*of_arm[::THINNED], of_arm[-1])) * 1e3,
                 length_m(way) * 1e3,
@@ -117,7 +117,7 @@ class SessionDrill(Promise):
                 resumed,
             )
 
-    def _injector(self, session: Session) -> Callable[[], None]:
+    def _injector(self, session: DrilledSession) -> Callable[[], None]:
         """Called after each cycle: breaks once, when it is time."""
         played = session.played
         under_way_s = 0.0
@@ -141,7 +141,7 @@ class SessionDrill(Promise):
         return inject_once
 
 
-def _ended_by(session: Session) -> str:
+def _ended_by(session: DrilledSession) -> str:
     """Play; the error that ended it, as text."""
     try:
         session.play()
@@ -150,7 +150,7 @@ def _ended_by(session: Session) -> str:
     return ""
 
 
-def _resumed(session: Session) -> str:
+def _resumed(session: DrilledSession) -> str:
     """Mend, acknowledge, home where the zero is lost, resume; what failed, as text."""
     played = session.played
     played.recover()
@@ -165,7 +165,7 @@ def _resumed(session: Session) -> str:
     return f"not resumed: {said}" if said else ""
 
 
-def _lost(session: Session) -> str:
+def _lost(session: DrilledSession) -> str:
     lost = session.lost()
     return f"{lost} records" if lost else "nothing"
 
@@ -185,7 +185,7 @@ def _wrong_rad(records: dict[Key, Record], taken: dict[Key, Record]) -> float:
 def _undisturbed() -> tuple[tuple[Point, ...], dict[Key, Record]]:
     """The true way of the tip, and the records, of a session without a fault."""
     with stage() as played, tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
-        session = Session(Path(folder) / "session", played)
+        session = DrilledSession(Path(folder) / "session", played)
         played.client.enable()
         session.play()
         return tuple(tip for _, tip in played.way[::THINNED]), session.records

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from procedures.drills.drill import WATCHED_S
-from procedures.drills.promise import Outcome, Promise
+from procedures.drills.promise import DrillOutcome, Promise
 
 HEADER = ("drill", "during", "noticed", "stood", "off path", "ran on", "lost", "found")
 WIDTHS = (26, 12, 9, 9, 9, 9, 11, 0)
@@ -14,7 +14,7 @@ def header() -> str:
     return f"{_line(HEADER)}\n{_line(('', '', '[ms]', '[ms]', '[mm]', '[mm]', '', ''))}"
 
 
-def row(outcome: Outcome) -> str:
+def row(outcome: DrillOutcome) -> str:
     """One drill; a promise that was not kept follows in capitals."""
     promised = [code for code in outcome.found if code in outcome.drill.codes]
     found = next(iter((*promised, *outcome.found)), "goes on")
@@ -34,7 +34,7 @@ def row(outcome: Outcome) -> str:
     )
 
 
-def verdict(outcomes: Iterable[Outcome]) -> str:
+def verdict(outcomes: Iterable[DrillOutcome]) -> str:
     """The last line of the table."""
     every = list(outcomes)
     broken = sum(bool(outcome.broken) for outcome in every)
@@ -42,7 +42,7 @@ def verdict(outcomes: Iterable[Outcome]) -> str:
     return f"{kept}, {broken} not" if broken else kept
 
 
-def in_words(outcome: Outcome) -> str:
+def in_words(outcome: DrillOutcome) -> str:
     """One drill for a reader."""
     drill = outcome.drill
     lines = [

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array, frozen
-from calib.capture.motion import Motion, after_leaps, begins_s
-from calib.gap.log import Log, Run
+from calib.capture.motion import JointMotion, after_leaps, begins_s
+from calib.gap.log import Log, LoggedRun
 from control.model.arm import Arm
 from procedures.gap.timing import Clocks, Frames, Raw, aligned, clocks_of, tips_at_rows
 
@@ -37,7 +37,7 @@ def on_one_clock(arm: Arm, log: Log, run: str | None) -> tuple[Log, tuple[str, .
     return replace(log, runs=tuple(_placed(arm, one, raw, clocks) for one, raw in pairs)), clocks.in_words()
 
 
-def with_tips(arm: Arm, log: Log, motion: Motion, seen_s: Array, tip_m: Array) -> Log:
+def with_tips(arm: Arm, log: Log, motion: JointMotion, seen_s: Array, tip_m: Array) -> Log:
     """The log with tips (k, 3) in the base frame, seen at times (k,) of its clock."""
     inside = np.isfinite(tip_m).all(axis=1) & (motion.covers(seen_s) > 0.0)
     frames = Frames(seen_s[inside], tip_m[inside], *motion.at(seen_s[inside]))
@@ -51,7 +51,7 @@ def with_tips(arm: Arm, log: Log, motion: Motion, seen_s: Array, tip_m: Array) -
     )
 
 
-def _raw(run: Run, begin_s: float, joint_count: int) -> Raw | None:
+def _raw(run: LoggedRun, begin_s: float, joint_count: int) -> Raw | None:
     """As the runtime recorded it; None without time stamps that follow the log's clock. What is before homing says nothing."""
     columns = [run.extra.get(f"counted{j}_s") for j in range(1, joint_count + 1)]
     first = after_leaps(run.t_s, run.q_rad)
@@ -76,7 +76,7 @@ def _numbers(texts: Sequence[str]) -> Array:
         return np.full(len(texts), np.nan)
 
 
-def _placed(arm: Arm, run: Run, raw: Raw, clocks: Clocks) -> Run:
+def _placed(arm: Arm, run: LoggedRun, raw: Raw, clocks: Clocks) -> LoggedRun:
     """The rows of a run that have one before and one after them."""
     found, kept = aligned(arm, raw, clocks), run.rows(slice(len(run) - len(raw.t_s) + 1, -1))
     return replace(

@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calib.gap.log import LogFileError
-from calib.gap.log import Run as LoggedRun
-from calib.gap.plan.plan import GENTLE, AVERAGE_s, RecordingPlan, Run, SETTLE_s, Step
+from calib.gap.log import LogFileError, LoggedRun
+from calib.gap.plan.plan import GENTLE, AVERAGE_s, PlannedRun, RecordingPlan, SETTLE_s, Step
 from calib.points.writer import PointsWriter, replace_file
 from calib.session.take import SessionSettings
 from control.model.arm import Arm
@@ -210,17 +209,17 @@ class _RunFiles:
     arm: Arm
     out: Path
 
-    def has(self, run: Run) -> bool:
+    def has(self, run: PlannedRun) -> bool:
         return RunFile.of(self.out, run.name).exists()
 
-    def keep(self, run: Run, rows: Rows) -> None:
+    def keep(self, run: PlannedRun, rows: Rows) -> None:
         is_of_run = rows["t_s"] <= rows["t_s"][0] + run.path.duration_s + REST_s
         RunFile.write(RunFile.of(self.out, run.name), rows[is_of_run], self.arm, run.payload_kg)
 
 
-def _stop(step: Step) -> Stop[Run]:
+def _stop(step: Step) -> Stop[PlannedRun]:
     load = f" with {step.payload_kg:g} kg" if step.payload_kg else ""
-    if isinstance(step, Run):
+    if isinstance(step, PlannedRun):
         start = tuple(step.path.knots[0].q_rad)
         return Stop(
             f"run {step.name}: {step.kind}{load}", step.path, (start,), run=step, payload_kg=step.payload_kg
@@ -237,7 +236,7 @@ def _stop(step: Step) -> Stop[Run]:
 
 
 def _described(step: Step) -> dict[str, object]:
-    if isinstance(step, Run):
+    if isinstance(step, PlannedRun):
         return {
             "run": step.name,
             "kind": step.kind,

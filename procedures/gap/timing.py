@@ -66,7 +66,7 @@ class Aligned:
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class BoardClock:
     """A board's clock on the loop's: t = since_s + offset_s + (1 + rate) (board time - since_s)."""
 
     since_s: float
@@ -82,7 +82,7 @@ class Clock:
 class Clocks:
     """The clock of every joint's encoder board, and the age of camera frames in their rows (NaN: no camera)."""
 
-    encoder: tuple[Clock, ...]
+    encoder: tuple[BoardClock, ...]
     camera_s: float
     angle_age_s: float
 
@@ -106,7 +106,7 @@ def clocks_of(arm: Arm, runs: Sequence[Raw]) -> Clocks:
     boards: dict[int, list[int]] = {}
     for j in joints:
         boards.setdefault(arm.drive(j + 1).encoder_board, []).append(j)
-    by_joint: dict[int, Clock] = {}
+    by_joint: dict[int, BoardClock] = {}
     for own in boards.values():
         by_joint.update(dict.fromkeys(own, _board_clock(arm, runs, own)))
     clocks = tuple(by_joint[j] for j in joints)
@@ -180,17 +180,17 @@ def _current_slope_A_s(arm: Arm, q: Array, period_s: float) -> Array:
     return slopes
 
 
-def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
+def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> BoardClock:
     """The clock of the board of these joints (0-based)."""
     period = runs[0].period_s
     ahead_s = np.concatenate([raw.t_s - raw.counted_s[:, joints[0]] for raw in runs])
     since, mean_s = float(runs[0].counted_s[0, joints[0]]), float(np.mean(ahead_s))
-    first = Clock(since, mean_s - 0.5 * period)
+    first = BoardClock(since, mean_s - 0.5 * period)
     if arm.drive(joints[0] + 1).encoder_board < 0:  # a bought board's counts have the host's time
         is_loops = (
             0.0 <= mean_s <= OLDEST_ENCODER * period
         )  # else the times of an exported log, which begins at 0
-        first = Clock(since, 0.0 if is_loops else float(ahead_s.min()))
+        first = BoardClock(since, 0.0 if is_loops else float(ahead_s.min()))
     clock, information = first, np.zeros((2, 2))
     for _ in range(ROUNDS):
         information, pull = np.zeros((2, 2)), np.zeros(2)
@@ -201,12 +201,12 @@ def _board_clock(arm: Arm, runs: Sequence[Raw], joints: Sequence[int]) -> Clock:
         if np.linalg.matrix_rank(information) < 2:
             return first
         later, faster = np.linalg.solve(information, pull)
-        clock = Clock(since, clock.offset_s - float(later), clock.rate - float(faster))
+        clock = BoardClock(since, clock.offset_s - float(later), clock.rate - float(faster))
     oldest = max(float(np.mean(raw.t_s - clock.loop_s(raw.counted_s[:, joints[0]]))) for raw in runs)
     return clock if -0.1 * period <= oldest <= OLDEST_ENCODER * period else first
 
 
-def _later(arm: Arm, runs: Sequence[Raw], j: int, clock: Clock) -> tuple[Array, Array]:
+def _later(arm: Arm, runs: Sequence[Raw], j: int, clock: BoardClock) -> tuple[Array, Array]:
     """Normal equations (2, 2), (2,) of the clock's offset and rate from the angles of joint j (0-based)."""
     drive = arm.drive(j + 1)
     mean_s = 0.0 if arm.kind_of(drive).current_is_newest else MEAN_s
@@ -241,13 +241,13 @@ def _later(arm: Arm, runs: Sequence[Raw], j: int, clock: Clock) -> tuple[Array, 
     return information, information @ found[:2]
 
 
-def _angle(raw: Raw, j: int, clock: Clock, at_s: Array) -> Array:
+def _angle(raw: Raw, j: int, clock: BoardClock, at_s: Array) -> Array:
     """The angle of joint j (0-based) at times of the loop's clock."""
     latched, first = np.unique(raw.counted_s[:, j], return_index=True)  # a report may have been in two rows
     return _cubic(at_s, clock.loop_s(latched), raw.q_rad[first, j])
 
 
-def _camera_age_s(arm: Arm, runs: Sequence[Raw], clocks: Sequence[Clock]) -> float:
+def _camera_age_s(arm: Arm, runs: Sequence[Raw], clocks: Sequence[BoardClock]) -> float:
     """Age of the camera frames; NaN if there are too few."""
     if sum(int(_sees(raw).sum()) for raw in runs) < LEAST_ROWS:
         return math.nan
@@ -260,7 +260,7 @@ def _camera_age_s(arm: Arm, runs: Sequence[Raw], clocks: Sequence[Clock]) -> flo
 
 
 def _camera_rows(
-    kinematics: Kinematics, runs: Sequence[Raw], clocks: Sequence[Clock], age_s: float
+    kinematics: Kinematics, runs: Sequence[Raw], clocks: Sequence[BoardClock], age_s: float
 ) -> tuple[Array, Array]:
     """Measured minus modelled tips, and the regressors, additional age first."""
     values, columns = [], []
@@ -283,7 +283,7 @@ def _camera_rows(
     return np.concatenate(values), np.concatenate(columns)
 
 
-def _motion(raw: Raw, clocks: Sequence[Clock], at_s: Array) -> tuple[Array, Array, Array]:
+def _motion(raw: Raw, clocks: Sequence[BoardClock], at_s: Array) -> tuple[Array, Array, Array]:
     """Angles, speeds and accelerations (k, n) at given times."""
     parts = [np.column_stack([_angle(raw, j, clock, at_s) for j, clock in enumerate(clocks)])]
     even = [_angle(raw, j, clock, raw.t_s) for j, clock in enumerate(clocks)]

@@ -43,7 +43,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class ChosenParts:
     """What is bolted to the joints, one value each; no gears: chosen to hold the arm.
 
     `boards`: kinds, or REFERENCE; `ports`: of their serial lines, in the order of `serial_lines`; `can`: None if none is on it.
@@ -63,7 +63,7 @@ class Answers:
 
     name: str
     convention: Convention
-    parts: Parts
+    parts: ChosenParts
 
 
 def usual_ports(count: int, here: Sequence[PortHere]) -> tuple[str, ...]:

@@ -12,8 +12,8 @@ from calib.arm_import import SerialArm, arm_links, friction_effects
 from control.kinematics.corners import Corners
 from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
 from control.model.board_kinds import KINDS
-from procedures.new_arm.answers import Answers, Parts
-from procedures.new_arm.motors import SERVOS, Load, WITHOUT_LIMIT_rad, drives, loads, range_of
+from procedures.new_arm.answers import Answers, ChosenParts
+from procedures.new_arm.motors import SERVOS, JointLoad, WITHOUT_LIMIT_rad, drives, loads, range_of
 from procedures.new_arm.rest import rest_pose
 from procedures.new_arm.stretched import is_level
 from procedures.on_boards import on_boards, serial_lines
@@ -84,7 +84,7 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
     )
 
 
-def _wired(arm: Arm, parts: Parts) -> Arm:
+def _wired(arm: Arm, parts: ChosenParts) -> Arm:
     """The arm with its boards, and where they are."""
     port_of = dict(zip(serial_lines(parts.boards), parts.ports, strict=True))
     encoders = [port for line, port in port_of.items() if line.startswith("encoder board")]
@@ -142,7 +142,7 @@ def _narrowed(arm: Arm, serial: SerialArm) -> list[str]:
     ]
 
 
-def _placed(arm: Arm, parts: Parts) -> list[str]:
+def _placed(arm: Arm, parts: ChosenParts) -> list[str]:
     """Which servos stand in the file, and what their data sheets do not tell."""
     notes = []
     for kind in dict.fromkeys(kind for kind in parts.boards if kind in SERVOS):
@@ -156,7 +156,7 @@ def _placed(arm: Arm, parts: Parts) -> list[str]:
     return notes
 
 
-def _weak(arm: Arm, needed: tuple[Load, ...]) -> list[str]:
+def _weak(arm: Arm, needed: tuple[JointLoad, ...]) -> list[str]:
     """Joints whose motor does not hold the arm in every pose."""
     notes = []
     for drive, load in zip(arm.drives, needed, strict=True):

@@ -17,7 +17,7 @@ from control.dynamics.dynamics import Dynamics
 from control.model import servos
 from control.model.arm import Arm, Drive, Home
 from control.model.board_kinds import KINDS
-from procedures.new_arm.answers import Parts
+from procedures.new_arm.answers import ChosenParts
 from procedures.on_boards import REFERENCE
 
 POSES: Final = 400
@@ -45,7 +45,7 @@ TURN_SPARE_rad: Final = 0.1  # that a range leaves of the one turn that an absol
 
 
 @dataclass(frozen=True, slots=True)
-class Motor:
+class TypicalMotor:
     """A usual brushed or block-commutated motor; or a servo at its output, whose gear takes from torque and speed.
 
     A value of 0 is not known.
@@ -70,16 +70,16 @@ class Motor:
 
 
 MOTORS: Final = (
-    Motor(0.024, 4.8, 4.8e-4, 1.0e-6, 24.0, 1.0),
-    Motor(0.0302, 0.299, 8.2e-5, 1.42e-5, 24.0, 8.0),  # the reference arm's
-    Motor(0.1, 0.12, 1.5e-4, 1.2e-4, 48.0, 20.0),
+    TypicalMotor(0.024, 4.8, 4.8e-4, 1.0e-6, 24.0, 1.0),
+    TypicalMotor(0.0302, 0.299, 8.2e-5, 1.42e-5, 24.0, 8.0),  # the reference arm's
+    TypicalMotor(0.1, 0.12, 1.5e-4, 1.2e-4, 48.0, 20.0),
 )
 
 
-def _servo(name: str) -> Motor:
+def _servo(name: str) -> TypicalMotor:
     """A servo by its data sheet, which tells neither inductance nor rotor inertia."""
     servo = servos.SERVOS[name]
-    return Motor(
+    return TypicalMotor(
         servo.torque_constant_Nm_A,
         servo.resistance_ohm,
         0.0,
@@ -99,7 +99,7 @@ SERVOS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Load:
+class JointLoad:
     """What a joint has to move: the largest gravity torque and the largest inertia of poses within the limits."""
 
     torque_Nm: float
@@ -123,21 +123,21 @@ def range_of(joint: TreeJoint, kind: str) -> tuple[float, float]:
     return lower, upper
 
 
-def loads(arm: Arm, ranges: Sequence[tuple[float, float]]) -> tuple[Load, ...]:
+def loads(arm: Arm, ranges: Sequence[tuple[float, float]]) -> tuple[JointLoad, ...]:
     """The load of each joint; unknown masses weigh nothing."""
     if not any(link.mass_kg for link in arm.links):
-        return (Load(0.0, 0.0),) * arm.joint_count
+        return (JointLoad(0.0, 0.0),) * arm.joint_count
     low, high = np.array(ranges).T
     q = np.random.default_rng(0).uniform(low, high, (POSES, arm.joint_count))
     q[0] = np.clip(0.0, low, high)
     dynamics = Dynamics(arm)
     torques = np.abs(dynamics.torques(q, 0.0 * q, 0.0 * q)).max(axis=0)
     inertias = np.diagonal(dynamics.mass_matrices(q), axis1=1, axis2=2).max(axis=0)
-    return tuple(Load(float(t), float(j)) for t, j in zip(torques, inertias, strict=True))
+    return tuple(JointLoad(float(t), float(j)) for t, j in zip(torques, inertias, strict=True))
 
 
 def drives(
-    joints: Sequence[TreeJoint], needed: Sequence[Load], parts: Parts, rest_rad: Sequence[float]
+    joints: Sequence[TreeJoint], needed: Sequence[JointLoad], parts: ChosenParts, rest_rad: Sequence[float]
 ) -> tuple[Drive, ...]:
     """A drive for every joint."""
     return tuple(
@@ -146,7 +146,7 @@ def drives(
     )
 
 
-def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: float) -> Drive:
+def _drive(number: int, joint: TreeJoint, load: JointLoad, parts: ChosenParts, rest_rad: float) -> Drive:
     given = None if parts.gear_ratios is None else parts.gear_ratios[number - 1]
     kind = parts.boards[number - 1]
     with_gear = SERVOS.get(kind, ())
@@ -190,8 +190,8 @@ def _drive(number: int, joint: TreeJoint, load: Load, parts: Parts, rest_rad: fl
 
 
 def _chosen(
-    joint: TreeJoint, load: Load, motors: Sequence[Motor], gears: Sequence[float]
-) -> tuple[Motor, float]:
+    joint: TreeJoint, load: JointLoad, motors: Sequence[TypicalMotor], gears: Sequence[float]
+) -> tuple[TypicalMotor, float]:
     """The smallest motor with a gear that gives torque and speed; else torque alone; else the strongest."""
     wanted_rad_s = joint.speed_rad_s if math.isfinite(joint.speed_rad_s) else 0.5 * USUAL_SPEED_rad_s
     choices = [(motor, gear) for motor in motors for gear in gears]
@@ -200,7 +200,7 @@ def _chosen(
     return (quick or strong or choices[-1:])[0]
 
 
-def _is_strong(motor: Motor, gear: float, joint: TreeJoint, load: Load) -> bool:
+def _is_strong(motor: TypicalMotor, gear: float, joint: TreeJoint, load: JointLoad) -> bool:
     """As strong as the file says, else it holds the arm with reserve and accelerates it; and its rotor fits the load."""
     torque, rotor = motor.torque_Nm(gear), gear**2 * _rotor(motor, gear, joint)
     if load.inertia_kg_m2 > MISMATCH * rotor > 0.0:
@@ -211,12 +211,14 @@ def _is_strong(motor: Motor, gear: float, joint: TreeJoint, load: Load) -> bool:
     return torque >= max(RESERVE * load.torque_Nm, spare)
 
 
-def _rotor(motor: Motor, gear: float, joint: TreeJoint) -> float:
+def _rotor(motor: TypicalMotor, gear: float, joint: TreeJoint) -> float:
     """The file's own inertia at the joint, if it has one."""
     return joint.rotor_kg_m2 / gear**2 if joint.rotor_kg_m2 > 0.0 else motor.rotor_inertia_kg_m2
 
 
-def _acceleration(motor: Motor, gear: float, current_A: float, load: Load, joint: TreeJoint) -> float:
+def _acceleration(
+    motor: TypicalMotor, gear: float, current_A: float, load: JointLoad, joint: TreeJoint
+) -> float:
     torque = motor.torque_constant_Nm_A * current_A * gear
     inertia = load.inertia_kg_m2 + gear**2 * _rotor(motor, gear, joint)
     spare = ACCELERATING * max(torque - load.torque_Nm, 0.1 * torque)

@@ -12,7 +12,7 @@ from control.model.arm import Convention
 from control.model.board_kinds import KINDS
 from firmware_iface.serial_link import serial_ports
 from procedures.new_arm import answers
-from procedures.new_arm.answers import Answers, Parts, Shape
+from procedures.new_arm.answers import Answers, ChosenParts, Shape
 from procedures.on_boards import REFERENCE, serial_lines
 
 T = TypeVar("T")
@@ -65,7 +65,7 @@ def ask_shape(given: Given, asker: Asker) -> Shape:
     return Shape(axes, lengths, *((answers.SERVO_kg, answers.SERVO_TUBE_kg_m) if is_of_servos else ()))
 
 
-def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
+def ask_parts(given: Given, asker: Asker, joints: int) -> ChosenParts:
     """Boards, gears, encoders and switches, as far as the boards leave them open. ArmError if an option is wrong."""
     kinds = ", ".join((REFERENCE, *KINDS))
     boards = _answer(
@@ -95,7 +95,7 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> Parts:
         any(map(answers.may_home, boards)), given.home, asker, f"Has every joint a home switch{index}", "yes", answers.yes_from
     )  # fmt: skip
     every_count = counts or (answers.COUNTS_PER_REV,) * joints
-    return Parts(boards, gears, every_count, bool(home), *_ask_lines(given, asker, boards))
+    return ChosenParts(boards, gears, every_count, bool(home), *_ask_lines(given, asker, boards))
 
 
 def _ask_lines(

@@ -17,7 +17,7 @@ from calib.session.state import Mark
 from control.errors import ArmError
 from control.server.channel import Message
 from control.server.client import ArmClient, ArmFaulted, fault_text
-from procedures.session.operator import Operator, Reporter, Words, tell
+from procedures.session.operator import Reporter, SessionOperator, Words, tell
 
 SPEED = 0.5  # of the joints' limits, for moves near people
 
@@ -28,12 +28,12 @@ class Interface:
 
     lines: Iterator[str]
     say: Callable[[str], None]
-    operator: type[Operator]
+    operator: type[SessionOperator]
 
     @staticmethod
     def of(given: Namespace) -> Interface:
         """By the options --json and --replay."""
-        say, operator = (tell, Reporter) if given.json else (_say, Operator)
+        say, operator = (tell, Reporter) if given.json else (_say, SessionOperator)
         lines = _replayed(Path(given.replay), say) if given.replay else _typed()
         return Interface(lines, say, operator)
 

@@ -16,7 +16,7 @@ import numpy as np
 from calib.design.candidates import OTHER_TILTS, tilted
 from calib.errors import SessionError
 from calib.session.boards_known import Boards
-from calib.session.conduct import Hand
+from calib.session.conduct import AutomaticHand
 from calib.session.folder import SessionFolder
 from calib.session.moves import Vector
 from calib.session.plan import Target
@@ -63,7 +63,7 @@ class MockSession:
     """A homed and holding mock arm, and the hand that seats its tip."""
 
     client: ArmClient
-    hand: Hand
+    hand: AutomaticHand
     speed: float
 
 

@@ -22,7 +22,17 @@ from typing import Protocol
 import numpy as np
 
 from calib.points.writer import DISTANCE, Record
-from calib.session.conversation import GO, Ask, Command, Do, Jog, Question, Recorded, Saying, Talk
+from calib.session.conversation import (
+    GO,
+    Ask,
+    Do,
+    Recorded,
+    Saying,
+    SessionCommand,
+    SessionQuestion,
+    SmallMove,
+    Talk,
+)
 from calib.session.folder import SessionFolder
 from calib.session.moves import Vector
 from calib.session.plan import FREE, SessionPlan, Target
@@ -44,7 +54,7 @@ WORDS = {do.value: do for do in (Do.SKIP, Do.REDO, Do.BAD, Do.NOTE, Do.JOG, Do.Q
 MM, DEGREE = 1e-3, math.pi / 180.0
 
 
-class View(Enum):
+class OperatorView(Enum):
     """A view requested by the operator; it changes nothing."""
 
     HELP = "help"
@@ -63,7 +73,7 @@ class BadCommand(Exception):
     """A line that is not a valid command; the text states what was expected."""
 
 
-def parse_command(line: str) -> Command | View | Auto:
+def parse_command(line: str) -> SessionCommand | OperatorView | Auto:
     """The command of a line. BadCommand if it is not valid."""
     text = line.strip()
     if not text:
@@ -71,26 +81,26 @@ def parse_command(line: str) -> Command | View | Auto:
     word, _, rest = text.partition(" ")
     word, rest = word.lower(), rest.strip()
     if word in ("help", "?"):
-        return View.HELP
-    if word in (View.STATUS.value, View.BOARD.value) and not rest:
-        return View(word)
+        return OperatorView.HELP
+    if word in (OperatorView.STATUS.value, OperatorView.BOARD.value) and not rest:
+        return OperatorView(word)
     if word == "auto":
         return Auto(_count(rest) if rest else None)
     do = WORDS.get(word)
     if do is Do.NOTE:
         if not rest:
             raise BadCommand("note: expected a text")
-        return Command(do, text=rest)
+        return SessionCommand(do, text=rest)
     if do is Do.JOG:
-        return Command(do, jog=_jog(rest))
+        return SessionCommand(do, jog=_jog(rest))
     if do is Do.QUIT and not rest:
-        return Command(do)
+        return SessionCommand(do)
     if do in (Do.SKIP, Do.REDO, Do.BAD):
         return _about_point(do, rest)
     raise BadCommand(f"unknown command: {text!r}; `help` lists the commands")
 
 
-def _about_point(do: Do, rest: str) -> Command:
+def _about_point(do: Do, rest: str) -> SessionCommand:
     """Nothing, a point, a setup and a point, and with both a repeat."""
     try:
         names = shlex.split(rest)
@@ -99,13 +109,13 @@ def _about_point(do: Do, rest: str) -> Command:
     if len(names) > 3:
         raise BadCommand(f"{do.value}: expected [[SETUP] POINT [N]], got {rest!r}")
     if not names:
-        return Command(do)
+        return SessionCommand(do)
     if len(names) == 1:
-        return Command(do, point=names[0])
-    return Command(do, names[0], names[1], _count(names[2]) if len(names) == 3 else None)
+        return SessionCommand(do, point=names[0])
+    return SessionCommand(do, names[0], names[1], _count(names[2]) if len(names) == 3 else None)
 
 
-def _jog(rest: str) -> Jog:
+def _jog(rest: str) -> SmallMove:
     words = rest.split()
     try:
         *arm, axis, number = words
@@ -118,7 +128,7 @@ def _jog(rest: str) -> Jog:
             " `jog left z -5`"
         )
     axis = axis.lower()
-    return Jog(axis, (MM if axis in ("x", "y", "z") else DEGREE) * step, *arm)
+    return SmallMove(axis, (MM if axis in ("x", "y", "z") else DEGREE) * step, *arm)
 
 
 def _count(text: str) -> int:
@@ -211,13 +221,13 @@ class BoardWords:
 
     def question(self, ask: Ask, target: Target) -> str:
         """The request to the operator."""
-        if ask.question is Question.BOARD:
+        if ask.question is SessionQuestion.BOARD:
             return f"set the board to {self._tilt(target.setup)}; Enter when it is in place"
-        if ask.question is Question.NEXT:
+        if ask.question is SessionQuestion.NEXT:
             side = f" from side {target.approach}" if self._plan.approaches > 1 and not target.is_free else ""
             where = "the pose" if target.is_free else f"above the cavity{side}"
             return f"hands off; Enter moves the arm to {where}"
-        if ask.question is Question.TAKE:
+        if ask.question is SessionQuestion.TAKE:
             return "hold the arm by hand; Enter turns its drives off"
         if self._plan.seat == "jog":
             return f"jog the tip into cavity {target.point} (`jog z -5`); Enter when it is seated"
@@ -251,9 +261,9 @@ class ContactWords:
         far = (
             f"{1e3 * target.distance_m:g} mm from the other" if target.distance_m else "where the other's is"
         )
-        if ask.question is Question.NEXT:
+        if ask.question is SessionQuestion.NEXT:
             return "hands off both arms; Enter moves them to where their tips can meet"
-        if ask.question is Question.TAKE:
+        if ask.question is SessionQuestion.TAKE:
             return f"hold arm {ask.arm} by hand; Enter turns its drives off"
         if self._plan.seat == "jog":
             return f"jog the tips together, one {far} (`jog {self._names[0]} z -5`); Enter when they are in contact"
@@ -269,7 +279,7 @@ class ContactWords:
 Say = Callable[[str], None]
 
 
-class Operator:
+class SessionOperator:
     """Prints the messages of a session and answers from lines. When they end, the answer is `quit`."""
 
     def __init__(
@@ -297,7 +307,7 @@ class Operator:
         finally:
             talk.close()
 
-    def _answer(self, saying: Saying) -> Command:
+    def _answer(self, saying: Saying) -> SessionCommand:
         if isinstance(saying, Ask):
             return self._asked(saying)
         if isinstance(saying, Recorded):
@@ -308,11 +318,11 @@ class Operator:
             self._say(f"{'! ' if saying.is_warning else ''}{saying.text}")
         return GO
 
-    def _asked(self, ask: Ask) -> Command:
+    def _asked(self, ask: Ask) -> SessionCommand:
         """Show the question and read lines until one is an answer."""
         self._say(f"{self._prompt(ask)} >")
         while True:
-            if self._auto is None and ask.question is not Question.DONE:
+            if self._auto is None and ask.question is not SessionQuestion.DONE:
                 return GO
             if self._auto:
                 self._auto -= 1
@@ -320,9 +330,9 @@ class Operator:
             line = next(self._lines, self._answer_at_end(ask))
             try:
                 command = parse_command(line)
-                if isinstance(command, Command):
+                if isinstance(command, SessionCommand):
                     return command
-                if isinstance(command, View):
+                if isinstance(command, OperatorView):
                     self._show(command, ask)
                 else:
                     self._start_auto(command)
@@ -331,18 +341,18 @@ class Operator:
 
     def _answer_at_end(self, ask: Ask) -> str:
         """The answer after the last line: the end of a mock session, or `quit`."""
-        return "" if ask.question is Question.DONE and self._may_auto else "quit"
+        return "" if ask.question is SessionQuestion.DONE and self._may_auto else "quit"
 
     def _start_auto(self, command: Auto) -> None:
         if not self._may_auto:
             raise BadCommand("auto: only a session with a mock arm can answer automatically")
         self._auto = command.count
 
-    def _show(self, view: View, ask: Ask) -> None:
+    def _show(self, view: OperatorView, ask: Ask) -> None:
         state = self._folder.state
-        if view is View.HELP:
+        if view is OperatorView.HELP:
             self._say(HELP)
-        elif view is View.STATUS:
+        elif view is OperatorView.STATUS:
             self._say(status_text(state))
         else:
             setup = ask.target.setup if ask.target is not None else self._folder.standing
@@ -396,10 +406,10 @@ def tell(text: str) -> None:
     report({"message": text.removeprefix("! ").rstrip("\n"), "is_warning": is_warning})
 
 
-class Reporter(Operator):
-    """An `Operator` whose questions and records are messages. Its `say` is `tell`."""
+class Reporter(SessionOperator):
+    """An `SessionOperator` whose questions and records are messages. Its `say` is `tell`."""
 
-    def _answer(self, saying: Saying) -> Command:
+    def _answer(self, saying: Saying) -> SessionCommand:
         if not isinstance(saying, Recorded):
             return super()._answer(saying)
         verdict = saying.verdict
@@ -418,7 +428,7 @@ class Reporter(Operator):
             self._auto = 0
         return GO
 
-    def _asked(self, ask: Ask) -> Command:
+    def _asked(self, ask: Ask) -> SessionCommand:
         state, target = self._folder.state, ask.target
         setup = target.setup if target is not None else self._folder.standing
         report(

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.closed_chain.candidates import base_of
 from calib.closed_chain.conduct import PairHand, PairStation
-from calib.closed_chain.room import Poses, Room
+from calib.closed_chain.room import Poses, SharedRoom
 from calib.closed_chain.watch import ContactWatch
 from calib.session.moves import ArmGeometry
 from calib.session.plan import Target
@@ -44,7 +44,7 @@ def pair_station(
         (RuntimePort(clients[names[0]], speed), RuntimePort(clients[names[1]], speed)),
         (ArmGeometry(one.arm), ArmGeometry(two.arm)),
         together,
-        Room(cell, (one, two)),
+        SharedRoom(cell, (one, two)),
         ContactWatch((one.arm, two.arm), base_of(cell, names)),
         hand,
         clock_offset_s=clock_offset_s,

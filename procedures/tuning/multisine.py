@@ -63,7 +63,7 @@ def multisine(period_s: float, rate_Hz: float, seed: int = 0) -> Multisine:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredResponse:
     """A response, the loop in which it was measured (L = added / output - 1, by the loop's own output), and its quality."""
 
     response: Response
@@ -75,7 +75,7 @@ class Measured:
     span_rad: float
 
 
-def evaluate(wave: Multisine, angle_rad: Real, output: Real, added: Real) -> Measured:
+def evaluate(wave: Multisine, angle_rad: Real, output: Real, added: Real) -> MeasuredResponse:
     """Evaluate arrays (periods, samples); each row is a period and the start of the next. The joint may be in motion."""
     count = len(wave.samples)
     y, u, d = (np.fft.rfft(_level(rows, count), axis=1) for rows in (angle_rad, output, added))
@@ -91,7 +91,7 @@ def evaluate(wave: Multisine, angle_rad: Real, output: Real, added: Real) -> Mea
     stray = np.abs(y_mean[odd] - between * u_mean[odd])
     level = np.interp(at, odd, stray / np.abs(np.interp(odd, at, np.abs(y_mean[at]))))
     coherence = 1.0 / (1.0 + noise**2 / len(y) + level**2)
-    return Measured(
+    return MeasuredResponse(
         Response(omega, plant, coherence),
         d_mean[at] / u_mean[at] - 1.0,
         float(np.sqrt(np.mean(level**2))),
@@ -118,7 +118,7 @@ def _interpolated(omega: Real, plant: NDArray[np.complex128], wanted: Real) -> N
     return np.asarray(np.exp(magnitude + 1j * phase), dtype=np.complex128)
 
 
-def usable(measured: Measured, least_coherence: float) -> Measured:
+def usable(measured: MeasuredResponse, least_coherence: float) -> MeasuredResponse:
     """The measurement without frequencies of poor coherence. Raises PoorResponse if too few remain around crossover."""
     keep = measured.response.coherence >= least_coherence
     response = measured.response
@@ -132,7 +132,7 @@ def usable(measured: Measured, least_coherence: float) -> Measured:
             f" {measured.distortion:.1%}): friction or backlash absorbs the signal, or somebody touches the arm; give"
             " a larger --amplitude, check for backlash"
         )
-    return Measured(
+    return MeasuredResponse(
         Response(response.omega_rad_s[keep], response.plant[keep], response.coherence[keep]),
         measured.loop[keep], measured.distortion, measured.noise, measured.span_rad,
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from control.hardware.interface import Asked, EndBoards, Feedback, Hardware, OutputMode
+from control.hardware.interface import Attended, EndBoards, Feedback, Hardware, OutputMode
 from control.hardware.words import Wanted
 from firmware_iface.clock import Clock
 
@@ -61,7 +61,7 @@ class Probe:
         """As the hardware."""
         self._hardware.attend(until_s, beside)
 
-    def polled_lines(self) -> Sequence[Asked]:
+    def polled_lines(self) -> Sequence[Attended]:
         """As the hardware."""
         return self._hardware.polled_lines()
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.gains import Gains, gains_of
-from control.dynamics.tuning import Design, Margins, MarginsUnmet, MotorFit, Tuner, fit_motor, margins
+from control.dynamics.tuning import LoopDesign, Margins, MarginsUnmet, MotorFit, Tuner, fit_motor, margins
 from control.errors import ArmError, MissingModel
 from control.model.arm import Arm, DrivePid
 from control.progress import Advance
 from control.server.client import ArmFaulted
 from firmware_iface.clock import Clock
-from procedures.tuning.multisine import PERIOD_S, Measured, PoorResponse, multisine, usable
-from procedures.tuning.session import MoveResponse, PASS_SPEED_rad_s, Session, StepResponse
+from procedures.tuning.multisine import PERIOD_S, MeasuredResponse, PoorResponse, multisine, usable
+from procedures.tuning.session import MoveResponse, PASS_SPEED_rad_s, StepResponse, TuningSession
 
 LEAST_GAIN_dB, LEAST_PHASE_deg = 6.0, 45.0
 RESERVE_dB, RESERVE_deg = 2.0, 10.0  # margin if no bandwidth is requested: an arm ages
@@ -37,7 +37,7 @@ class NotTuned(ArmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class TuningOptions:
     """Options of the operator; None: chosen automatically."""
 
     joints: tuple[int, ...]
@@ -52,7 +52,7 @@ class Trial:
 
     gains: Gains
     margins: Margins
-    measured: Measured
+    measured: MeasuredResponse
     step: StepResponse
     move: MoveResponse
 
@@ -63,7 +63,7 @@ class Tuned:
 
     joint: int
     fit: MotorFit
-    design: Design
+    design: LoopDesign
     inertia_ratios: tuple[float, ...]
     before: Trial
     after: Trial
@@ -76,7 +76,7 @@ class _Chosen:
 
     tuner: Tuner
     fit: MotorFit
-    design: Design
+    design: LoopDesign
     inertia_ratios: tuple[float, ...]
     cautions: tuple[str, ...]
 
@@ -92,14 +92,14 @@ class _Chosen:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class TuningResult:
     """The new arm, and the tuning of each joint."""
 
     arm: Arm
     joints: tuple[Tuned, ...]
 
 
-def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
+def tune(arm: Arm, clock: Clock, options: TuningOptions, advance: Advance) -> TuningResult:
     """Measure, design and test. Raises NotTuned, ArmFaulted, and the errors of connecting; the drives are then off.
 
     Gains are set only in the runtimes started here; the arm's own file never changes.
@@ -111,7 +111,7 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
     chosen: dict[int, _Chosen] = {}
     before: dict[int, Trial] = {}
     total = 2 * len(options.joints) + 1
-    with Session(measuring, clock) as session:
+    with TuningSession(measuring, clock) as session:
         session.client.move_joints(pose, CENTRE_SPEED)
         for number, joint in enumerate(options.joints):
             advance(f"joint {joint}: response with the present gains", (number + 0.5) / total)
@@ -132,16 +132,16 @@ def tune(arm: Arm, clock: Clock, options: Options, advance: Advance) -> Result:
         joints.append(
             Tuned(joint, one.fit, one.design, one.inertia_ratios, before[joint], after[joint], one.cautions)
         )
-    return Result(tuned, tuple(joints))
+    return TuningResult(tuned, tuple(joints))
 
 
 def _tried(
-    arm: Arm, clock: Clock, options: Options, pose: tuple[float, ...], advance: Advance
+    arm: Arm, clock: Clock, options: TuningOptions, pose: tuple[float, ...], advance: Advance
 ) -> dict[int, Trial]:
     """The new gains on the arm, joint after joint."""
     after: dict[int, Trial] = {}
     count = len(options.joints)
-    with Session(arm, clock) as session:
+    with TuningSession(arm, clock) as session:
         session.client.move_joints(pose, CENTRE_SPEED)
         for number, joint in enumerate(options.joints):
             advance(f"joint {joint}: the new gains", (number + 0.5 + count) / (2 * count + 1))
@@ -180,7 +180,7 @@ def _require_loop(arm: Arm, joints: tuple[int, ...]) -> None:
         )
 
 
-def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
+def _pose(arm: Arm, options: TuningOptions) -> tuple[float, ...]:
     """The pose for tuning: as given, else at rest, else mid-range; with enough range for the motions."""
     pose = options.pose_rad or (arm.rest.q_rad if arm.rest else None)
     if pose is None:
@@ -197,7 +197,9 @@ def _pose(arm: Arm, options: Options) -> tuple[float, ...]:
     return tuple(pose)
 
 
-def _try(session: Session, arm: Arm, joint: int, options: Options) -> tuple[Trial, Measured]:
+def _try(
+    session: TuningSession, arm: Arm, joint: int, options: TuningOptions
+) -> tuple[Trial, MeasuredResponse]:
     """Measure with the gains of the session's runtime."""
     drive = arm.drive(joint)
     unit = 1.0 if drive.pid.mode == "current" else drive.resistance_ohm
@@ -224,7 +226,12 @@ def _try(session: Session, arm: Arm, joint: int, options: Options) -> tuple[Tria
 
 
 def _designed(
-    arm: Arm, joint: int, before: Trial, measured: Measured, options: Options, pose: tuple[float, ...]
+    arm: Arm,
+    joint: int,
+    before: Trial,
+    measured: MeasuredResponse,
+    options: TuningOptions,
+    pose: tuple[float, ...],
 ) -> _Chosen:
     fit = fit_motor(measured.response)
     ratios = inertia_ratios(arm, joint, pose)
@@ -246,7 +253,7 @@ def _designed(
     return _Chosen(tuner, fit, _rounded(tuner, design), ratios, cautions)
 
 
-def _fastest(tuner: Tuner) -> tuple[Design, tuple[float, float]]:
+def _fastest(tuner: Tuner) -> tuple[LoopDesign, tuple[float, float]]:
     """The fastest design with the largest of RESERVES that there is, and that reserve. Raises MarginsUnmet."""
     for gain_dB, phase_deg in RESERVES[:-1]:
         with contextlib.suppress(MarginsUnmet):
@@ -254,7 +261,7 @@ def _fastest(tuner: Tuner) -> tuple[Design, tuple[float, float]]:
     return tuner.fastest(LEAST_GAIN_dB, LEAST_PHASE_deg), RESERVES[-1]
 
 
-def _no_reserve(joint: int, fit: MotorFit, design: Design) -> str:
+def _no_reserve(joint: int, fit: MotorFit, design: LoopDesign) -> str:
     worst = design.worst
     return (
         f"joint {joint}: {fit.delay_s * 1e3:.0f} ms from a command to the count that shows it leave margins of"
@@ -266,7 +273,7 @@ def _hertz(omega_rad_s: float) -> str:
     return f"{omega_rad_s / (2.0 * math.pi):.1f} Hz"
 
 
-def _rounded(tuner: Tuner, design: Design) -> Design:
+def _rounded(tuner: Tuner, design: LoopDesign) -> LoopDesign:
     """Gains rounded as in the file."""
     gains = design.gains
     kp, ki, kd = (float(f"{value:.5g}") for value in (gains.kp, gains.ki, gains.kd))
@@ -287,7 +294,7 @@ def inertia_ratios(arm: Arm, joint: int, pose: tuple[float, ...]) -> tuple[float
     return (float(min(diagonal.min() / here, 1.0)), 1.0, float(max(diagonal.max() / here, 1.0)))
 
 
-def _cautions(joint: int, fit: MotorFit, measured: Measured) -> tuple[str, ...]:
+def _cautions(joint: int, fit: MotorFit, measured: MeasuredResponse) -> tuple[str, ...]:
     cautions = []
     if measured.distortion > NOT_LINEAR:
         cautions.append(

@@ -14,7 +14,7 @@ from control.dynamics.tuning import Margins
 from control.files import write_whole
 from control.model.arm import Arm
 from procedures.tuning.multisine import LOWEST_Hz
-from procedures.tuning.procedure import LEAST_GAIN_dB, LEAST_PHASE_deg, Result, Trial, Tuned
+from procedures.tuning.procedure import LEAST_GAIN_dB, LEAST_PHASE_deg, Trial, Tuned, TuningResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +33,7 @@ def header(arm: Arm) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def write_report(result: Result, path: Path, about: str) -> None:
+def write_report(result: TuningResult, path: Path, about: str) -> None:
     """One HTML file without outside resources."""
     parts = [_summary(result), *(_joint(tuned) for tuned in result.joints)]
     write_whole(path, page("Tuning", result.arm.name, about, parts))
@@ -78,7 +78,7 @@ def _dB(value: float) -> str:
     return "beyond" if value == math.inf else f"{value:.1f} dB"
 
 
-def _summary(result: Result) -> Section:
+def _summary(result: TuningResult) -> Section:
     lines = [line for tuned in result.joints for line in rows(tuned)]
     wanted = (
         f"Margins are measured on the arm and include delay and filters. They are at least {LEAST_GAIN_dB:g} dB and"

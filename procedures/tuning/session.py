@@ -20,7 +20,7 @@ from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
-from procedures.tuning.multisine import BEYOND, PASSES, PERIOD_S, Measured, Multisine, evaluate
+from procedures.tuning.multisine import BEYOND, PASSES, PERIOD_S, MeasuredResponse, Multisine, evaluate
 from procedures.tuning.probe import Probe, Trace
 
 PASS_SPEED_rad_s = 0.22  # faster than the signal's motion, so that the joint never reverses
@@ -57,7 +57,7 @@ class MoveResponse:
     """Time after the end of the set-point's motion until the error stays within 0.5 mrad."""
 
 
-class Session:
+class TuningSession:
     """A tuning session: connected, enabled and homed on entry; off on every exit."""
 
     def __init__(self, arm: Arm, clock: Clock) -> None:
@@ -119,7 +119,7 @@ class Session:
         self.client.until(["HOLDING"], 0.1)
         return trace
 
-    def excite(self, joint: int, wave: Multisine, amplitude: float) -> Measured:
+    def excite(self, joint: int, wave: Multisine, amplitude: float) -> MeasuredResponse:
         """Passes back and forth around the present pose, with the signal on the joint."""
         centre = at_rest(self.angles_rad())
         cycle_s = self.period_s

@@ -64,7 +64,7 @@ class Model:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class ModelPair:
     """The two models that are compared."""
 
     nominal: Model
@@ -105,7 +105,7 @@ def _source_of(calibrated: Arm) -> str:
     )
 
 
-def active_model(status: Message, pair: Pair) -> Model:
+def active_model(status: Message, pair: ModelPair) -> Model:
     """The model of the pair that the runtime uses. ArmError if neither."""
     if not status["is_homed"] or status["tip_m"] is None:
         raise ArmError("the arm is not homed, so its angles are unknown: run `armwright home`")

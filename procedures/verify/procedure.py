@@ -27,12 +27,12 @@ from control.model import table as tables
 from control.model.arm import Arm, Effect
 from control.progress import Advance
 from control.server.client import ArmClient
-from procedures.verify.models import Model, Pair
+from procedures.verify.models import Model, ModelPair
 from procedures.verify.survey import Programme, Survey, compared, paired, raw_points
 
 
 @dataclass(slots=True)
-class Drive:
+class SurveyPair:
     """The planned surveys of one arm by both models."""
 
     programme: Programme
@@ -40,7 +40,9 @@ class Drive:
     after: Survey
 
     @classmethod
-    def planned(cls, pair: Pair, programme: Programme, q_near_rad: Sequence[float], out: Path) -> "Drive":
+    def planned(
+        cls, pair: ModelPair, programme: Programme, q_near_rad: Sequence[float], out: Path
+    ) -> "SurveyPair":
         """Plan both surveys; ArmError if something is out of reach by either model."""
         return cls(
             programme,
@@ -82,8 +84,8 @@ class Drive:
 
 
 def driven(
-    pair: Pair,
-    drive: Drive,
+    pair: ModelPair,
+    drive: SurveyPair,
     comparison: Comparison,
     paths: tuple[TrackPair, ...],
 ) -> Verification:
@@ -103,7 +105,7 @@ def driven(
 
 
 def on_recorded(
-    pair: Pair,
+    pair: ModelPair,
     file: Path,
     free_zero: bool = False,
     known_m: Mapping[str, Vector] = MappingProxyType({}),
@@ -144,7 +146,7 @@ def _with_tips(arm: Arm, points: Points) -> Points:
 
 
 def _verification(
-    pair: Pair,
+    pair: ModelPair,
     comparison: Comparison,
     paths: tuple[TrackPair, ...],
     how: tuple[str, ...],

@@ -47,7 +47,7 @@ SECTION_m = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class SurveyedPath:
     """A path that was run: its run number in the recording; `path` if the recorded set-points are not the joints'."""
 
     number: int
@@ -118,14 +118,16 @@ def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float
         raise ArmError(f"{way.name} above the board's setup {way.setup}: {error}") from error
 
 
-def run(path: PlannedPath, model: Model, runtime_model: Model, client: ArmClient, speed: float) -> Run:
+def run(
+    path: PlannedPath, model: Model, runtime_model: Model, client: ArmClient, speed: float
+) -> SurveyedPath:
     """Go to the path's start and run it as planned by `model`."""
     as_encoders = not model.has_gears_of(runtime_model)
     client.move_joints(path.q_start_rad, speed, as_encoders=as_encoders)
     client.run_path(handed_over(path, model, runtime_model).to_message(), as_encoders=as_encoders)
     status = client.status()
     in_joints = path if runtime_model.gears and not as_encoders else None
-    return Run(int(status["run"]), in_joints, float(status["override"]))
+    return SurveyedPath(int(status["run"]), in_joints, float(status["override"]))
 
 
 def handed_over(path: PlannedPath, model: Model, runtime_model: Model) -> PlannedPath:
@@ -164,7 +166,7 @@ MOVING = list(Mode).index(Mode.MOVING)
 PATIENCE_S = 5.0  # for the recording's writer process
 
 
-def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
+def track_of(recording: Path, model: Model, ran: SurveyedPath, name: str) -> Track:
     """The tip along a run: planned by the model, measured by the camera.
 
     Planned is the tip at the recorded set-points; if those are encoder angles that differ from the joints', the tip of the path
@@ -189,7 +191,7 @@ def track_of(recording: Path, model: Model, ran: Run, name: str) -> Track:
     return Track(name, frozen(at_s - time_s[0]), frozen(planned_at_m), frozen(seen_m[seen][within]))
 
 
-def planned_tips_m(rows: np.ndarray, model: Model, ran: Run) -> np.ndarray:
+def planned_tips_m(rows: np.ndarray, model: Model, ran: SurveyedPath) -> np.ndarray:
     """Planned tips (m, 3) at the rows' times. The first row of a run is one cycle into it."""
     if ran.path is None:
         joints = range(1, model.arm.joint_count + 1)
@@ -267,7 +269,7 @@ class Survey:
         stays = [(q_rad, q_rad) for q_rad in angles]
         runs = [(path.q_start_rad, path.q_waypoints_rad[-1]) for path in self._paths]
         require_clear(model.arm, [*stays, *runs])
-        self._runs: list[tuple[Way, Run]] = []
+        self._runs: list[tuple[Way, SurveyedPath]] = []
 
     @property
     def q_rad(self) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from console.main import main
 from control.errors import ArmError
 from control.recording.record import Layout
-from control.recording.rotation import Parts, Policy, begin
+from control.recording.rotation import Policy, RecordingParts, begin
 from procedures.tour import RunRows
 from procedures.verify.survey import recorded, wait_until_recorded
 
@@ -26,13 +26,13 @@ def rows(first: int, count: int, run: int) -> bytes:
 
 
 @pytest.fixture
-def parts(tmp_path: Path) -> Parts:
+def parts(tmp_path: Path) -> RecordingParts:
     begin(tmp_path / "a.armlog", LAYOUT.about(period_s=0.002))
     size = (tmp_path / "a.armlog").stat().st_size + 10 * LAYOUT.packing.size
-    return Parts(tmp_path / "a.armlog", Policy(size), lambda text: None)
+    return RecordingParts(tmp_path / "a.armlog", Policy(size), lambda text: None)
 
 
-def test_a_run_that_goes_on_in_the_next_file_is_read_whole(tmp_path: Path, parts: Parts) -> None:
+def test_a_run_that_goes_on_in_the_next_file_is_read_whole(tmp_path: Path, parts: RecordingParts) -> None:
     grown = RunRows(tmp_path / "a.armlog")
     parts.append(rows(0, 4, run=1))
     grown.skip()
@@ -44,7 +44,9 @@ def test_a_run_that_goes_on_in_the_next_file_is_read_whole(tmp_path: Path, parts
     assert grown.of_run(3)["cycle"].tolist() == [28]
 
 
-def test_a_verification_reads_every_part_and_waits_for_the_newest(tmp_path: Path, parts: Parts) -> None:
+def test_a_verification_reads_every_part_and_waits_for_the_newest(
+    tmp_path: Path, parts: RecordingParts
+) -> None:
     for first in (0, 4, 8):
         parts.append(rows(first, 4, run=1))
     assert recorded(tmp_path / "a.armlog")["cycle"].tolist() == list(range(12))

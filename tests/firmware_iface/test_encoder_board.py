@@ -6,14 +6,14 @@ import pytest
 
 from firmware_iface.encoder import wire
 from firmware_iface.encoder.board import EncoderBoard
-from firmware_iface.encoder.wire import Ack, ChannelFlag, Frame, IndexLatch, Report, Result
+from firmware_iface.encoder.wire import Ack, AckResult, ChannelFlag, Frame, IndexLatch, Report
 from firmware_iface.errors import (
+    BoardRefused,
     BoardReset,
     BoardSilent,
     LinkLost,
     MisuseError,
     ProtocolViolation,
-    RequestRefused,
     WrongIdentity,
 )
 from tests.firmware_iface.scripted import RX, TX, FakeClock, Script, ScriptedBytes
@@ -62,7 +62,7 @@ def test_identify_starts_with_a_delimiter_and_returns_who_it_is() -> None:
 
 
 def test_an_ack_is_no_identity() -> None:
-    board, _, _ = make([(TX, first(wire.Identify(1))), (RX, send(Ack(0, 1, Result.DONE)))])
+    board, _, _ = make([(TX, first(wire.Identify(1))), (RX, send(Ack(0, 1, AckResult.DONE)))])
     with pytest.raises(ProtocolViolation, match="answered IDENTIFY by"):
         board.identify()
 
@@ -107,22 +107,24 @@ def test_silence_with_noise_asks_for_the_baud_rate() -> None:
 
 def test_an_answer_lost_once_is_asked_for_again_with_the_same_bytes() -> None:
     asked = send(wire.Stream(1, 2000))
-    board, _, _ = make([(TX, b"\x00" + asked), (TX, asked), (RX, send(Ack(0, 1, Result.DONE)))])
+    board, _, _ = make([(TX, b"\x00" + asked), (TX, asked), (RX, send(Ack(0, 1, AckResult.DONE)))])
     board.stream(0.002)
 
 
 def test_an_answer_to_an_older_request_is_not_taken() -> None:
     asked = send(wire.Stream(1, 2000))
-    stale = send(Ack(9, 200, Result.DONE))
+    stale = send(Ack(9, 200, AckResult.DONE))
     board, _, _ = make([(TX, b"\x00" + asked), (RX, stale), (TX, asked), (TX, asked)])
     with pytest.raises(BoardSilent):
         board.stream(0.002)
 
 
-@pytest.mark.parametrize("result", [Result.UNKNOWN_REQUEST, Result.BAD_ARGUMENT, Result.NOT_POSSIBLE_NOW])
-def test_a_refusal_names_its_reason(result: Result) -> None:
+@pytest.mark.parametrize(
+    "result", [AckResult.UNKNOWN_REQUEST, AckResult.BAD_ARGUMENT, AckResult.NOT_POSSIBLE_NOW]
+)
+def test_a_refusal_names_its_reason(result: AckResult) -> None:
     board, _, _ = make([(TX, first(wire.SetZero(1, 2, 5))), (RX, send(Ack(0, 1, result)))])
-    with pytest.raises(RequestRefused, match=result.name.replace("_", " ").lower()):
+    with pytest.raises(BoardRefused, match=result.name.replace("_", " ").lower()):
         board.set_zero(2, 5)
 
 
@@ -155,7 +157,7 @@ def test_a_stream_that_the_line_cannot_carry_is_refused_before_anything_is_sent(
 ) -> None:
     if is_possible:
         request = wire.Stream(1, round(period_s * 1e6))
-        board, _, _ = make([(TX, first(request)), (RX, send(Ack(0, 1, Result.DONE)))], baud)
+        board, _, _ = make([(TX, first(request)), (RX, send(Ack(0, 1, AckResult.DONE)))], baud)
         board.stream(period_s)
     else:
         board, _, _ = make([], baud)
@@ -506,9 +508,9 @@ def test_a_watched_index_is_armed_again_after_each_pulse_without_waiting() -> No
     board, link, clock = make(
         [
             (TX, first(arm[0])),
-            (RX, send(Ack(1, 1, Result.DONE), IndexLatch(2, 1, 5, 777))),
+            (RX, send(Ack(1, 1, AckResult.DONE), IndexLatch(2, 1, 5, 777))),
             (TX, send(arm[1])),
-            (RX, send(Ack(5, 2, Result.DONE))),
+            (RX, send(Ack(5, 2, AckResult.DONE))),
         ]
     )
     board.watch_indices([1])

@@ -14,7 +14,7 @@ FRAMES = {
     "IDENTIFY": wire.Identify(1),
     "REPORT": wire.Report(7, 1_234_567, (0x08, 0x0D, 0x00), (1024, -1, -(2**31))),
     "IDENTITY": wire.Identity(0, 1, 1, 0x0203, 0x00A1B2C3, 3, (2048, 2048, 2048), 32),
-    "ACK": wire.Ack(8, 2, wire.Result.DONE),
+    "ACK": wire.Ack(8, 2, wire.AckResult.DONE),
     "INDEX": wire.IndexLatch(9, 2, 1_234_500, -4711),
 }
 

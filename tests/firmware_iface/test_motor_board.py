@@ -4,52 +4,52 @@ import pytest
 
 from firmware_iface.errors import (
     BoardFaulted,
+    BoardRefused,
     BoardReset,
     BoardSilent,
     LinkLost,
     MisuseError,
     ProtocolViolation,
-    RequestRefused,
     WrongIdentity,
 )
 from firmware_iface.motor.board import MotorBoard, MotorBus, MotorIdentity
-from firmware_iface.motor.cia402 import DriveCommand, State
+from firmware_iface.motor.cia402 import DriveCommand, DriveState
 from firmware_iface.motor.wire import (
-    Command,
-    Fault,
-    Mode,
-    Parameter,
+    MotorCommand,
+    MotorFault,
+    MotorParameter,
     ParameterAnswer,
     ParameterRequest,
     ParameterResult,
     Reply,
+    SetpointMode,
 )
 from tests.firmware_iface.scripted import RX, TX, FakeClock, FrameScript, ScriptedFrames
 
 STATUSWORD = {
-    State.NOT_READY_TO_SWITCH_ON: 0x00,
-    State.SWITCH_ON_DISABLED: 0x50,
-    State.READY_TO_SWITCH_ON: 0x31,
-    State.SWITCHED_ON: 0x33,
-    State.OPERATION_ENABLED: 0x37,
-    State.QUICK_STOP_ACTIVE: 0x17,
-    State.FAULT_REACTION_ACTIVE: 0x1F,
-    State.FAULT: 0x18,
+    DriveState.NOT_READY_TO_SWITCH_ON: 0x00,
+    DriveState.SWITCH_ON_DISABLED: 0x50,
+    DriveState.READY_TO_SWITCH_ON: 0x31,
+    DriveState.SWITCHED_ON: 0x33,
+    DriveState.OPERATION_ENABLED: 0x37,
+    DriveState.QUICK_STOP_ACTIVE: 0x17,
+    DriveState.FAULT_REACTION_ACTIVE: 0x1F,
+    DriveState.FAULT: 0x18,
 }
-DISABLED, ENABLED, FAULT = State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED, State.FAULT
+DISABLED, ENABLED, FAULT = DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED, DriveState.FAULT
 
 
 def sent(
-    controlword: int, sequence: int, mode: int = Mode.VOLTAGE, setpoint: int = 0
+    controlword: int, sequence: int, mode: int = SetpointMode.VOLTAGE, setpoint: int = 0
 ) -> tuple[str, int, bytes]:
-    return TX, 0x101, Command(controlword, mode, sequence & 0x1F, setpoint).pack()
+    return TX, 0x101, MotorCommand(controlword, mode, sequence & 0x1F, setpoint).pack()
 
 
-def reply(state: State, sequence: int, faults: int = 0, mode: int = Mode.VOLTAGE) -> bytes:
+def reply(state: DriveState, sequence: int, faults: int = 0, mode: int = SetpointMode.VOLTAGE) -> bytes:
     return Reply(STATUSWORD[state], mode, sequence & 0x1F, 0.0, 24.0, 30, faults).pack()
 
 
-def replied(state: State, sequence: int, faults: int = 0) -> tuple[str, int, bytes]:
+def replied(state: DriveState, sequence: int, faults: int = 0) -> tuple[str, int, bytes]:
     return RX, 0x181, reply(state, sequence, faults)
 
 
@@ -71,34 +71,37 @@ WALK_UP: FrameScript = [
     sent(0x00, 1),
     replied(DISABLED, 1),
     sent(0x06, 2),
-    replied(State.READY_TO_SWITCH_ON, 2),
+    replied(DriveState.READY_TO_SWITCH_ON, 2),
     sent(0x07, 3),
-    replied(State.SWITCHED_ON, 3),
+    replied(DriveState.SWITCHED_ON, 3),
     sent(0x0F, 4),
     replied(ENABLED, 4),
 ]
 
 
 IDENTIFY: FrameScript = [
-    asked(0, Parameter.PROTOCOL_VERSION, 1),
-    answered(Parameter.PROTOCOL_VERSION, 1, 1),
-    asked(0, Parameter.BOARD_SERIAL_NUMBER, 2),
-    answered(Parameter.BOARD_SERIAL_NUMBER, 2, 0xF0A1B2C3 - 2**32),
+    asked(0, MotorParameter.PROTOCOL_VERSION, 1),
+    answered(MotorParameter.PROTOCOL_VERSION, 1, 1),
+    asked(0, MotorParameter.BOARD_SERIAL_NUMBER, 2),
+    answered(MotorParameter.BOARD_SERIAL_NUMBER, 2, 0xF0A1B2C3 - 2**32),
 ]
 
 
 class TestSetPoints:
     def test_each_command_is_one_frame_with_the_next_sequence(self) -> None:
         numbers = [number % 32 for number in range(1, 70)]
-        board, _, link, _ = make([sent(0x00, number, Mode.VOLTAGE, -1500) for number in numbers])
+        board, _, link, _ = make([sent(0x00, number, SetpointMode.VOLTAGE, -1500) for number in numbers])
         for _ in numbers:
             board.command_voltage(-1.5)
         assert link.script == []
 
     def test_quantities_are_sent_in_the_units_of_the_wire(self) -> None:
-        position = Command(0x00, Mode.POSITION, 4, -100_000, 250).pack()
-        script: FrameScript = [sent(0, 1, Mode.VOLTAGE, 12_346), sent(0, 2, Mode.CURRENT, -500)]
-        board, _, link, _ = make([*script, sent(0, 3, Mode.OFF), (TX, 0x101, position)])
+        position = MotorCommand(0x00, SetpointMode.POSITION, 4, -100_000, 250).pack()
+        script: FrameScript = [
+            sent(0, 1, SetpointMode.VOLTAGE, 12_346),
+            sent(0, 2, SetpointMode.CURRENT, -500),
+        ]
+        board, _, link, _ = make([*script, sent(0, 3, SetpointMode.OFF), (TX, 0x101, position)])
         board.command_voltage(12.3456)
         board.command_current(-0.5)
         board.command_off()
@@ -134,7 +137,7 @@ class TestStates:
         assert link.script == []
 
     def test_the_controlword_of_the_state_is_kept_by_the_commands_that_follow(self) -> None:
-        board, _, link, _ = make([*WALK_UP, sent(0x0F, 5, Mode.CURRENT, 1000)])
+        board, _, link, _ = make([*WALK_UP, sent(0x0F, 5, SetpointMode.CURRENT, 1000)])
         board.go_to(ENABLED)
         board.command_current(1.0)
         assert link.script == []
@@ -147,19 +150,19 @@ class TestStates:
         assert board.resets == 0
 
     def test_a_lost_reply_is_made_good_by_sending_again(self) -> None:
-        script: FrameScript = [*WALK_UP[:3], sent(0x06, 3), replied(State.READY_TO_SWITCH_ON, 3)]
+        script: FrameScript = [*WALK_UP[:3], sent(0x06, 3), replied(DriveState.READY_TO_SWITCH_ON, 3)]
         board, _, _, _ = make(script)
-        board.go_to(State.READY_TO_SWITCH_ON)
+        board.go_to(DriveState.READY_TO_SWITCH_ON)
 
     def test_a_board_that_is_not_ready_yet_is_waited_for(self) -> None:
         script: FrameScript = [
             sent(0, 1),
-            replied(State.NOT_READY_TO_SWITCH_ON, 1),
+            replied(DriveState.NOT_READY_TO_SWITCH_ON, 1),
             sent(0, 2),
             replied(DISABLED, 2),
         ]
-        board, _, _, _ = make([*script, sent(0x06, 3), replied(State.READY_TO_SWITCH_ON, 3)])
-        board.go_to(State.READY_TO_SWITCH_ON)
+        board, _, _, _ = make([*script, sent(0x06, 3), replied(DriveState.READY_TO_SWITCH_ON, 3)])
+        board.go_to(DriveState.READY_TO_SWITCH_ON)
 
     def test_silence_is_said_after_the_time_out(self) -> None:
         board, _, _, clock = make([sent(0, number) for number in range(1, 30)])
@@ -167,19 +170,21 @@ class TestStates:
             BoardSilent,
             match=r"does not reach SWITCHED ON, stays in an unknown state.*check its supply, wiring",
         ):
-            board.go_to(State.SWITCHED_ON)
+            board.go_to(DriveState.SWITCHED_ON)
         assert clock.now_s() == pytest.approx(100.5, abs=0.01)
 
     def test_a_fault_is_never_acknowledged_in_passing(self) -> None:
-        board, _, link, _ = make([sent(0, 1), replied(FAULT, 1, Fault.WATCHDOG | Fault.OVER_CURRENT)])
+        board, _, link, _ = make(
+            [sent(0, 1), replied(FAULT, 1, MotorFault.WATCHDOG | MotorFault.OVER_CURRENT)]
+        )
         with pytest.raises(BoardFaulted, match=r"FAULT \(over current, watchdog\).*acknowledge"):
             board.go_to(ENABLED)
         assert link.script == []
 
     @pytest.mark.parametrize(
-        "state", [State.FAULT, State.FAULT_REACTION_ACTIVE, State.NOT_READY_TO_SWITCH_ON]
+        "state", [DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY_TO_SWITCH_ON]
     )
-    def test_no_command_leads_to_states_of_the_boards_own(self, state: State) -> None:
+    def test_no_command_leads_to_states_of_the_boards_own(self, state: DriveState) -> None:
         board, _, _, _ = make([])
         with pytest.raises(MisuseError, match="no command leads to"):
             board.go_to(state)
@@ -187,12 +192,12 @@ class TestStates:
     def test_no_way_leads_through_operation_enabled(self) -> None:
         board, _, _, _ = make([sent(0, 1), replied(DISABLED, 1)])
         with pytest.raises(MisuseError, match="no transition from SWITCH ON DISABLED to QUICK STOP ACTIVE"):
-            board.go_to(State.QUICK_STOP_ACTIVE)
+            board.go_to(DriveState.QUICK_STOP_ACTIVE)
 
 
 class TestFaults:
     def test_an_acknowledgement_is_an_edge_and_enables_nothing(self) -> None:
-        script: FrameScript = [sent(0, 1), replied(FAULT, 1, Fault.EMERGENCY_STOP), sent(0x80, 2)]
+        script: FrameScript = [sent(0, 1), replied(FAULT, 1, MotorFault.EMERGENCY_STOP), sent(0x80, 2)]
         board, _, link, _ = make([*script, replied(DISABLED, 2), sent(0, 3), replied(DISABLED, 3)])
         board.acknowledge_fault()
         assert board.state is DISABLED
@@ -208,12 +213,12 @@ class TestFaults:
     def test_a_board_that_fell_silent_is_not_acknowledged(self, unanswered: int) -> None:
         """32 COMMANDs after its last answer, the 5-bit sequence is that of this answer again."""
         board, bus, link, clock = make([sent(0, 1), replied(DISABLED, 1)])
-        board.command(Mode.VOLTAGE)
+        board.command(SetpointMode.VOLTAGE)
         bus.update()
         assert board.state is DISABLED
         link.script = [sent(0, 2 + k) for k in range(60)]
         for _ in range(unanswered):
-            board.command(Mode.VOLTAGE)
+            board.command(SetpointMode.VOLTAGE)
         begun_s = clock.time_s
         with pytest.raises(BoardSilent, match="does not reply to COMMAND"):
             board.acknowledge_fault()
@@ -222,8 +227,8 @@ class TestFaults:
     def test_a_cause_that_lasts_is_named(self) -> None:
         script: FrameScript = []
         for number in range(1, 400, 2):
-            script += [sent(0, number), replied(FAULT, number, Fault.OVER_TEMPERATURE)]
-            script += [sent(0x80, number + 1), replied(FAULT, number + 1, Fault.OVER_TEMPERATURE)]
+            script += [sent(0, number), replied(FAULT, number, MotorFault.OVER_TEMPERATURE)]
+            script += [sent(0x80, number + 1), replied(FAULT, number + 1, MotorFault.OVER_TEMPERATURE)]
         board, _, _, _ = make(script)
         with pytest.raises(BoardFaulted, match=r"over temperature.*the cause persists"):
             board.acknowledge_fault()
@@ -418,7 +423,7 @@ class TestReset:
         board, bus, link, _ = enabled()
         link.push(0x281, bytes.fromhex("00 00 00 00 01 00 00 00"))
         self.expect_reset(board, bus)
-        link.script = [sent(DriveCommand.DISABLE_VOLTAGE, 5, Mode.VOLTAGE, 3000)]
+        link.script = [sent(DriveCommand.DISABLE_VOLTAGE, 5, SetpointMode.VOLTAGE, 3000)]
         board.command_voltage(3.0)
 
     def test_commands_that_it_slept_through_are_no_lost_replies(self) -> None:
@@ -441,7 +446,7 @@ class TestReset:
     def test_a_fault_is_no_reset(self) -> None:
         board, bus, link, _ = enabled()
         board.command_voltage(0.0)
-        link.push(0x181, reply(FAULT, 5, Fault.WATCHDOG))
+        link.push(0x181, reply(FAULT, 5, MotorFault.WATCHDOG))
         bus.update()
         assert (board.state, board.resets) == (FAULT, 0)
 
@@ -464,7 +469,7 @@ class TestParameters:
 
     def test_two_boards_with_one_node_id_are_found_when_identified(self) -> None:
         board, _, link, clock = make(IDENTIFY)
-        twin = ParameterAnswer(0, Parameter.BOARD_SERIAL_NUMBER, 2, 99).pack()
+        twin = ParameterAnswer(0, MotorParameter.BOARD_SERIAL_NUMBER, 2, 99).pack()
         waits = []
 
         def second_answer(now_s: float) -> None:
@@ -477,7 +482,7 @@ class TestParameters:
             board.identify()
 
     def test_a_write_that_is_lost_is_said_again_with_the_same_bytes(self) -> None:
-        kp = Parameter.KP_uV_count
+        kp = MotorParameter.KP_uV_count
         board, _, link, _ = make([asked(1, kp, 1, 6135), asked(1, kp, 1, 6135), answered(kp, 1, 6135)])
         board.write(kp, 6135)
         assert link.script == []
@@ -495,25 +500,25 @@ class TestParameters:
         with pytest.raises(
             BoardSilent, match=r"parameter 4 \(POSITION_COUNT\) within 0.050 s, asked 3 times"
         ):
-            board.read(Parameter.POSITION_COUNT)
+            board.read(MotorParameter.POSITION_COUNT)
 
     def test_an_answer_to_an_older_request_is_not_taken(self) -> None:
         board, _, link, _ = make([asked(0, 4, 1)] * 3)
         link.push(0x281, ParameterAnswer(0, 4, 200, 77).pack())
         with pytest.raises(BoardSilent):
-            board.read(Parameter.POSITION_COUNT)
+            board.read(MotorParameter.POSITION_COUNT)
 
     @pytest.mark.parametrize("result", list(ParameterResult)[1:])
     def test_a_refusal_names_parameter_value_and_reason(self, result: ParameterResult) -> None:
         board, _, _, _ = make([asked(1, 32, 1, 0), answered(32, 1, 200, result)])
         reason = result.name.lower().replace("_", " ")
-        with pytest.raises(RequestRefused, match=rf"write parameter 32 \(WATCHDOG_ms\) to 0: {reason}"):
-            board.write(Parameter.WATCHDOG_ms, 0)
+        with pytest.raises(BoardRefused, match=rf"write parameter 32 \(WATCHDOG_ms\) to 0: {reason}"):
+            board.write(MotorParameter.WATCHDOG_ms, 0)
 
     def test_a_value_that_was_changed_on_the_way_is_a_violation(self) -> None:
         board, _, _, _ = make([asked(1, 16, 1, 6135), answered(16, 1, 6000)])
         with pytest.raises(ProtocolViolation, match="is 6000 after 6135 was written"):
-            board.write(Parameter.KP_uV_count, 6135)
+            board.write(MotorParameter.KP_uV_count, 6135)
 
     @pytest.mark.parametrize(("index", "value"), [(16, 2**31), (256, 0), (-1, 0)])
     def test_what_does_not_fit_is_our_misuse(self, index: int, value: int) -> None:

@@ -8,21 +8,25 @@ import pytest
 
 from firmware_iface.motor import wire
 from firmware_iface.motor.wire import (
-    Command,
     DigitalCommand,
     DigitalReply,
-    Mode,
+    MotorCommand,
     ParameterAnswer,
     ParameterRequest,
     Reply,
+    SetpointMode,
     unpack_reply,
 )
 from tests.places import ROOT
 
 I32 = (-(2**31), -100_000, -1, 0, 1, 2**31 - 1)
-SETPOINTS = {Mode.OFF: "SetpointIgnored", Mode.VOLTAGE: "SetpointVoltage"}
-SETPOINTS |= {Mode.CURRENT: "SetpointCurrent", Mode.POSITION: "SetpointPosition", Mode.HOLD: "SetpointUnused"}
-FAULTS = [f"Fault{fault.name.title().replace('_', '')}" for fault in wire.Fault if fault.name]
+SETPOINTS = {SetpointMode.OFF: "SetpointIgnored", SetpointMode.VOLTAGE: "SetpointVoltage"}
+SETPOINTS |= {
+    SetpointMode.CURRENT: "SetpointCurrent",
+    SetpointMode.POSITION: "SetpointPosition",
+    SetpointMode.HOLD: "SetpointUnused",
+}
+FAULTS = [f"Fault{fault.name.title().replace('_', '')}" for fault in wire.MotorFault if fault.name]
 NODES = (1, 2, 3)
 PARAMETER_SIGNALS = {
     0: "ProtocolVersion",
@@ -63,15 +67,17 @@ def golden() -> list[tuple[str, int, bytes]]:
     return [(name, int(can_id, 16), bytes.fromhex(payload)) for name, can_id, payload in rows]
 
 
-Frame = Command | Reply | ParameterRequest | ParameterAnswer | DigitalCommand | DigitalReply
+Frame = MotorCommand | Reply | ParameterRequest | ParameterAnswer | DigitalCommand | DigitalReply
 FRAMES: dict[str, Frame] = {
-    "COMMAND voltage": Command(0x0F, Mode.VOLTAGE, 5, -12_000),
-    "COMMAND current": Command(0x0F, Mode.CURRENT, 31, 1500),
-    "COMMAND position": Command(0x0F, Mode.POSITION, 0, -100_000, 250),
-    "COMMAND shutdown": Command(0x06, Mode.OFF, 1, 0),
-    "COMMAND fault reset": Command(0x80, Mode.OFF, 2, 0),
-    "REPLY enabled": Reply(0x37, Mode.VOLTAGE, 5, -2.5, 24.0, 41, 0),
-    "REPLY fault": Reply(0x18, Mode.OFF, 9, 0.0, 23.95, -5, wire.Fault.WATCHDOG | wire.Fault.EMERGENCY_STOP),
+    "COMMAND voltage": MotorCommand(0x0F, SetpointMode.VOLTAGE, 5, -12_000),
+    "COMMAND current": MotorCommand(0x0F, SetpointMode.CURRENT, 31, 1500),
+    "COMMAND position": MotorCommand(0x0F, SetpointMode.POSITION, 0, -100_000, 250),
+    "COMMAND shutdown": MotorCommand(0x06, SetpointMode.OFF, 1, 0),
+    "COMMAND fault reset": MotorCommand(0x80, SetpointMode.OFF, 2, 0),
+    "REPLY enabled": Reply(0x37, SetpointMode.VOLTAGE, 5, -2.5, 24.0, 41, 0),
+    "REPLY fault": Reply(
+        0x18, SetpointMode.OFF, 9, 0.0, 23.95, -5, wire.MotorFault.WATCHDOG | wire.MotorFault.EMERGENCY_STOP
+    ),
     "PARAMETER_REQUEST write kp": ParameterRequest(1, 16, 1, 6135),
     "PARAMETER_ANSWER kp": ParameterAnswer(0, 16, 1, 6135),
     "PARAMETER_REQUEST read serial number": ParameterRequest(0, 1, 2),
@@ -125,12 +131,14 @@ def test_the_nodes_of_the_dbc_are_copies_of_node_1(dbc: Any) -> None:
             ]
 
 
-@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("mode", SetpointMode)
 @pytest.mark.parametrize("setpoint_raw", I32)
 @pytest.mark.parametrize("feedforward_mV", [-32768, 0, 32767])
-def test_commands_are_those_of_the_dbc(dbc: Any, mode: Mode, setpoint_raw: int, feedforward_mV: int) -> None:
+def test_commands_are_those_of_the_dbc(
+    dbc: Any, mode: SetpointMode, setpoint_raw: int, feedforward_mV: int
+) -> None:
     for sequence in (0, 1, 31):
-        command = Command(0x8F, mode, sequence, setpoint_raw, feedforward_mV)
+        command = MotorCommand(0x8F, mode, sequence, setpoint_raw, feedforward_mV)
         signals = dbc.decode_message("COMMAND_1", command.pack(), scaling=False, decode_choices=False)
         assert signals == {
             "Controlword": 0x8F,
@@ -141,7 +149,7 @@ def test_commands_are_those_of_the_dbc(dbc: Any, mode: Mode, setpoint_raw: int, 
         }
         encoded = dbc.encode_message("COMMAND_1", signals, scaling=False, strict=False)
         assert encoded == command.pack()
-        assert Command.unpack(encoded) == command
+        assert MotorCommand.unpack(encoded) == command
 
 
 @pytest.mark.parametrize("statusword", [0x00, 0x37, 0xFF])
@@ -175,8 +183,8 @@ def test_digital_frames_are_those_of_the_dbc(dbc: Any) -> None:
             assert signals == dict(zip(keys, values, strict=True))
 
 
-@pytest.mark.parametrize("index", wire.Parameter)
-def test_parameters_are_those_of_the_dbc(dbc: Any, index: wire.Parameter) -> None:
+@pytest.mark.parametrize("index", wire.MotorParameter)
+def test_parameters_are_those_of_the_dbc(dbc: Any, index: wire.MotorParameter) -> None:
     signal_name = PARAMETER_SIGNALS[index]
     for kind, first, frame_type in (
         ("REQUEST", "Operation", ParameterRequest),
@@ -185,14 +193,14 @@ def test_parameters_are_those_of_the_dbc(dbc: Any, index: wire.Parameter) -> Non
         for value in I32:
             payload = frame_type(1, index, 255, value).pack()
             signals = dbc.decode_message(f"PARAMETER_{kind}_1", payload, scaling=False, decode_choices=False)
-            as_sent = value & 0xFFFFFFFF if index == wire.Parameter.BOARD_SERIAL_NUMBER else value
+            as_sent = value & 0xFFFFFFFF if index == wire.MotorParameter.BOARD_SERIAL_NUMBER else value
             assert signals == {first: 1, "Index": index, "Sequence": 255, signal_name: as_sent}
             assert dbc.encode_message(f"PARAMETER_{kind}_1", signals, scaling=False, strict=False) == payload
 
 
 def test_the_units_in_parameter_names_are_the_scales_of_the_dbc(dbc: Any) -> None:
     scales = {s.name: s.scale for s in dbc.get_message_by_name("PARAMETER_ANSWER_1").signals}
-    for index in wire.Parameter:
+    for index in wire.MotorParameter:
         prefix = index.name.rsplit("_", 1)[-1]
         expected = {"us": 1e-6, "mA": 1e-3, "mV": 1e-3, "ms": 1e-3}.get(prefix, 1)
         expected = {16: 1e-6, 17: 1e-6, 18: 1e-9, 23: 1e-9}.get(index, expected)  # uV, uV, nV
@@ -206,10 +214,10 @@ def test_choices_of_the_dbc_are_the_enums(dbc: Any) -> None:
     signals["Operation"] = request.get_signal_by_name("Operation").choices
     enums = {
         "Result": wire.ParameterResult,
-        "Mode": Mode,
+        "Mode": SetpointMode,
         "Operation": wire.Operation,
         "ResetCause": wire.ResetCause,
-        "WatchdogAction": wire.Output,
+        "WatchdogAction": wire.IdleOutput,
     }
     for name, enum in enums.items():
         choices = {number: str(text).upper().replace(" ", "_") for number, text in signals[name].items()}
@@ -220,12 +228,12 @@ def test_the_parameters_are_all_that_the_dbc_has(dbc: Any) -> None:
     signals = dbc.get_message_by_name("PARAMETER_ANSWER_1").signals
     found = {number: signal.name for signal in signals for number in signal.multiplexer_ids or []}
     assert found == PARAMETER_SIGNALS
-    assert [parameter.value for parameter in wire.Parameter.__members__.values()] == sorted(found)
+    assert [parameter.value for parameter in wire.MotorParameter.__members__.values()] == sorted(found)
 
 
 def test_the_document_lists_every_parameter() -> None:
     document = (ROOT / "docs/motor_board.md").read_text().split("## Parameters")[1]
-    for index in wire.Parameter:
+    for index in wire.MotorParameter:
         stem = index.name.lower().split("_uv")[0].split("_nv")[0]
         row = next(line for line in document.splitlines() if line.startswith(f"| {index.value} | `"))
         assert row.lower().startswith(f"| {index.value} | `{stem}"), index.name
@@ -233,9 +241,14 @@ def test_the_document_lists_every_parameter() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [Command(0, 0, 0, 2**31), Command(0, 0, 0, 0, 32768), Command(256, 0, 0, 0), Command(0, 0, 32, 0)],
+    [
+        MotorCommand(0, 0, 0, 2**31),
+        MotorCommand(0, 0, 0, 0, 32768),
+        MotorCommand(256, 0, 0, 0),
+        MotorCommand(0, 0, 32, 0),
+    ],
 )
-def test_a_number_that_does_not_fit_is_never_cut(command: Command) -> None:
+def test_a_number_that_does_not_fit_is_never_cut(command: MotorCommand) -> None:
     with pytest.raises(struct.error):
         command.pack()
 
@@ -244,6 +257,6 @@ def test_a_reply_names_its_state_its_faults_and_its_limit() -> None:
     reply = unpack_reply(bytes.fromhex("98 48 00 00 8e 5d fb 90"))
     assert reply.state is not None
     assert reply.state.value == "FAULT"
-    assert reply.fault_flags == wire.Fault.WATCHDOG | wire.Fault.EMERGENCY_STOP
+    assert reply.fault_flags == wire.MotorFault.WATCHDOG | wire.MotorFault.EMERGENCY_STOP
     assert reply.is_limited
     assert not unpack_reply(bytes.fromhex("37 29 3c f6 c0 5d 29 00")).is_limited

@@ -16,8 +16,8 @@ from firmware_iface.errors import PortMissing
 from firmware_iface.link import FrameLink
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
-from firmware_iface.motor.cia402 import State
-from firmware_iface.motor.wire import Parameter
+from firmware_iface.motor.cia402 import DriveState
+from firmware_iface.motor.wire import MotorParameter
 from hil_mocks.devices.motor_board import MotorBoardMock
 from hil_mocks.devices.motor_inputs import MotorBoardSetup
 
@@ -163,12 +163,12 @@ def test_a_motor_board_behind_an_adapter_is_read_and_commanded(adapters: Adapter
     clock.wait_until_s(0.001)
     bus = MotorBus(clock, clock)
     board = MotorBoard(bus, 2)
-    assert board.read(Parameter.BOARD_SERIAL_NUMBER) == 77
+    assert board.read(MotorParameter.BOARD_SERIAL_NUMBER) == 77
     for cycle in range(20):
         board.command_off()
         clock.wait_until_s(1.0 + 0.002 * cycle)
         bus.update()
-    assert board.state is State.SWITCH_ON_DISABLED
+    assert board.state is DriveState.SWITCH_ON_DISABLED
 
 
 def test_what_is_no_data_frame_is_dropped(adapters: Adapters, link: FrameLink) -> None:

@@ -20,9 +20,9 @@ from firmware_iface.errors import ArmwrightError
 from firmware_iface.feetech import wire as feetech_wire
 from firmware_iface.feetech.servo import FeetechLine, FeetechServo
 from firmware_iface.moteus.controller import Moteus, MoteusBus
-from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
-from firmware_iface.odrive.wire import Command
+from firmware_iface.odrive.wire import OdriveCommand
 from firmware_iface.roboclaw import wire as claw_wire
 from firmware_iface.roboclaw.board import RoboClaw
 from firmware_iface.roboclaw.line import PacketLine
@@ -119,7 +119,7 @@ def moteus(content: bytes) -> None:
     _drain(line, bus.update, board)
 
 
-ODRIVE_IDS = (*(NODE << 5 | command for command in Command), NODE << 5 | 0x1F, 2 << 5)
+ODRIVE_IDS = (*(NODE << 5 | command for command in OdriveCommand), NODE << 5 | 0x1F, 2 << 5)
 
 
 def odrive(content: bytes) -> None:
@@ -177,7 +177,7 @@ def cia402(content: bytes) -> None:
 
     def cycle() -> None:
         drive.limit_current(5.0, 100.0)
-        drive.step_towards(State.OPERATION_ENABLED)
+        drive.step_towards(DriveState.OPERATION_ENABLED)
         bus.flush()
         bus.update()
 

@@ -6,7 +6,7 @@ import struct
 from binascii import crc_hqx
 
 from firmware_iface.canopen import wire as canopen_wire
-from firmware_iface.odrive.wire import Command
+from firmware_iface.odrive.wire import OdriveCommand
 from firmware_iface.vesc import wire as vesc_wire
 from firmware_iface.vesc.wire import Packet
 from tests.fuzz.bought import AT_ONCE, CANOPEN_IDS, MOTEUS_IDS, NODE, ODRIVE_IDS, VESC_IDS, Frame, packed
@@ -27,13 +27,13 @@ def answers(*said: bytes) -> bytes:
 def _odrive() -> list[Frame]:
     at = NODE << 5
     heartbeats = [
-        (at | Command.HEARTBEAT, struct.pack("<IBBH", *said)) for said in ((0, 1, 0, 0), (0, 8, 0, 0))
+        (at | OdriveCommand.HEARTBEAT, struct.pack("<IBBH", *said)) for said in ((0, 1, 0, 0), (0, 8, 0, 0))
     ]
     pairs = [
         (at | command, struct.pack("<ff", 2.5, -0.5))
-        for command in (Command.ENCODER, Command.IQ, Command.TEMPERATURE, Command.BUS)
+        for command in (OdriveCommand.ENCODER, OdriveCommand.IQ, OdriveCommand.TEMPERATURE, OdriveCommand.BUS)
     ]
-    return [*heartbeats, *pairs, (at | Command.HEARTBEAT, struct.pack("<IBBH", 0x100, 1, 3, 0)), *pairs]
+    return [*heartbeats, *pairs, (at | OdriveCommand.HEARTBEAT, struct.pack("<IBBH", 0x100, 1, 3, 0)), *pairs]
 
 
 def _vesc() -> list[Frame]:

@@ -152,7 +152,7 @@ def _seeds() -> dict[str, list[bytes]]:
     return {
         "encoder": [b"".join(map(wire.encode, REPORTS)), wire.encode(wire.Ack(1, 2, 3))],
         "cobs": [wire.encode(report)[:-1] for report in REPORTS],
-        "motor": [motor_wire.Command(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
+        "motor": [motor_wire.MotorCommand(15, 1, 3, -20, 0).pack(), bytes(8), b"\xff" * 8],
         "slcan": [b"\rz\rt18180F2920D1FFFF0000\rt1812AABB\r", b"T000001812AABB\rt00010\a"],
         "camera": [CameraFrame(3, 1.5, (0.1, 0.2, 0.3)).pack()],
         "vicon": [VICON, VICON.ljust(256, b"\0")],

@@ -51,7 +51,7 @@ def cobs_block(content: bytes) -> None:
 def motor_frames(content: bytes) -> None:
     """A motor board's payloads, and any frames on its bus: a board that is not there is never believed."""
     if len(content) == 8:
-        for kind in (motor_wire.Command, motor_wire.ParameterRequest, motor_wire.ParameterAnswer):
+        for kind in (motor_wire.MotorCommand, motor_wire.ParameterRequest, motor_wire.ParameterAnswer):
             with contextlib.suppress(ValueError):  # a mode or an operation that there is not
                 assert kind.unpack(content).pack()
     memory, clock = MemoryBus(), _Still()

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_iface.encoder import cobs, wire
-from firmware_iface.odrive.wire import Command
+from firmware_iface.odrive.wire import OdriveCommand
 from tests.fuzz.bought import CANOPEN_IDS, MOTEUS_IDS, ODRIVE_IDS, packed
 from tests.fuzz.bought_seeds import MOTEUS_VALUES, answers
 from tests.fuzz.frames import mutated, wrong_accepts
@@ -32,7 +32,8 @@ def test_mutants_of_good_input_are_taken_or_refused_in_a_sentence(name: str) -> 
 
 def odrive_frames(turns: float) -> bytes:
     return packed(
-        ODRIVE_IDS, [(ODRIVE_IDS[list(Command).index(Command.ENCODER)], struct.pack("<ff", turns, 0.0))]
+        ODRIVE_IDS,
+        [(ODRIVE_IDS[list(OdriveCommand).index(OdriveCommand.ENCODER)], struct.pack("<ff", turns, 0.0))],
     )
 
 

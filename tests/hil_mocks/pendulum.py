@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from hil_mocks.plant.build import PlantOptions
 from hil_mocks.plant.effects import EffectEntry, PlantEffects, gather
-from hil_mocks.plant.parts import ArmParts, DriveParts, LinkParts, ToolParts, Vector
+from hil_mocks.plant.parts import ArmParts, DriveParts, LinkParts, PlantTool, Vector
 from hil_mocks.plant.plant import Plant
 
 MASS_KG, COM_M, LENGTH_M, INERTIA_kg_m2 = 1.2, 0.3, 0.5, 0.01
@@ -46,7 +46,7 @@ def arm(joints: int = 1, gravity_m_s2: Vector = (0.0, -G_m_s2, 0.0), **of_drive:
         "standard",
         (link,) * joints,
         (drive(**of_drive),) * joints,
-        ToolParts((0.0, 0.0, 0.0)),
+        PlantTool((0.0, 0.0, 0.0)),
     )
 
 

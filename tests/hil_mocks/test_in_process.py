@@ -20,7 +20,7 @@ from firmware_iface.can_link import open_can
 from firmware_iface.errors import LinkLost, PortMissing
 from firmware_iface.serial_link import open_serial
 from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.line import Line
+from hil_mocks.in_process.line import SerialLine
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import Start, load_scenario
 
@@ -79,7 +79,7 @@ def test_both_ways_carry_identical_bytes_at_identical_times() -> None:
 
 def test_a_line_that_vanishes_is_lost_and_cannot_be_opened() -> None:
     register()
-    line = Line("vanishing")
+    line = SerialLine("vanishing")
     link = open_serial(line.path, 1_000_000)
     line.write(b"abc")
     assert link.read() == b"abc"
@@ -96,7 +96,7 @@ def test_a_line_that_vanishes_is_lost_and_cannot_be_opened() -> None:
 
 def test_a_line_belongs_to_one_host_which_hears_nothing_from_before_and_not_more_than_a_tty_holds() -> None:
     register()
-    line = Line("taken")
+    line = SerialLine("taken")
     line.write(b"from before")
     first = open_serial(line.path, 1_000_000)
     assert first.read() == b""

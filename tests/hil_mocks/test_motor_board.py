@@ -9,17 +9,17 @@ import pytest
 from hil_mocks.devices import motor_parameters as parameter
 from hil_mocks.devices.motor_board import MotorBoardMock
 from hil_mocks.devices.motor_inputs import BRAKE, OPEN, MotorBoardSetup, Output
-from hil_mocks.devices.motor_states import NEXT, State, Word, word_of
+from hil_mocks.devices.motor_states import NEXT, MotorState, Word, word_of
 from hil_mocks.firmware.motor_board import MotorBoardFirmware
 from tests.firmware import needs_compiler
 
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE, QUICK_STOP, RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80
 WAY_IN = {
-    State.SWITCH_ON_DISABLED: [],
-    State.READY: [SHUTDOWN],
-    State.SWITCHED_ON: [SHUTDOWN, SWITCH_ON],
-    State.ENABLED: [SHUTDOWN, SWITCH_ON, ENABLE],
-    State.QUICK_STOP: [SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP],
+    MotorState.SWITCH_ON_DISABLED: [],
+    MotorState.READY: [SHUTDOWN],
+    MotorState.SWITCHED_ON: [SHUTDOWN, SWITCH_ON],
+    MotorState.ENABLED: [SHUTDOWN, SWITCH_ON, ENABLE],
+    MotorState.QUICK_STOP: [SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP],
 }
 
 
@@ -33,7 +33,7 @@ class Bench:
 
     kind: type[MotorBoardMock | MotorBoardFirmware] = MotorBoardMock
 
-    def __init__(self, state: State = State.SWITCH_ON_DISABLED, pins: int = 0) -> None:
+    def __init__(self, state: MotorState = MotorState.SWITCH_ON_DISABLED, pins: int = 0) -> None:
         self.shaft, self.current_A, self.supply_V, self.now_s = 0, 0.0, 24.0, 0.0
         setup = MotorBoardSetup(node=2, serial_number=0xF0A1B2C3, counts_per_turn=2048, digital_pins=pins)
         self.board = self.kind(setup, lambda: self.shaft)
@@ -74,12 +74,12 @@ def test_power_up_is_announced_by_the_frame_of_the_document() -> None:
 
 
 def test_a_reply_is_the_golden_frame_of_the_document() -> None:
-    bench = Bench(State.ENABLED)
+    bench = Bench(MotorState.ENABLED)
     bench.board = bench.kind(
         MotorBoardSetup(node=1, serial_number=1, counts_per_turn=8, ambient_degC=41.0), lambda: 0
     )
     bench.tick()
-    for word in WAY_IN[State.ENABLED]:
+    for word in WAY_IN[MotorState.ENABLED]:
         bench.board.receive(0x101, struct.pack("<BBih", word, 0, 0, 0), bench.now_s)
     bench.current_A = -2.5
     bench.tick(2)
@@ -89,7 +89,7 @@ def test_a_reply_is_the_golden_frame_of_the_document() -> None:
 
 
 @pytest.mark.parametrize("state", list(WAY_IN))
-def test_every_controlword_in_every_state_does_what_the_table_says(state: State) -> None:
+def test_every_controlword_in_every_state_does_what_the_table_says(state: MotorState) -> None:
     for word in range(256):
         bench = Bench(state)
         before = WAY_IN[state][-1] if WAY_IN[state] else 0x80
@@ -110,7 +110,7 @@ def test_the_words_are_those_of_the_document() -> None:
 def test_outputs_by_state_and_mode() -> None:
     bench = Bench()
     assert bench.board.output == BRAKE
-    bench = Bench(State.ENABLED)
+    bench = Bench(MotorState.ENABLED)
     assert bench.board.output == OPEN
     bench.command(ENABLE, 1, 5000)
     assert bench.board.output == Output("voltage", 5.0)
@@ -121,7 +121,7 @@ def test_outputs_by_state_and_mode() -> None:
 
 
 def test_clamped_setpoints_raise_the_warning() -> None:
-    bench = Bench(State.ENABLED)
+    bench = Bench(MotorState.ENABLED)
     assert bench.command(ENABLE, 1, 30_000)[0] & 0x80
     assert bench.board.output.value == 24.0
     assert bench.command(ENABLE, 2, 9_000)[0] & 0x80
@@ -133,7 +133,7 @@ def positioning(**values: int) -> Bench:
     bench = Bench()
     for name, value in values.items():
         assert bench.ask(1, getattr(parameter, name), value) == (0, value)
-    for word in WAY_IN[State.ENABLED]:
+    for word in WAY_IN[MotorState.ENABLED]:
         bench.command(word)
     return bench
 
@@ -177,13 +177,17 @@ def test_the_watchdog_acts_in_time_and_keeps_its_output_until_acknowledged(
     bench = positioning(WATCHDOG_MS=20, WATCHDOG_ACTION=action)
     bench.command(ENABLE, 1, 3000)
     bench.tick(19)
-    assert bench.board.state is State.ENABLED
+    assert bench.board.state is MotorState.ENABLED
     bench.tick(2)
-    assert (bench.board.state, bench.board.faults, bench.board.output) == (State.FAULT, 16, output)
+    assert (bench.board.state, bench.board.faults, bench.board.output) == (MotorState.FAULT, 16, output)
     bench.command(ENABLE, 1, 3000)
     assert bench.board.output == output
     bench.command(RESET)
-    assert (bench.board.state, bench.board.faults, bench.board.output) == (State.SWITCH_ON_DISABLED, 0, BRAKE)
+    assert (bench.board.state, bench.board.faults, bench.board.output) == (
+        MotorState.SWITCH_ON_DISABLED,
+        0,
+        BRAKE,
+    )
 
 
 def test_a_watchdog_that_holds_runs_the_pid_at_the_count_of_that_moment() -> None:
@@ -192,7 +196,7 @@ def test_a_watchdog_that_holds_runs_the_pid_at_the_count_of_that_moment() -> Non
     bench.tick(30)
     bench.shaft = 690
     bench.tick()
-    assert bench.board.state is State.FAULT
+    assert bench.board.state is MotorState.FAULT
     assert bench.board.output.value == pytest.approx(0.01)
 
 
@@ -202,10 +206,10 @@ def test_an_emergency_stop_brakes_in_every_state_and_again_after_an_acknowledgem
         bench.estop()
         assert bench.board.output == BRAKE
         bench.tick()
-        assert (bench.board.state, bench.board.faults) == (State.FAULT, 128)
+        assert (bench.board.state, bench.board.faults) == (MotorState.FAULT, 128)
         bench.command(DISABLE)
         bench.command(RESET)
-        assert bench.board.state is State.SWITCH_ON_DISABLED
+        assert bench.board.state is MotorState.SWITCH_ON_DISABLED
         bench.estop()
         assert bench.board.faults == 128
 
@@ -226,22 +230,22 @@ def test_over_current_needs_a_millisecond_and_opens_the_circuit_whatever_else_th
 
 
 def test_a_fault_whose_cause_lasts_is_not_reset() -> None:
-    bench = Bench(State.ENABLED)
+    bench = Bench(MotorState.ENABLED)
     bench.supply_V = 60.0
     bench.tick(2)
     assert bench.board.faults == 8
     bench.command(RESET)
-    assert bench.board.state is State.FAULT
+    assert bench.board.state is MotorState.FAULT
     bench.supply_V = 24.0
     bench.tick()
     bench.command(DISABLE)
     bench.command(RESET)
-    assert (bench.board.state, bench.board.faults) == (State.SWITCH_ON_DISABLED, 0)
+    assert (bench.board.state, bench.board.faults) == (MotorState.SWITCH_ON_DISABLED, 0)
 
 
 @pytest.mark.parametrize("mode", [5, 6, 7])
 def test_an_undefined_mode_is_a_bad_command(mode: int) -> None:
-    bench = Bench(State.ENABLED)
+    bench = Bench(MotorState.ENABLED)
     assert bench.command(ENABLE, mode)[5] == 64
     assert bench.board.output == BRAKE
 
@@ -249,30 +253,30 @@ def test_an_undefined_mode_is_a_bad_command(mode: int) -> None:
 @pytest.mark.parametrize(
     ("state", "operation", "index", "value", "answer"),
     [
-        (State.SWITCH_ON_DISABLED, 0, 0, 0, (0, 1)),
-        (State.SWITCH_ON_DISABLED, 0, 1, 0, (0, -257_838_397)),
-        (State.SWITCH_ON_DISABLED, 0, 3, 0, (0, 2048)),
-        (State.SWITCH_ON_DISABLED, 0, 99, 0, (1, 0)),
-        (State.SWITCH_ON_DISABLED, 1, 99, 1, (1, 0)),
-        (State.SWITCH_ON_DISABLED, 1, 0, 1, (2, 1)),
-        (State.SWITCH_ON_DISABLED, 1, 33, 3, (3, 1)),
-        (State.SWITCH_ON_DISABLED, 1, 32, 4, (3, 200)),
-        (State.SWITCH_ON_DISABLED, 1, 32, 5, (0, 5)),
-        (State.SWITCH_ON_DISABLED, 1, 32, 0, (0, 0)),
-        (State.READY, 1, 32, 0, (4, 200)),
-        (State.READY, 1, 16, 6135, (0, 6135)),
-        (State.ENABLED, 1, 16, 6135, (4, 0)),
-        (State.SWITCH_ON_DISABLED, 2, 16, 6135, (3, 0)),
+        (MotorState.SWITCH_ON_DISABLED, 0, 0, 0, (0, 1)),
+        (MotorState.SWITCH_ON_DISABLED, 0, 1, 0, (0, -257_838_397)),
+        (MotorState.SWITCH_ON_DISABLED, 0, 3, 0, (0, 2048)),
+        (MotorState.SWITCH_ON_DISABLED, 0, 99, 0, (1, 0)),
+        (MotorState.SWITCH_ON_DISABLED, 1, 99, 1, (1, 0)),
+        (MotorState.SWITCH_ON_DISABLED, 1, 0, 1, (2, 1)),
+        (MotorState.SWITCH_ON_DISABLED, 1, 33, 3, (3, 1)),
+        (MotorState.SWITCH_ON_DISABLED, 1, 32, 4, (3, 200)),
+        (MotorState.SWITCH_ON_DISABLED, 1, 32, 5, (0, 5)),
+        (MotorState.SWITCH_ON_DISABLED, 1, 32, 0, (0, 0)),
+        (MotorState.READY, 1, 32, 0, (4, 200)),
+        (MotorState.READY, 1, 16, 6135, (0, 6135)),
+        (MotorState.ENABLED, 1, 16, 6135, (4, 0)),
+        (MotorState.SWITCH_ON_DISABLED, 2, 16, 6135, (3, 0)),
     ],
 )
 def test_parameters_answer_as_the_document_says(
-    state: State, operation: int, index: int, value: int, answer: tuple[int, int]
+    state: MotorState, operation: int, index: int, value: int, answer: tuple[int, int]
 ) -> None:
     assert Bench(state).ask(operation, index, value) == answer
 
 
 def test_foreign_frames_are_ignored_and_do_not_feed_the_watchdog() -> None:
-    bench = Bench(State.ENABLED)
+    bench = Bench(MotorState.ENABLED)
     for _ in range(210):
         assert bench.board.receive(0x101, bytes(8), bench.now_s) == []
         assert bench.board.receive(0x102, bytes(7), bench.now_s) == []
@@ -317,7 +321,7 @@ def test_without_the_host_the_board_brings_its_motor_to_rest_and_the_next_comman
         bench.shaft = begun + round(10 * (late_ms - late_ms**2 / 200))
         bench.tick()
     assert bench.shaft == begun + 500
-    assert bench.board.state is State.ENABLED
+    assert bench.board.state is MotorState.ENABLED
     assert bench.board.output.value == pytest.approx(
         3.0 - 0.1, abs=0.05
     )  # what the speed took is not needed any more
@@ -332,7 +336,7 @@ def test_the_watchdog_goes_on_holding_where_the_stop_ended() -> None:
     bench = positioning(**STOPPING, WATCHDOG_MS=60, WATCHDOG_ACTION=2)
     bench.command(ENABLE, 1, 1500)
     bench.tick(100)
-    assert bench.board.state is State.FAULT
+    assert bench.board.state is MotorState.FAULT
     assert bench.board.output == ("voltage", 1.5)
     bench.shaft += 5
     bench.tick()
@@ -343,7 +347,7 @@ def test_a_board_without_gains_brakes_and_a_free_one_stays_free() -> None:
     bench = positioning(STOP_AFTER_MS=20)
     bench.command(ENABLE, 1, 1500)
     bench.tick(25)
-    assert (bench.board.state, bench.board.output) == (State.ENABLED, BRAKE)
+    assert (bench.board.state, bench.board.output) == (MotorState.ENABLED, BRAKE)
     bench = positioning(**STOPPING)
     bench.command(ENABLE, 0)
     bench.tick(50)
@@ -357,7 +361,7 @@ def test_mode_4_stops_at_once_and_holds_for_as_long_as_it_is_commanded() -> None
     for _ in range(100):
         bench.command(ENABLE, 4)
         bench.tick(2)
-    assert (bench.board.state, bench.board.output) == (State.ENABLED, ("voltage", 2.0))
+    assert (bench.board.state, bench.board.output) == (MotorState.ENABLED, ("voltage", 2.0))
     bench.shaft -= 3
     bench.tick()
     assert bench.board.output.value == pytest.approx(2.003)
@@ -380,12 +384,12 @@ class PinBench(Bench):
         return payload[1], payload[2], payload[3]
 
     def enable(self) -> None:
-        for word in WAY_IN[State.ENABLED]:
+        for word in WAY_IN[MotorState.ENABLED]:
             self.command(word)
 
 
 def test_pins_of_a_board_that_has_none_are_unknown_and_unanswered() -> None:
-    bench = Bench(State.ENABLED)
+    bench = Bench(MotorState.ENABLED)
     assert [bench.ask(0, index) for index in (48, 49, 50, 51)] == [(1, 0)] * 4
     assert bench.board.receive(0x302, bytes(8), bench.now_s) == []
 

@@ -14,7 +14,7 @@ from control.model.description import load_arm
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import gather
 from hil_mocks.plant.geometry import Convention
-from hil_mocks.plant.parts import ArmParts, LinkParts, ToolParts, parts_of
+from hil_mocks.plant.parts import ArmParts, LinkParts, PlantTool, parts_of
 from hil_mocks.plant.plant import Plant
 
 Matrix = NDArray[np.float64]
@@ -55,7 +55,7 @@ def random_arm(seed: int, convention: Convention) -> ArmParts:
         for link in nominal.links
     )
     return dataclasses.replace(
-        nominal, links=links, convention=convention, tool=ToolParts((0.02, -0.03, 0.05))
+        nominal, links=links, convention=convention, tool=PlantTool((0.02, -0.03, 0.05))
     )
 
 

@@ -15,7 +15,7 @@ from hil_mocks.errors import MockError
 from hil_mocks.plant.base_pose import BasePose
 from hil_mocks.plant.build import ArmToBuild, PlantOptions, build
 from hil_mocks.plant.effects import EffectEntry, gather
-from hil_mocks.plant.parts import ArmParts, LinkParts, ToolParts, parts_of
+from hil_mocks.plant.parts import ArmParts, LinkParts, PlantTool, parts_of
 from hil_mocks.plant.plant import Plant
 from tests.hil_mocks.pendulum import drive
 
@@ -28,9 +28,9 @@ def bar(convention: Literal["standard", "modified"] = "standard", mass_kg: float
     """One horizontal bar on a hinge with a vertical axis: gravity bends it, the hinge feels nothing."""
     if convention == "standard":
         link = LinkParts(0.0, 0.0, L, 0.0, True, mass_kg, (COM - L, 0.0, 0.0), INERTIA)
-        return ArmParts("bar", (0.0, 0.0, -G), convention, (link,), (drive(),), ToolParts((0.0, 0.0, 0.0)))
+        return ArmParts("bar", (0.0, 0.0, -G), convention, (link,), (drive(),), PlantTool((0.0, 0.0, 0.0)))
     link = LinkParts(0.0, 0.0, 0.0, 0.0, True, mass_kg, (COM, 0.0, 0.0), INERTIA)
-    return ArmParts("bar", (0.0, 0.0, -G), convention, (link,), (drive(),), ToolParts((L, 0.0, 0.0)))
+    return ArmParts("bar", (0.0, 0.0, -G), convention, (link,), (drive(),), PlantTool((L, 0.0, 0.0)))
 
 
 def tip_z_m(arm: ArmParts, payload_kg: float, *entries: EffectEntry) -> float:
@@ -63,7 +63,7 @@ def test_a_load_on_an_arm_beyond_the_bar_bends_it_by_its_moment_too() -> None:
     hinged = LinkParts(0.0, 0.0, 0.3, 0.0, True, 1e-6, (-0.3, 0.0, 0.0), (1e-6, 1e-6, 1e-6))
     for links, joints in (((first, second), 1), ((first, hinged), 2)):
         arm = ArmParts(
-            "bars", (0.0, 0.0, -G), "standard", links, (drive(),) * joints, ToolParts((0.0, 0.0, 0.0))
+            "bars", (0.0, 0.0, -G), "standard", links, (drive(),) * joints, PlantTool((0.0, 0.0, 0.0))
         )
         found = gather([FLEX, EffectEntry("payload", 0, {"mass_kg": 1.0})], joints, 2, "test")
         subject = Plant(arm, found, (0.0,) * joints)
@@ -114,7 +114,7 @@ def test_a_bending_links_mass_and_inertia_are_those_of_the_rigid_one() -> None:
 def test_a_link_of_no_length_cannot_bend() -> None:
     arm = bar()
     short = ArmParts("short", arm.gravity_m_s2, "standard", (LinkParts(0, 0, 0, 0, True, 1, (0, 0, 0), INERTIA),),
-                     arm.drives, ToolParts((0.0, 0.0, 0.0)))  # fmt: skip
+                     arm.drives, PlantTool((0.0, 0.0, 0.0)))  # fmt: skip
     with pytest.raises(MockError, match=r"bends 0\.0000 m of link"):
         Plant(short, gather([FLEX], 1, 1, "test"), (0.0,))
 
@@ -148,7 +148,7 @@ def test_a_turned_world_and_back_is_the_same_point() -> None:
 def test_a_hand_at_the_tip_steadies_the_links_that_its_grip_leaves_free() -> None:
     link = LinkParts(0.0, 0.0, 0.3, 0.0, True, 0.5, (-0.15, 0.0, 0.0), (0.0005, 0.004, 0.004))
     chain = ArmParts(
-        "chain", (0.0, -G, 0.0), "standard", (link,) * 3, (drive(),) * 3, ToolParts((0.0, 0.0, 0.0))
+        "chain", (0.0, -G, 0.0), "standard", (link,) * 3, (drive(),) * 3, PlantTool((0.0, 0.0, 0.0))
     )
     subject = Plant(
         chain, gather([], 3, 3, "test"), (0.3, 0.9, -0.7)

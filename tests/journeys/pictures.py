@@ -14,9 +14,9 @@ from calib.vision.measured_points import picture_name
 from calib.vision.opencv import png_of
 from calib.vision.targets import Charuco
 from control.model.description import load_arm
-from hil_mocks.arm_pictures import PicturedArm, Placed, looking_at
+from hil_mocks.arm_pictures import FramePose, PicturedArm, looking_at
 from hil_mocks.scenario import load_scenario
-from hil_mocks.webcam import Sheet, Webcam
+from hil_mocks.webcam import PrintedSheet, Webcam
 
 BOARD = Charuco(5, 7, 0.03, 0.0225)
 DOTS_A_METRE, MARGIN_m = 6000.0, 0.01
@@ -43,18 +43,18 @@ def main(built: str, folder: str, scenario: str) -> None:
         )
         place_m = np.array([(k % 3 - 1) * 0.28, (k // 3 % 3 - 1) * 0.2, 1.0]) * away_m
         (out / "lens" / f"board_{k:02d}.png").write_bytes(
-            png_of(webcam.picture([Sheet(grey, width_m, turn, place_m)], draw))
+            png_of(webcam.picture([PrintedSheet(grey, width_m, turn, place_m)], draw))
         )
     lower, upper = np.array(arm.limits_rad).T
     rest = np.array(arm.rest.q_rad if arm.rest else np.zeros(arm.joint_count))
     deviations = load_scenario(scenario).drawn_deviations(len(arm.links))
-    unseen = Placed(np.eye(3), np.zeros(3))
+    unseen = FramePose(np.eye(3), np.zeros(3))
     bare = PicturedArm(
         arm.links, arm.dh_convention, grey, width_m, unseen, unseen, webcam, deviations
     ).last_link(rest.tolist())
     camera = looking_at(bare.position_m + np.array([0.75, 0.2, 0.1]), bare.position_m)
     # At rest the board looks at the camera, a little askew.
-    mount = Placed(
+    mount = FramePose(
         bare.rotation.T @ camera.rotation @ rotation_of(np.array([0.25, -0.2, 0.1])),
         np.array([0.012, -0.009, 0.02]),
     )

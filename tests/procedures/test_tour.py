@@ -14,7 +14,7 @@ from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.session.take import SessionSettings
 from control.errors import ArmError
-from control.hardware.averaging import Average, Target
+from control.hardware.averaging import Average, MeanPose
 from procedures.tour import Bench, How, Stop, tour
 
 HOW = How(SessionSettings())
@@ -43,7 +43,7 @@ class Runtime:
         self.t_s += duration_s
         q_rad = tuple(q + (1e-3 * (round(50 * self.t_s) % 2) if self.trembles else 0.0) for q in self.q_rad)
         seen = None if self.q_rad == self.hidden else (0.51, 0.02, 0.1)
-        target = None if seen is None else Target(9, seen, (1e-4,) * 3, None)
+        target = None if seen is None else MeanPose(9, seen, (1e-4,) * 3, None)
         return Average(
             duration_s, 9, q_rad, (1e-5,) * 3, (0.3,) * 3, (1, -1, 1), 9, seen, None, 0.0, self.t_s, target
         )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from control.model.description import load_arm
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import JointMove, Stop
+from control.motion.joint_move import JointMove, StopMotion
 from control.motion.setpoint import SetPoint
 from control.motion.spline import timed
 
@@ -66,7 +66,7 @@ def test_with_one_speed_no_way_point_is_passed_faster_and_the_way_between_hardly
 @given(angles, angles, st.floats(0.05, 1.0), st.floats(0.0, 1.0))
 def test_any_move_and_a_stop_from_anywhere_on_it_keep_all_limits(start, end, fraction, share):
     move = JointMove(start, end, LIMITS, fraction)
-    stop = Stop(move.at(share * move.duration_s), LIMITS)
+    stop = StopMotion(move.at(share * move.duration_s), LIMITS)
     for motion in (move, stop):
         for i in range(41):
             point = motion.at(motion.duration_s * i / 40)

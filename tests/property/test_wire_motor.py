@@ -17,9 +17,9 @@ mode = st.integers(0, 7)
 sequence = st.integers(0, 31)
 
 
-@given(st.builds(wire.Command, u8, mode, sequence, i32, i16))
-def test_commands_survive(command: wire.Command) -> None:
-    assert wire.Command.unpack(command.pack()) == command
+@given(st.builds(wire.MotorCommand, u8, mode, sequence, i32, i16))
+def test_commands_survive(command: wire.MotorCommand) -> None:
+    assert wire.MotorCommand.unpack(command.pack()) == command
 
 
 @given(st.binary(min_size=8, max_size=8))

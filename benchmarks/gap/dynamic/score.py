@@ -28,7 +28,7 @@ from benchmarks.gap.dynamic.cases import USUAL, Asked, Case, Conditions, made
 from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
 from benchmarks.gap.matrix import Answer, Hidden, Truth, answer
 from calib.gap.finding import EffectName, GapFinding
-from calib.gap.log import Log, Run, read_log
+from calib.gap.log import Log, LoggedRun, read_log
 from calib.gap.series.find import examine
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -103,7 +103,7 @@ def log_of(case: Case) -> Log:
     for k, table in enumerate(case.runs):
         n = (table.shape[1] - 5) // 4
         q_set, q, i, u = (table[:, 2 + n * part : 2 + n * (part + 1)] for part in range(4))
-        runs.append(Run(str(k + 1), table[:, 0], q, q_set, i, u, table[:, 1], table[:, -3:]))
+        runs.append(LoggedRun(str(k + 1), table[:, 0], q, q_set, i, u, table[:, 1], table[:, -3:]))
     return Log(tuple(runs), (f"seed {case.asked.seed}",))
 
 

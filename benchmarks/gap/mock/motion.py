@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.gap.mock.rig import CAMERA_NOISE_m, CONTROL_Hz, MockRig, Trace, effects_with
 from calib.arrays import Array, frozen
-from calib.gap.log import Log, Run
+from calib.gap.log import Log, LoggedRun
 from control.model.arm import Arm
 from hil_mocks.plant.effects import EffectEntry
 
@@ -41,9 +41,9 @@ def motion_case(
     return Log(tuple(runs), ("log.csv",))
 
 
-def _run(name: str, sets: Array, trace: Trace, payload_kg: float, rng: np.random.Generator) -> Run:
+def _run(name: str, sets: Array, trace: Trace, payload_kg: float, rng: np.random.Generator) -> LoggedRun:
     m = len(sets)
-    return Run(
+    return LoggedRun(
         name,
         frozen(np.arange(m) / CONTROL_Hz),
         frozen(trace.q_rad),

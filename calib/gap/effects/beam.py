@@ -13,7 +13,7 @@ from calib.arm_problem.link_frames import link_frames
 from calib.arrays import Array
 from calib.gap.effects.columns import straight
 from calib.gap.effects.pose_columns import in_poses
-from calib.gap.effects.pose_scene import Scene, stated_kg
+from calib.gap.effects.pose_scene import PoseScene, stated_kg
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries
 from calib.gap.finding import EffectName
 from calib.gap.posterior.coefficients import parameters_of
@@ -23,7 +23,7 @@ from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.model.arm import Arm
 
 
-def _flexure(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _flexure(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     """A cantilever; its own weight in its centre of mass, or spread along it."""
     arm, size = with_link_inertia(scene.arm), in_poses(record).size
     if not any(link.mass_kg for link in arm.links):

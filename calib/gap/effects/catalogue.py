@@ -11,17 +11,17 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects import beam, cogging, drift, electrical, encoder, frame, friction, gear, loads
 from calib.gap.effects.columns import known_law, unlisted
-from calib.gap.effects.pose_scene import Scene as PoseScene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries, Role
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.coefficients import parameters_of
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import Block, Key, Term
 from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.scene import Scene
+from calib.gap.residuals.scene import SeriesScene
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.angles import place
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Law
 from control.model.arm import Arm
 from control.model.effects import EFFECTS
 
@@ -145,7 +145,7 @@ def comes_round(effect: str) -> bool:
     return (series := series_of(effect)) is not None and series.form.is_of_motor
 
 
-def _listed(scene: Scene) -> Iterator[tuple[EffectRecord, EffectName]]:
+def _listed(scene: SeriesScene) -> Iterator[tuple[EffectRecord, EffectName]]:
     """What the channels could show: all of joint 1, all of joint 2 ..., then what is no joint's."""
     recording = scene.recording
     has = {

@@ -18,8 +18,7 @@ from calib.gap.residuals.scene import Response
 from calib.gap.residuals.term import SeriesTerm, scaled
 from calib.gap.signals.angles import motor_ahead
 from calib.gap.signals.parts import sorted_terms
-from calib.gap.signals.terms import Form
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Form, Law
 from control.model.arm import Arm
 from control.model.effects import EFFECTS
 

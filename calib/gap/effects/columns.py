@@ -16,8 +16,7 @@ from calib.gap.posterior.term import Block
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.scene import Response
 from calib.gap.residuals.term import Curve, SeriesTerm, scaled, stacked
-from calib.gap.signals.terms import Form, typical
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Form, Law, typical
 from control.model.effects import followed_joint, linear_values
 
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.residuals.scene import Beside, Response, Scene
+from calib.gap.residuals.scene import Response, RowConditions, SeriesScene
 from calib.gap.residuals.term import departed, size_of, stacked
 
-Shape = Callable[[Beside, int], Array]  # (c, rows), from what stands beside and the joint
+Shape = Callable[[RowConditions, int], Array]  # (c, rows), from what stands beside and the joint
 
 
 def _unit(values: Array) -> Array:
@@ -19,42 +19,42 @@ def _unit(values: Array) -> Array:
     return values / size if size > 0.0 else values
 
 
-def by_angle(at: Beside, j: int) -> Array:
+def by_angle(at: RowConditions, j: int) -> Array:
     """Two harmonics of the joint's turn, and what is slower over its travel."""
     q = at.q[:, j]
     return np.array([np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)])
 
 
-def by_speed(at: Beside, j: int) -> Array:
+def by_speed(at: RowConditions, j: int) -> Array:
     """Its absolute value and its square."""
     v = _unit(at.speed[:, j])
     return np.array([np.abs(v), v**2])
 
 
-def by_direction(at: Beside, j: int) -> Array:
+def by_direction(at: RowConditions, j: int) -> Array:
     """One way and the other."""
     return at.direction[:, j][None]
 
 
-def by_load(at: Beside, j: int) -> Array:
+def by_load(at: RowConditions, j: int) -> Array:
     """Of what the gear transmits: its absolute value, its root and its square."""
     load = np.abs(_unit(at.load_Nm[:, j]))
     return np.array([load, np.sqrt(load), load**2])
 
 
-def by_current(at: Beside, j: int) -> Array:
+def by_current(at: RowConditions, j: int) -> Array:
     """Of the motor: its absolute value and its square."""
     i = _unit(at.current_A[:, j])
     return np.array([np.abs(i), i**2])
 
 
-def by_currents(at: Beside, j: int) -> Array:
+def by_currents(at: RowConditions, j: int) -> Array:
     """Of all motors together."""
     return _unit(np.sum(np.abs(at.current_A), axis=1))[None]
 
 
 def departures(
-    scene: Scene, shapes: Sequence[Shape], joint: int, law: Response
+    scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Response
 ) -> tuple[dict[int, Array], Array]:
     """Columns of a law's departures on a joint (0-based), each as large as the law; every channel for itself.
 

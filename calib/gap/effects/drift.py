@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects.columns import in_series, made, size_of_law
 from calib.gap.effects.pose_columns import term_on_joint
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries
 from calib.gap.effects.secants import FINER
 from calib.gap.finding import EffectName, Parameters
@@ -19,8 +19,7 @@ from calib.gap.posterior.term import Term, Traits, like
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.scene import Response
 from calib.gap.residuals.term import SeriesTerm
-from calib.gap.signals.terms import Form, Values
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Form, Law, Values
 from control.model.arm import Arm
 from control.model.effects import EFFECTS
 
@@ -31,7 +30,7 @@ WARMING_s = (0.8, 2.0, 5.0, 12.0, 40.0, 300.0)  # time constants of time series
 QUICKEST_s = 0.6  # quicker, a drift has gone by before a run counts, and is a zero
 
 
-def _in_poses(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _in_poses(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     elapsed = scene.points.elapsed_s
     if not np.isfinite(elapsed).all() or np.ptp(elapsed) == 0.0:
         return

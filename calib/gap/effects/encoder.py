@@ -11,7 +11,7 @@ from calib.arrays import Array
 from calib.gap.effects.columns import straight
 from calib.gap.effects.departures import by_angle
 from calib.gap.effects.pose_columns import harmonics, term_on_joint
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries
 from calib.gap.posterior.term import Term, Traits, like
 from calib.gap.signals.terms import AngleLaw, Form, Values
@@ -19,7 +19,7 @@ from control.model.arm import Arm
 from control.model.effects import COUPLED, COUPLED_TO
 
 
-def _scale(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _scale(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     q = scene.points.q_rad
     for j in range(scene.points.joint_count):
         departs = like(q[:, j], harmonics(q[:, j], 1, 2))
@@ -27,14 +27,14 @@ def _scale(record: EffectRecord, scene: Scene) -> Iterator[Term]:
         yield term_on_joint(scene, record, j + 1, columns, departures=len(departs), variable=f"q{j + 1}")
 
 
-def _eccentricity(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _eccentricity(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     q = scene.points.q_rad
     for j in range(scene.points.joint_count):
         columns = np.array(harmonics(q[:, j], 1, 2, 3))
         yield term_on_joint(scene, record, j + 1, columns, laws=2, departures=4, variable=f"q{j + 1}")
 
 
-def _coupling(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _coupling(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     if scene.points.joint_count >= COUPLED:
         angle = scene.points.q_rad[:, COUPLED_TO - 1]
         departs = like(angle, harmonics(angle, 1, 2))

@@ -14,13 +14,12 @@ from calib.arm_problem.assembly import BASE_FRAME, Choice, base_frame_of
 from calib.arm_problem.frames import rotation_of, rotation_vector, seen_less_far_m
 from calib.arrays import Array
 from calib.gap.effects.columns import straight
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries
 from calib.gap.finding import GEOMETRY, LINK_KEYS, EffectName, Parameters
 from calib.gap.posterior.coefficients import ToParameters, sized
 from calib.gap.posterior.term import Term
-from calib.gap.signals.terms import Form
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Form, Law
 from control.model.arm import Arm
 
 FRAME = "base_frame"
@@ -29,7 +28,7 @@ ROUNDING = 1e-12  # m or rad, of turns that are taken apart again
 _AXES_OF = {2: (1,), 4: (0, 1)}  # base axes that the geometry cannot take over, by the number of columns
 
 
-def _frame(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _frame(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     """One term, unless no tip was measured in the base frame, or nothing ties that frame to the arm: then it is placed anyway."""
     arm, points = scene.nominal, scene.points
     if not np.isfinite(points.tip_m).all() or Choice().for_points(arm, points).freed:

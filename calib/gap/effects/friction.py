@@ -15,8 +15,7 @@ from calib.gap.posterior.coefficients import values_of
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.scene import Response
 from calib.gap.residuals.term import SeriesTerm, scaled
-from calib.gap.signals.terms import Form, Values
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Form, Law, Values
 from control.model.effect_laws import Torque, direction
 from control.model.effects import EFFECTS
 

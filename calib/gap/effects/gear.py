@@ -10,7 +10,7 @@ from scipy.special import erf
 from calib.arrays import Array
 from calib.gap.effects.departures import by_angle, by_load
 from calib.gap.effects.pose_columns import NO_TORQUE_Nm, harmonics, term_on_joint
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries
 from calib.gap.effects.secants import Bent, secants
 from calib.gap.finding import EffectName, Parameters
@@ -19,8 +19,7 @@ from calib.gap.posterior.constants import WOUND_SHARE
 from calib.gap.posterior.term import Term, Traits, like, smooth
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.term import SeriesTerm
-from calib.gap.signals.terms import Form
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Form, Law
 from control.dynamics.static_pose import (
     CURRENT_NOISE_A,
     GRAVITY_ERROR,
@@ -38,7 +37,7 @@ LEVELS = 16  # of constant friction on the link's side
 LINK_SHARES = tuple(np.linspace(0.0, 1.0, 11).tolist())
 
 
-def _play(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _play(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     """For every share of friction behind the gear that lays it on other flanks."""
     if scene.pose is None:
         return
@@ -98,7 +97,7 @@ def _behind_the_gear(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tup
         yield 2.0 + level, level * last, np.full_like(held, 0.5 * step)
 
 
-def _compliance(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _compliance(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     if scene.pose is None:
         return
     unstated = tip_mass_Nm(scene)
@@ -117,7 +116,7 @@ def _compliance(record: EffectRecord, scene: Scene) -> Iterator[Term]:
             )  # fmt: skip
 
 
-def tip_mass_Nm(scene: Scene) -> Array:
+def tip_mass_Nm(scene: PoseScene) -> Array:
     """What a mass at the tip that no file states adds to the joints' torques, (m, n): no part has the masses of its CAD."""
     q = scene.joint_rad
     return gravity_Nm(scene.arm, q, 1.0) - gravity_Nm(scene.arm, q, 0.0)

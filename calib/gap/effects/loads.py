@@ -18,18 +18,17 @@ from calib.arrays import Array
 from calib.gap.effects.columns import straight
 from calib.gap.effects.departures import by_angle, by_current
 from calib.gap.effects.pose_columns import NO_TORQUE_Nm, in_poses
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.coefficients import inverse
 from calib.gap.posterior.constants import MISSING_MOST
 from calib.gap.posterior.term import Term, like, on_joint
-from calib.gap.signals.terms import Form
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Form, Law
 from control.model.arm import Arm
 
 
-def _constants(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _constants(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     """A motor that gives more or less torque per ampere: current * nominal constant = (gravity + friction) / scale.
 
     It departs from that law as it saturates.
@@ -47,7 +46,7 @@ def _constants(record: EffectRecord, scene: Scene) -> Iterator[Term]:
             )  # fmt: skip
 
 
-def _payload(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _payload(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     """A mass at the tip that nobody stated."""
     if scene.gravity_Nm is not None and _has_currents(scene):
         arm = scene.nominal
@@ -55,7 +54,7 @@ def _payload(record: EffectRecord, scene: Scene) -> Iterator[Term]:
         yield _mass(record, None, _torque_Nm(arm, frames, frames.tip_m, len(arm.links)))
 
 
-def _masses(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def _masses(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     """Links that are heavier than nominal."""
     if scene.gravity_Nm is None or not _has_currents(scene):
         return
@@ -68,7 +67,7 @@ def _masses(record: EffectRecord, scene: Scene) -> Iterator[Term]:
                 yield _mass(record, k, torque)
 
 
-def _has_currents(scene: Scene) -> bool:
+def _has_currents(scene: PoseScene) -> bool:
     return bool(np.isfinite(scene.points.current_A).any())
 
 

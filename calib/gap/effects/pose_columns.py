@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.effects.record import EffectRecord, InPoses
 from calib.gap.finding import EffectName
 from calib.gap.posterior.coefficients import ToParameters, parameters_of
@@ -23,7 +23,7 @@ def in_poses(record: EffectRecord) -> InPoses:
 
 
 def term_on_joint(
-    scene: Scene,
+    scene: PoseScene,
     record: EffectRecord,
     joint: int | None,
     columns: Array,

@@ -14,7 +14,7 @@ from control.model.arm import Arm
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class PoseScene:
     """Poses of the arm at its fitted geometry under the loads found so far.
 
     `nominal`: the same geometry without those loads; `joint_rad` (m, n): the joints' angles, at which loads act, while
@@ -28,7 +28,7 @@ class Scene:
     pose: RestingPose | None
 
     @classmethod
-    def of(cls, nominal: Arm, arm: Arm, points: Points, joint_rad: Array) -> Scene:
+    def of(cls, nominal: Arm, arm: Arm, points: Points, joint_rad: Array) -> PoseScene:
         """With what the gears transmit, where the arm's file has masses and drives."""
         try:
             pose = resting(arm, joint_rad, points.direction, points.current_A, stated_kg(points))

@@ -12,14 +12,13 @@ from typing import Literal
 
 from calib.arrays import Array
 from calib.gap.effects.departures import Shape
-from calib.gap.effects.pose_scene import Scene as PoseScene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import NO_TRAITS, Term, Traits
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.term import SeriesTerm
-from calib.gap.signals.terms import Form
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Form, Law
 from control.model.arm import Arm
 
 Role = Literal["", "angle", "torque"]

@@ -15,7 +15,7 @@ from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import SPEAKS_FOR
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.term import SeriesTerm, scaled
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Law
 
 FINER = (1.0, 1.2)  # times what was found, the next time: the second says how the first bends
 

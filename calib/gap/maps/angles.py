@@ -16,7 +16,7 @@ from calib.calibration.outcome import with_base_frame
 from calib.gap.effects.pose_scene import load_of
 from calib.gap.finding import MapCheck
 from calib.gap.maps.candidate import Candidate, maps_of, over_angle, over_load
-from calib.gap.maps.choose import Measured, Places, chosen
+from calib.gap.maps.choose import MapRows, Places, chosen
 from calib.gap.maps.outcome import DrawnMap, MapsFound, rms
 from calib.gap.poses.linear import FREE_PRECISION
 from calib.gap.poses.measured import Fit, by_joints
@@ -86,7 +86,7 @@ class _Poses:
 
 def _measured(
     problem: ArmProblem, x: Array, gap: StaticGap, there: _Poses, taken: Set[tuple[int, str]]
-) -> Measured:
+) -> MapRows:
     residual, jacobian = problem.residuals_and_jacobian(x)
     rows, noise = 3 * len(gap.points), gap.floor.tip_m
     candidates = tuple(one for one in _candidates(there) if (one.joint, one.over) not in taken)
@@ -96,7 +96,7 @@ def _measured(
         moved = there.by_joint[:, :, one.joint - 1, None] * columns[:, None, :]
         tables.append(moved.reshape(rows, -1) * (USUAL_rad / noise))
     precision = np.array([1.0 if one.has_bound else FREE_PRECISION for one in problem.parameters])
-    return Measured(
+    return MapRows(
         residual.ravel() / noise, -jacobian.reshape(rows, -1) / noise, precision, candidates, tuple(tables),
         _folds(gap), np.repeat(np.arange(len(gap.points)), 3),
     )  # fmt: skip

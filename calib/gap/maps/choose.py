@@ -30,7 +30,7 @@ Places = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MapRows:
     """Rows y (r,) over their noise; `base` (r, b) with `base_precision` (b,) is fitted beside every map.
 
     `tables` (r, c) per candidate, per usual size of its coefficients. `folds` (r,): left out in turn, -1: reports, less: not
@@ -62,7 +62,7 @@ class Chosen:
     after: Array
 
 
-def chosen(measured: Measured) -> Chosen | None:
+def chosen(measured: MapRows) -> Chosen | None:
     """What is worth writing; None where nothing is."""
     folded = _Folded(measured)
     members: list[tuple[int, float]] = []
@@ -105,7 +105,7 @@ def helps(before: Array, after: Array, pieces: Places, sure_sd: float) -> bool:
 class _Folded:
     """Inner products of everything, fold by fold, so that a set is tried without its rows."""
 
-    def __init__(self, measured: Measured) -> None:
+    def __init__(self, measured: MapRows) -> None:
         self.measured = measured
         counts = [measured.base.shape[1], *(table.shape[1] for table in measured.tables)]
         self._ends = np.cumsum(counts)

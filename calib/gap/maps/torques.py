@@ -19,11 +19,11 @@ from calib.arm_problem.measured_maps import along
 from calib.arrays import Array, Mask
 from calib.gap.finding import MapCheck
 from calib.gap.maps.candidate import Candidate, maps_of, over_angle, over_load, over_speed, over_turn
-from calib.gap.maps.choose import Measured, chosen
+from calib.gap.maps.choose import MapRows, chosen
 from calib.gap.maps.outcome import DrawnMap, MapsFound, rms
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.parts import sorted_terms
-from calib.gap.signals.recording import Motion
+from calib.gap.signals.recording import EvenRun
 from control.model.arm import Arm
 from control.model.effect_laws import direction
 from control.model.maps import CorrectionMap, Over
@@ -165,7 +165,7 @@ def _looked(signals: Signals, band: Band, is_fast: bool) -> MapsFound:
     tables = tuple((band.mix @ one.columns(signals.over(one.over), way)).toarray() for one in candidates)
     none = np.zeros((len(band.at), 0))
     folds, pieces = _divided(signals, band)
-    found = chosen(Measured(band.left_Nm / usual, none, np.zeros(0), candidates, tables, folds, pieces))
+    found = chosen(MapRows(band.left_Nm / usual, none, np.zeros(0), candidates, tables, folds, pieces))
     if found is None:
         return nothing
     maps = maps_of([(candidates[k], usual * own) for k, own in zip(found.numbers, found.values, strict=True)])
@@ -209,5 +209,5 @@ def _drawn(signals: Signals, band: Band, one: CorrectionMap, left_Nm: Array) -> 
     return DrawnMap(one, np.mod(at, math.tau) if one.is_periodic else at, data, table[band.at])
 
 
-def _joined(runs: tuple[Motion, ...], key: str, j: int) -> Array:
+def _joined(runs: tuple[EvenRun, ...], key: str, j: int) -> Array:
     return np.concatenate([getattr(one, key)[:, j] for one in runs])

@@ -10,7 +10,7 @@ from calib.arm_problem.assembly import ORIENTATION_NOISE_rad
 from calib.arrays import Array
 from calib.gap.effects.catalogue import RECORDS
 from calib.gap.finding import Nameable
-from calib.gap.plan.plan import AVERAGE_s, RecordingPlan, Visit
+from calib.gap.plan.plan import AVERAGE_s, PlannedVisit, RecordingPlan
 from calib.gap.poses.find import find
 from calib.points.points import Points, make_points
 from control.dynamics.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
@@ -40,7 +40,7 @@ def foreseen(arm: Arm, plan: RecordingPlan) -> tuple[Nameable, ...]:
     return find(arm, as_recorded(arm, visits, plan.duration_s)).finding.nameable
 
 
-def as_recorded(arm: Arm, visits: tuple[Visit, ...], duration_s: float) -> Points:
+def as_recorded(arm: Arm, visits: tuple[PlannedVisit, ...], duration_s: float) -> Points:
     """The visits' points.csv of an arm that is as its file says: camera noise of an average, friction by direction."""
     draw = np.random.default_rng(0)
     q = np.array([visit.q_rad for visit in visits])

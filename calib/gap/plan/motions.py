@@ -30,7 +30,7 @@ Curve = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class MotionLimits:
     """What a motion is held to: the joints' limits, and the tip's speed with the kinematics that it takes."""
 
     joints: JointLimits
@@ -38,14 +38,14 @@ class Limits:
     kinematics: Kinematics
 
     @classmethod
-    def of(cls, arm: Arm) -> Limits:
+    def of(cls, arm: Arm) -> MotionLimits:
         """Those of an arm."""
         return cls(JointLimits.of(arm), arm.limits.tip_speed_m_s, Kinematics(arm))
 
 
 def multisine(
     room: CollisionFreeBox,
-    limits: Limits,
+    limits: MotionLimits,
     band_Hz: tuple[float, float],
     size: float,
     duration_s: float,
@@ -77,7 +77,7 @@ def _room_for(curve: Curve, j: int, half_rad: float, limits: JointLimits) -> flo
 
 
 def shake(
-    room: CollisionFreeBox, limits: Limits, band_Hz: tuple[float, float], duration_s: float, seed: int
+    room: CollisionFreeBox, limits: MotionLimits, band_Hz: tuple[float, float], duration_s: float, seed: int
 ) -> JointPath:
     """As fast as the limits on jerk and acceleration allow, past where the joints can be controlled; a few milliradians."""
     draw = np.random.default_rng((seed, 7))
@@ -93,7 +93,11 @@ def shake(
 
 
 def ramps(
-    room: CollisionFreeBox, limits: Limits, shares: Sequence[float], leg_s: float, at: Sequence[float] = ()
+    room: CollisionFreeBox,
+    limits: MotionLimits,
+    shares: Sequence[float],
+    leg_s: float,
+    at: Sequence[float] = (),
 ) -> JointPath:
     """There and back at constant speeds, each for `leg_s`; every joint has them in another order.
 
@@ -108,7 +112,7 @@ def ramps(
     return slowed(_path(_times((len(joints[0][0]) - 1) * KNOT_s), joints), limits)
 
 
-def slowed(path: JointPath, limits: Limits, used: float = USED) -> JointPath:
+def slowed(path: JointPath, limits: MotionLimits, used: float = USED) -> JointPath:
     """The same motion in as much more time as its greatest demand asks for; as it is where it asks for nothing."""
     factor = demand(path, limits) / used
     if factor <= 1.0:
@@ -125,7 +129,7 @@ def slowed(path: JointPath, limits: Limits, used: float = USED) -> JointPath:
     return JointPath(times, knots)
 
 
-def demand(path: JointPath, limits: Limits) -> float:
+def demand(path: JointPath, limits: MotionLimits) -> float:
     """By what factor the motion would have to be slower to meet every limit: below 1 it meets them."""
     q, v, a = (np.array([knot[k] for knot in path.knots]) for k in range(3))
     jerk = np.diff(a, axis=0) / np.diff(path.times_s)[:, None]
@@ -183,7 +187,7 @@ def _there_and_back(
     sign: float,
     shares: Sequence[float],
     leg_s: float,
-    limits: Limits,
+    limits: MotionLimits,
     room: CollisionFreeBox,
     j: int,
 ) -> Curve:

@@ -16,8 +16,8 @@ import numpy as np
 
 from calib.errors import CalibrationError
 from calib.gap.plan.collision_free_box import CollisionFreeBox, clear, collision_free_box
-from calib.gap.plan.motions import Limits, demand, multisine, poses_of, ramps, shake
-from calib.gap.plan.poses import APPROACH_rad, Extent, Pose, static_poses
+from calib.gap.plan.motions import MotionLimits, demand, multisine, poses_of, ramps, shake
+from calib.gap.plan.poses import APPROACH_rad, NamedPose, PoseCounts, static_poses
 from control.model.arm import Arm
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -34,7 +34,7 @@ SEED = 0  # of the shuffling: the same plan every time, so that a recording can 
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
+class PlannedVisit:
     """A static pose, approached by all joints with these signs; `via_rad`: where to come from and go back to."""
 
     point: str
@@ -52,7 +52,7 @@ class Visit:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class PlannedRun:
     """A motion from rest; `name` is that of its run in log.csv."""
 
     name: str
@@ -61,7 +61,7 @@ class Run:
     payload_kg: float
 
 
-Step = Visit | Run
+Step = PlannedVisit | PlannedRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +84,14 @@ class RecordingPlan:
     duration_s: float
 
     @property
-    def visits(self) -> tuple[Visit, ...]:
+    def visits(self) -> tuple[PlannedVisit, ...]:
         """The static poses."""
-        return tuple(step for step in self.steps if isinstance(step, Visit))
+        return tuple(step for step in self.steps if isinstance(step, PlannedVisit))
 
     @property
-    def runs(self) -> tuple[Run, ...]:
+    def runs(self) -> tuple[PlannedRun, ...]:
         """The motions."""
-        return tuple(step for step in self.steps if isinstance(step, Run))
+        return tuple(step for step in self.steps if isinstance(step, PlannedRun))
 
 
 def recording_plan(arm: Arm, request: PlanRequest, speed: float = 1.0) -> RecordingPlan:
@@ -116,9 +116,9 @@ def plan_of(arm: Arm, room: CollisionFreeBox, steps: Sequence[Step], speed: floa
     return plan
 
 
-FULL = Extent()
-QUICK = Extent(levels=2, spread=8, outside=3, pulled=1)
-LEAST = Extent(levels=2, spread=2, outside=0, pulled=1)
+FULL = PoseCounts()
+QUICK = PoseCounts(levels=2, spread=8, outside=3, pulled=1)
+LEAST = PoseCounts(levels=2, spread=2, outside=0, pulled=1)
 
 
 def _of_length(
@@ -144,7 +144,7 @@ def _of_length(
 
 
 def _steps(
-    arm: Arm, room: CollisionFreeBox, request: PlanRequest, extent: Extent, run_s: float, spare: int
+    arm: Arm, room: CollisionFreeBox, request: PlanRequest, extent: PoseCounts, run_s: float, spare: int
 ) -> tuple[Step, ...]:
     empty: list[Step] = []
     loaded: list[Step] = []
@@ -165,23 +165,25 @@ def _steps(
     return (*empty, *loaded)
 
 
-def _blocks(poses: Sequence[Pose], draw: np.random.Generator) -> list[list[Pose]]:
+def _blocks(poses: Sequence[NamedPose], draw: np.random.Generator) -> list[list[NamedPose]]:
     """Every kind of pose dealt round the blocks, and each block shuffled."""
     count = min(len(poses), max(1, round(len(poses) / BLOCK)))
-    blocks: list[list[Pose]] = [[] for _ in range(count)]
+    blocks: list[list[NamedPose]] = [[] for _ in range(count)]
     shuffled = [poses[k] for k in draw.permutation(len(poses)).tolist()]
     for k, pose in enumerate(sorted(shuffled, key=lambda pose: pose.name[0])):
         blocks[k % count].append(pose)
     return [[block[k] for k in draw.permutation(len(block)).tolist()] for block in blocks]
 
 
-def _visits(poses: Sequence[Pose], room: CollisionFreeBox, payload_kg: float, number: int) -> Iterator[Visit]:
+def _visits(
+    poses: Sequence[NamedPose], room: CollisionFreeBox, payload_kg: float, number: int
+) -> Iterator[PlannedVisit]:
     """A block: every pose from two opposite sides, every other one from the other pair of sides; the reference in between.
 
     The reference comes from all four sides first. In which order is another in each block, so that each side is held out for
     the report in some block: what is held out is what comes from the side that came last.
     """
-    reference = Pose(REFERENCE, tuple(round(float(q), 6) for q in room.middle_rad))
+    reference = NamedPose(REFERENCE, tuple(round(float(q), 6) for q in room.middle_rad))
     sides = _sides(len(room.lower_rad), number)
     setup = f"{SETUP}{number + 1}" if number else SETUP
     order = [(reference, side) for side in sides]
@@ -193,7 +195,7 @@ def _visits(poses: Sequence[Pose], room: CollisionFreeBox, payload_kg: float, nu
     taken: dict[str, int] = {}
     for pose, side in order:
         taken[pose.name] = taken.get(pose.name, 0) + 1
-        yield Visit(pose.name, taken[pose.name], pose.q_rad, side, payload_kg, pose.via_rad, setup)
+        yield PlannedVisit(pose.name, taken[pose.name], pose.q_rad, side, payload_kg, pose.via_rad, setup)
 
 
 def _sides(n: int, number: int) -> tuple[tuple[int, ...], ...]:
@@ -209,9 +211,11 @@ def _against(side: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(-s for s in side)
 
 
-def _runs(arm: Arm, room: CollisionFreeBox, payload_kg: float, run_s: float, spare: int) -> Iterator[Run]:
+def _runs(
+    arm: Arm, room: CollisionFreeBox, payload_kg: float, run_s: float, spare: int
+) -> Iterator[PlannedRun]:
     """Several kinds of motion, each at its own speed; some twice, for the noise; some with the load."""
-    limits = Limits.of(arm)
+    limits = MotionLimits.of(arm)
     leg_s = run_s / 10.0
     quick = ramps(room, limits, (0.06, 0.12, 0.25, 0.5), leg_s)
     slow = ramps(room, limits, (0.015, 0.03), 2.0 * leg_s)
@@ -238,7 +242,7 @@ def _runs(arm: Arm, room: CollisionFreeBox, payload_kg: float, run_s: float, spa
     else:
         todo.append(("swing", swings[-1], 0.0))
     for number, (kind, path, mass) in enumerate(todo, start=1):
-        yield Run(f"{number}", kind, path, mass)
+        yield PlannedRun(f"{number}", kind, path, mass)
 
 
 def _aside(room: CollisionFreeBox) -> tuple[float, ...]:
@@ -250,10 +254,16 @@ def _duration_s(arm: Arm, steps: Sequence[Step], speed: float) -> float:
     """What the arm needs, without hanging loads."""
     limits = JointLimits.of(arm)
     quick, gentle = limits.scaled(speed), limits.scaled(GENTLE * speed)
-    here = arm.rest.q_rad if arm.rest is not None else steps[0].q_rad if isinstance(steps[0], Visit) else None
+    here = (
+        arm.rest.q_rad
+        if arm.rest is not None
+        else steps[0].q_rad
+        if isinstance(steps[0], PlannedVisit)
+        else None
+    )
     total_s = 0.0
     for step in steps:
-        if isinstance(step, Run):
+        if isinstance(step, PlannedRun):
             start = step.path.knots[0].q_rad
             total_s += (
                 (JointMove(here, start, quick).duration_s if here else 0.0) + step.path.duration_s + SETTLE_s
@@ -271,7 +281,7 @@ def _duration_s(arm: Arm, steps: Sequence[Step], speed: float) -> float:
 
 def _require_clear(arm: Arm, plan: RecordingPlan) -> None:
     """Everything that the arm will go through, looked at once more as a whole, before anything moves."""
-    limits = Limits.of(arm)
+    limits = MotionLimits.of(arm)
     for run in plan.runs:
         if not plan.room.holds(poses_of(run.path)) or demand(run.path, limits) > 1.0:
             raise CalibrationError(

@@ -20,7 +20,7 @@ WAY_STEPS = 25
 
 
 @dataclass(frozen=True, slots=True)
-class Extent:
+class PoseCounts:
     """How many poses of each kind: levels of each joint alone, spread over the room, outside of it, with the rarer pull."""
 
     levels: int = 4
@@ -30,7 +30,7 @@ class Extent:
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class NamedPose:
     """A pose by name; `via_rad`: where to come from and go back to where the straight way is not clear."""
 
     name: str
@@ -38,7 +38,7 @@ class Pose:
     via_rad: tuple[float, ...] | None = None
 
 
-def static_poses(arm: Arm, room: CollisionFreeBox, extent: Extent) -> tuple[Pose, ...]:
+def static_poses(arm: Arm, room: CollisionFreeBox, extent: PoseCounts) -> tuple[NamedPose, ...]:
     """All poses; the approach to each stays inside the joints' ranges and clear."""
     inner = room.inset(APPROACH_rad)
     found = _alone(inner, extent.levels)
@@ -46,10 +46,10 @@ def static_poses(arm: Arm, room: CollisionFreeBox, extent: Extent) -> tuple[Pose
         ("s", q) for q in spread_poses((inner.lower_rad, inner.upper_rad), extent.spread, edge_share=0.3)
     ]
     found += [("g", q) for q in _pulled(arm, inner, extent.pulled)]
-    numbered = [Pose(f"{kind}{k + 1}", _plain(q)) for k, (kind, q) in enumerate(found)]
+    numbered = [NamedPose(f"{kind}{k + 1}", _plain(q)) for k, (kind, q) in enumerate(found)]
     via = _plain(room.middle_rad)
     outside = _outside(arm, room, extent.outside)
-    return (*numbered, *(Pose(f"o{k + 1}", _plain(q), via) for k, q in enumerate(outside)))
+    return (*numbered, *(NamedPose(f"o{k + 1}", _plain(q), via) for k, q in enumerate(outside)))
 
 
 def _alone(inner: CollisionFreeBox, levels: int) -> list[tuple[str, Array]]:

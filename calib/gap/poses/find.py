@@ -13,7 +13,7 @@ from calib.arm_problem.parallel_axes import parallel_joints, tilt_row, with_tilt
 from calib.arrays import Array
 from calib.errors import UnusablePointsError
 from calib.gap.effects.catalogue import are_total_in_poses, is_load, pose_terms
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.finding import EffectName
 from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_orientations, about_outliers, cleaned, require_posed
@@ -89,7 +89,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     parts = split(points)
     fit = Fit.to(problem_of(bare_arm, points, Choice().for_points(bare_arm, points)), parts.known)
     fitted = fit.shaped(bare_arm)
-    scene = Scene.of(fitted, replace(fitted, effects=loaded.effects), points, fit.problem.observed.q_rad)
+    scene = PoseScene.of(fitted, replace(fitted, effects=loaded.effects), points, fit.problem.observed.q_rad)
     variants = _laws(scene, without)
     laws = [middle(same) for same in variants]
     left = fit.left()
@@ -108,7 +108,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     return Looked(arm, bare_arm, loaded, points, parts, fit, floor, out)
 
 
-def _laws(scene: Scene, without: Collection[str]) -> list[list[Term]]:
+def _laws(scene: PoseScene, without: Collection[str]) -> list[list[Term]]:
     """The law of every effect on every joint in all its variants, without departures."""
     variants: dict[Key, list[Term]] = {}
     for one in pose_terms(scene):

@@ -17,7 +17,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_frames import LinkFrames, link_frames
 from calib.arm_problem.parallel_axes import frame_behind, parallel_joints
 from calib.arrays import Array
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.posterior.constants import SAME
 from calib.gap.posterior.term import Block, Term, on_joint, smooth
 from calib.points.points import Points
@@ -33,7 +33,7 @@ from control.model.arm import Arm
 SHARE = 0.1  # of a joint's torque: the size of a block in holding currents
 
 
-def blocks_of(scene: Scene, names: Sequence[Term]) -> tuple[Term, ...]:
+def blocks_of(scene: PoseScene, names: Sequence[Term]) -> tuple[Term, ...]:
     """All of them for these poses, but those that are the law of one of the `names`: what follows a law is that effect."""
     single = [one for one in (*of_the_tip(scene), *of_joints(scene)) if not is_still(one)]
     found = [*_without_laws(single, names), *_smooth(scene)]
@@ -63,7 +63,7 @@ def _unit(slopes: Sequence[Array]) -> Array:
     return np.asarray(flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300))
 
 
-def _smooth(scene: Scene) -> Iterator[Term]:
+def _smooth(scene: PoseScene) -> Iterator[Term]:
     """Any smooth function of an angle, the load, or time, for each joint; of angle and load by direction."""
     points, load = scene.points, scene.gravity_Nm
     n, time = points.joint_count, points.t_s
@@ -99,7 +99,7 @@ def _smooth(scene: Scene) -> Iterator[Term]:
                     )
 
 
-def _currents(scene: Scene) -> Iterator[Term]:
+def _currents(scene: PoseScene) -> Iterator[Term]:
     """The holding torque of one joint with the sine and cosine of any angle, or of sums of two."""
     q, n = scene.points.q_rad, scene.points.joint_count
     load = scene.gravity_Nm
@@ -127,7 +127,7 @@ MOTOR_HARMONICS = (1.0, 2.0, 0.5)  # per motor turn
 TIME_PERIODS = (0.5, 1, 1.5, 2, 3, 4, 6, 8)  # of a session
 
 
-def of_joints(scene: Scene) -> Iterator[Term]:
+def of_joints(scene: PoseScene) -> Iterator[Term]:
     """All of them for these poses, but those that are the law of an effect: what follows a law is that effect."""
     points, gravity = scene.points, scene.gravity_Nm
     held = None if scene.pose is None else scene.pose.held_Nm
@@ -249,7 +249,7 @@ RECORDING_STEPS = 3  # the same within one setup
 RIGID_POSES_LEAST = 4
 
 
-def of_the_tip(scene: Scene) -> Iterator[Term]:
+def of_the_tip(scene: PoseScene) -> Iterator[Term]:
     """All of them, at the fitted geometry."""
     arm, points = scene.arm, scene.points
     frames = link_frames(ArmModel(arm), arm.dh, points.q_rad)

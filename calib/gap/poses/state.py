@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import Array, Mask, frozen
 from calib.gap.effects.catalogue import is_load, pose_terms
 from calib.gap.effects.frame import FRAME, beyond_linear_m
-from calib.gap.effects.pose_scene import Scene, load_of
+from calib.gap.effects.pose_scene import PoseScene, load_of
 from calib.gap.finding import EffectName
 from calib.gap.model_update import effect_of, with_totals
 from calib.gap.poses.currents import holding_currents
@@ -105,7 +105,7 @@ class Around:
 
         `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used.
         """
-        scene = Scene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
+        scene = PoseScene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
         names = [_unlisted(one, without) for one in pose_terms(scene)]
         terms = [*names, *(blocks or blocks_of(scene, names))]
         linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from calib.arrays import Array
 from calib.gap.posterior.term import Key
-from calib.gap.residuals.scene import Scene
-from calib.gap.signals.terms import Term as Law
+from calib.gap.residuals.scene import SeriesScene
+from calib.gap.signals.terms import Law
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,14 +18,14 @@ class OperatingPoint:
     `residual`: its rows; `smooth`: what it would have left if motions and currents had been measured without noise.
     """
 
-    scene: Scene
+    scene: SeriesScene
     known: tuple[Law, ...]
     found: dict[Key, Law]
     residual: Array
     smooth: Array
 
     @classmethod
-    def of(cls, scene: Scene, known: Sequence[Law], found: Mapping[Key, Law]) -> OperatingPoint:
+    def of(cls, scene: SeriesScene, known: Sequence[Law], found: Mapping[Key, Law]) -> OperatingPoint:
         """With what it leaves."""
         model = (*known, *found.values())
         return cls(

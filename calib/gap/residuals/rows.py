@@ -19,8 +19,8 @@ from calib.gap.signals.body import Load
 from calib.gap.signals.friction import sampled_friction_Nm
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.physics import Physics, Prediction
-from calib.gap.signals.recording import Flags, Motion, Recording, UnusableLogError
-from calib.gap.signals.terms import Term
+from calib.gap.signals.recording import EvenRun, Flags, RunSet, UnusableLogError
+from calib.gap.signals.terms import Law
 from control.model.effect_laws import SMOOTH_rad_s
 
 SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that
@@ -33,7 +33,7 @@ CHANNELS = {"current_A": "current", "voltage_as_A": "voltage", "tip_m": "tip"}  
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class ChannelRows:
     """A channel of a joint (0-based; -1: the tip): its rows in the vector, and its noise floor in SI."""
 
     channel: str
@@ -51,7 +51,7 @@ class Cell:
 class RowTable:
     """Which rows there are: cells, the run of each row, and the motion beside it."""
 
-    cells: tuple[Cell, ...]
+    cells: tuple[ChannelRows, ...]
     run: npt.NDArray[np.intp]
     t_s: Array
     q_rad: Array
@@ -61,27 +61,27 @@ class RowTable:
     floor_source: str
 
 
-class Rows:
+class ResidualRows:
     """Makes residual rows of models."""
 
-    def __init__(self, physics: Physics, model: Sequence[Term]) -> None:
+    def __init__(self, physics: Physics, model: Sequence[Law]) -> None:
         self.physics = physics
         self.recording = physics.recording
         self._masks = [_mask(self.recording, run) for run in self.recording.runs]
         self._electrical = [_driven_rows(self.recording, run) for run in self.recording.runs]
         self.table = self._tabled(model)
 
-    def told_by(self, physics: Physics) -> Rows:
+    def told_by(self, physics: Physics) -> ResidualRows:
         """The same rows, at the same floors, of another account of the same motions."""
         other = copy.copy(self)
         other.physics, other.recording = physics, physics.recording
         return other
 
-    def residual(self, model: Sequence[Term]) -> Array:
+    def residual(self, model: Sequence[Law]) -> Array:
         """Rows (k,): model less measurement over the floor."""
         return np.asarray(self._raw(model) / self.table.scale)
 
-    def resting(self, model: Sequence[Term]) -> Flags:
+    def resting(self, model: Sequence[Law]) -> Flags:
         """Rows (k,) that a model with play can speak of: not those of a current while its joint flies and lands.
 
         How hard a flank is decides an impact's current, and nothing here measures that; when it happens follows from
@@ -98,7 +98,7 @@ class Rows:
                     result[cell.rows] = kept
         return result
 
-    def friction_slope(self, term: Term, model: Sequence[Term] = ()) -> Array:
+    def friction_slope(self, term: Law, model: Sequence[Law] = ()) -> Array:
         """What a friction or cogging term of these values adds to the rows (k,); of a model only what motors turn beyond
         their encoders counts.
         """
@@ -117,7 +117,7 @@ class Rows:
                 result[cell.rows] = np.concatenate(parts) / (K * cell.floor)
         return result
 
-    def _raw(self, model: Sequence[Term]) -> Array:
+    def _raw(self, model: Sequence[Law]) -> Array:
         return np.concatenate([part for _, _, part, *_ in self._blocks(self.physics.predict(model))])
 
     def _blocks(self, predictions: list[Prediction]) -> list[Block]:
@@ -146,7 +146,7 @@ class Rows:
                 blocks.append(("tip_m", -1, prediction.tip_m.ravel(), k, frames))
         return blocks
 
-    def _tabled(self, model: Sequence[Term]) -> RowTable:
+    def _tabled(self, model: Sequence[Law]) -> RowTable:
         blocks = self._blocks(self.physics.predict(model))
         levels, source = floors(self.physics, blocks)
         load = self.physics.body.link_torques(Load())
@@ -155,7 +155,7 @@ class Rows:
         for key in dict.fromkeys((channel, joint) for channel, joint, *_ in blocks):
             mine = [block for block in blocks if block[:2] == key]
             count = sum(len(block[2]) for block in mine)
-            cells.append(Cell(key[0], key[1], slice(start, start + count), levels[key]))
+            cells.append(ChannelRows(key[0], key[1], slice(start, start + count), levels[key]))
             start += count
             for _, joint, values, k, places in mine:
                 motion, j = self.recording.runs[k], max(joint, 0)
@@ -189,21 +189,21 @@ def without_motion(table: RowTable) -> tuple[str, ...]:
     return (f"{', '.join(map(str, empty))}: {why}",)
 
 
-def _sound_rows(recording: Recording, run: Motion) -> Flags:
+def _sound_rows(recording: RunSet, run: EvenRun) -> Flags:
     """Rows (rows, n) whose samples are all usable."""
     reach = recording.filters.reach // 2  # beyond this the row filter has hardly any weight
     sound = ~_near(~run.usable, reach)
     return np.asarray(sound[recording.filters.places(len(run))])
 
 
-def _driven_rows(recording: Recording, run: Motion) -> Flags:
+def _driven_rows(recording: RunSet, run: EvenRun) -> Flags:
     """Rows (rows, n) whose driver is on all the time: the voltage of an open circuit is nobody's command."""
     filters = recording.filters
     near = _near(run.is_off, filters.reach // 2 + (len(filters.state[0]) - 1) // 2)
     return np.asarray(_sound_rows(recording, run) & ~near[filters.places(len(run))])
 
 
-def _mask(recording: Recording, run: Motion) -> Flags:
+def _mask(recording: RunSet, run: EvenRun) -> Flags:
     """Rows in which the joint really moves, one way."""
     filters = recording.filters
     rest = max(SMOOTH_rad_s, NOISE_SPEEDS * 0.5 * _speed_noise(recording, run))
@@ -220,7 +220,7 @@ def _mask(recording: Recording, run: Motion) -> Flags:
     return np.asarray(ok[filters.places(len(run))] & _sound_rows(recording, run))
 
 
-def _since_turn(run: Motion) -> Array:
+def _since_turn(run: EvenRun) -> Array:
     """How far each joint has gone since it last turned round [rad], (m, n)."""
     sign = np.sign(run.speed)
     turned = np.vstack([np.ones((1, sign.shape[1]), dtype=bool), sign[1:] != sign[:-1]])
@@ -228,7 +228,7 @@ def _since_turn(run: Motion) -> Array:
     return np.asarray(np.abs(run.q - np.take_along_axis(run.q, last, axis=0)))
 
 
-def _speed_noise(recording: Recording, run: Motion) -> float:
+def _speed_noise(recording: RunSet, run: EvenRun) -> float:
     """Standard deviation of the speeds from the encoders' steps, the coarsest joint's."""
     steps = [np.diff(np.unique(column)) for column in run.q_raw.T]
     smallest = [float(np.min(step[step > 1e-7])) if np.any(step > 1e-7) else 0.0 for step in steps]

@@ -11,14 +11,14 @@ import numpy.typing as npt
 from scipy import sparse
 
 from calib.arrays import Array
-from calib.gap.residuals.rows import Cell, Rows
-from calib.gap.residuals.whitening import Series
+from calib.gap.residuals.rows import ChannelRows, ResidualRows
+from calib.gap.residuals.whitening import RowOrder
 from calib.gap.signals.body import Load
 from calib.gap.signals.friction import sampled_friction_Nm
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.physics import Physics
-from calib.gap.signals.recording import Motion
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.recording import EvenRun
+from calib.gap.signals.terms import Law
 from calib.gap.signals.wiener import without_noise
 from control.model.effect_laws import direction
 
@@ -33,7 +33,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
+class RowConditions:
     """At every row of a cell: run, sample, time in the run, and (m, n) angles, speeds, accelerations, loads, currents."""
 
     run: Places
@@ -116,14 +116,14 @@ def _given_Nm(physics: Physics) -> Array:
     return np.array(found)
 
 
-class Scene:
+class SeriesScene:
     """Rows and what stands beside them.
 
     `rows` have what was measured, `columns` the same without its noise: of these everything is made that rows may follow.
     `given_Nm` (n,): what the motors can give, by what they gave: limits and supplies of a file say nothing about the data.
     """
 
-    def __init__(self, rows: Rows, known: Sequence[Law]) -> None:
+    def __init__(self, rows: ResidualRows, known: Sequence[Law]) -> None:
         self.rows = rows
         self.cells = rows.table.cells
         self.given_Nm = _given_Nm(rows.physics)
@@ -146,7 +146,7 @@ class Scene:
         self.kept = kept
         still = self.picked(kept)
         self.series = [
-            Series.of(own.run, own.sample, own.step, own.stride, still[rows])
+            RowOrder.of(own.run, own.sample, own.step, own.stride, still[rows])
             for own, rows in zip(self.thinned, self.thin, strict=True)
         ]
 
@@ -156,7 +156,7 @@ class Scene:
             [own.all_of(rows[cell.rows]) for own, cell in zip(self.thinned, self.cells, strict=True)]
         )
 
-    def _thinned(self, cell: Cell, beside: Beside) -> Thin:
+    def _thinned(self, cell: ChannelRows, beside: RowConditions) -> Thin:
         """Rows of a current are thin already; frames of a quick camera are averaged, as far as a motion lets them."""
         if cell.joint >= 0:
             return Thin.each(beside.run, beside.sample, self.recording.filters.step)
@@ -166,7 +166,9 @@ class Scene:
             beside.run, beside.sample, step, max(1, round(TIP_ROW_s * self.recording.filters.rate_Hz / step))
         )
 
-    def _beside(self, cell: Cell, load: list[Array], current: list[Array], turned: list[Array]) -> Beside:
+    def _beside(
+        self, cell: ChannelRows, load: list[Array], current: list[Array], turned: list[Array]
+    ) -> RowConditions:
         table, runs = self.rows.table, self.columns.recording.runs
         run = table.run[cell.rows]
         sample = np.round(table.t_s[cell.rows] * self.recording.filters.rate_Hz).astype(np.intp)
@@ -184,12 +186,12 @@ class Scene:
             at([getattr(one, key) for one in runs]) for key in ("q", "speed", "acceleration")
         )
         axis = np.arange(len(run)) % 3 if cell.joint < 0 else np.zeros(len(run), dtype=int)
-        return Beside(
+        return RowConditions(
             run, sample, table.t_s[cell.rows], q, speed, acceleration, at(load), at(current), carried, at(turned),
             axis.astype(np.intp),
         )  # fmt: skip
 
-    def _whole(self, load: list[Array], current: list[Array], turned: list[Array]) -> Beside:
+    def _whole(self, load: list[Array], current: list[Array], turned: list[Array]) -> RowConditions:
         """What stands beside every sample, run after run."""
         runs = self.columns.recording.runs
 
@@ -200,7 +202,7 @@ class Scene:
         run = np.repeat(np.arange(len(runs)), lengths)
         sample = np.concatenate([np.arange(length) for length in lengths])
         t_s = np.concatenate([one.t_s - one.t_s[0] for one in runs])
-        return Beside(
+        return RowConditions(
             run.astype(np.intp), sample.astype(np.intp), t_s, joined("q"), joined("speed"), joined("acceleration"),
             np.concatenate(load), np.concatenate(current), joined("payload_kg"), np.concatenate(turned), np.zeros_like(run),
         )  # fmt: skip
@@ -251,7 +253,7 @@ class Scene:
         return np.concatenate(parts)
 
 
-def _drawn(physics: Physics, run: Motion, load_Nm: Array, known: Sequence[Law]) -> Array:
+def _drawn(physics: Physics, run: EvenRun, load_Nm: Array, known: Sequence[Law]) -> Array:
     """Currents of a run (m, n) that the known model asks for: measured ones would bring their own noise into every column."""
     torque = load_Nm + physics.body.rotor_kg_m2 * run.acceleration
     for law in sorted_terms(known).friction:

@@ -12,7 +12,7 @@ from calib.arrays import Array
 from calib.gap.posterior.constants import BENDS_LEAST, BLOCK_PRIOR, COMMON_PRIOR, NAME_PRIOR
 from calib.gap.posterior.term import Term
 from calib.gap.residuals.scene import Response
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Law
 
 HELD_TURNS = 4
 TURN_DOUBT = 0.1  # of a turn: to this a secant between two others follows from them

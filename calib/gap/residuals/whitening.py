@@ -37,7 +37,7 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class RowOrder:
     """How rows of a cell follow each other: `before` (m,) counts those before it in its stretch, each `stride` rows earlier."""
 
     before: Places
@@ -45,7 +45,7 @@ class Series:
     run: Places
 
     @classmethod
-    def of(cls, run: Places, sample: Places, step: int, stride: int, kept: Flags | None = None) -> Series:
+    def of(cls, run: Places, sample: Places, step: int, stride: int, kept: Flags | None = None) -> RowOrder:
         """From each row's run and sample; neighbours are `step` samples apart, `stride` rows side by side at each.
 
         Rows that are not `kept` are like gaps.
@@ -92,7 +92,7 @@ class Series:
         return sums, counts
 
 
-def fitted(series: Series, values: Array, picked: Flags, order: int = ORDER) -> Noise:
+def fitted(series: RowOrder, values: Array, picked: Flags, order: int = ORDER) -> Noise:
     """The noise of a cell from what is left on its picked rows (Levinson and Durbin's recursion); not below the floor."""
     scale = _scales(series, values, picked)
     values = values / scale[series.run]
@@ -112,7 +112,7 @@ def fitted(series: Series, values: Array, picked: Flags, order: int = ORDER) -> 
     return Noise(tuple(coefficients), np.maximum(np.sqrt(variance), least), scale)
 
 
-def _scales(series: Series, values: Array, picked: Flags) -> Array:
+def _scales(series: RowOrder, values: Array, picked: Flags) -> Array:
     """Root mean square of each run, drawn to that of all where it has few rows; runs without any have that of all."""
     runs = int(series.run.max()) + 1
     squares = np.bincount(series.run[picked], values[picked] ** 2, runs)

@@ -8,12 +8,12 @@ import numpy as np
 
 from calib.gap.effects.catalogue import role_of
 from calib.gap.finding import EffectName, OpenQuestion, Unknown
-from calib.gap.series.answer import Verdict
-from calib.gap.signals.recording import Recording
+from calib.gap.series.answer import SeriesVerdict
+from calib.gap.signals.recording import RunSet
 
 
 def next_experiment(
-    recording: Recording, sets: Sequence[Sequence[EffectName]], unknown: Unknown | None
+    recording: RunSet, sets: Sequence[Sequence[EffectName]], unknown: Unknown | None
 ) -> str | None:
     """What to record where something is open."""
     if sets:
@@ -24,7 +24,7 @@ def next_experiment(
     return None
 
 
-def open_questions(recording: Recording, verdict: Verdict) -> tuple[OpenQuestion, ...]:
+def open_questions(recording: RunSet, verdict: SeriesVerdict) -> tuple[OpenQuestion, ...]:
     """One for each set and each remainder."""
     sets = [
         OpenQuestion(f"Which of {', '.join(map(str, names))} is it?", _to_separate(recording, names))
@@ -40,12 +40,12 @@ def open_questions(recording: Recording, verdict: Verdict) -> tuple[OpenQuestion
     return (*sets, *rest)
 
 
-def _to_separate(recording: Recording, names: Sequence[EffectName]) -> str:
+def _to_separate(recording: RunSet, names: Sequence[EffectName]) -> str:
     is_of_tip = any(role_of(name.effect) == "angle" for name in names)
     return f"To separate {', '.join(map(str, names))}, record {_advice(recording, is_of_tip)}."
 
 
-def _advice(recording: Recording, is_of_tip: bool = True) -> str:
+def _advice(recording: RunSet, is_of_tip: bool = True) -> str:
     """What these runs lack; a camera only where it would see what is asked."""
     if is_of_tip and not recording.has_tip:
         return "the same runs with the camera on the tip"

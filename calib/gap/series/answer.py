@@ -21,12 +21,12 @@ from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.blocks import CAMERA
 from calib.gap.series.file import Identified, identified
-from calib.gap.series.fit import Fit, left
+from calib.gap.series.fit import SeriesFit, left
 from calib.gap.series.linear import only
 from calib.gap.series.outcome import gap, in_si
-from calib.gap.series.split import Picked, Split
+from calib.gap.series.split import Picked, RowSplit
 from calib.gap.series.validation import Member, bends, dominant_names, grown, members, with_only
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Law
 from control.model.effects import EFFECTS
 
 # Of a sample: what a voltage lies off on the whole that changed in steps nobody recorded.
@@ -34,7 +34,7 @@ THINNED = (0.43, 0.57)
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class NamelessShape:
     """Something without a name: by how much the squared gap of a cell grows without it, its words, its term, and a
     name that may be it.
     """
@@ -46,14 +46,14 @@ class Left:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SeriesVerdict:
     """The verdict on the last fit: names with law, covariance of its values and departure; what is left; corrections.
 
     `fit`: its best set without what was withdrawn; `corrected`: terms taken off as the sensors' own, with coefficients.
     `kept`: keys that explain something: names, how parts depart, and what is taken off.
     """
 
-    fit: Fit
+    fit: SeriesFit
     corrected: tuple[tuple[SeriesTerm, Array], ...]
     laws: dict[EffectName, Law]
     covariance: dict[EffectName, Array]
@@ -65,13 +65,13 @@ class Verdict:
     warnings: tuple[str, ...]
 
 
-def judged(fit: Fit, parts: Split, harming: Sequence[Key]) -> Verdict:
+def judged(fit: SeriesFit, parts: RowSplit, harming: Sequence[Key]) -> SeriesVerdict:
     """Names that are of a size worth one, keep their law, hold on recordings that were not fitted, and help a file that has the
     laws alone.
     """
     reporting = parts.reporting
     said: list[str] = []
-    other: list[Left] = []
+    other: list[NamelessShape] = []
     corrected, names = [], []
     for one in members(fit):
         key = one.term.key
@@ -101,7 +101,7 @@ def judged(fit: Fit, parts: Split, harming: Sequence[Key]) -> Verdict:
     for name, why in file.dropped.items():
         number = next(k for k in named if fit.linear.terms[k].key == name)
         said.append(f"{name} {why}: not named")
-        left_out = Left(_worth(fit, number, reporting), f"{name} {why}", number, name)
+        left_out = NamelessShape(_worth(fit, number, reporting), f"{name} {why}", number, name)
         other += [left_out] if left_out.worth > REMAINS else []
     named = [k for k in named if fit.linear.terms[k].key not in file.dropped]
     sets = tuple(group for group in fit.decision.ambiguous if _is_material(fit, group))
@@ -111,9 +111,9 @@ def judged(fit: Fit, parts: Split, harming: Sequence[Key]) -> Verdict:
 
 
 def _verdict(
-    whole: Fit, fit: Fit, named: Collection[int], file: Identified, other: Sequence[Left],
+    whole: SeriesFit, fit: SeriesFit, named: Collection[int], file: Identified, other: Sequence[NamelessShape],
     sets: tuple[tuple[EffectName, ...], ...], harming: Sequence[Key], said: Sequence[str], reporting: Picked,
-) -> Verdict:  # fmt: skip
+) -> SeriesVerdict:  # fmt: skip
     """Of a fit whose best set has what is named or taken off, and blocks; `whole` has what was withdrawn, too."""
     laws: dict[EffectName, Law] = {}
     spread: dict[EffectName, Array] = {}
@@ -149,7 +149,7 @@ def _verdict(
             continue
         law, share = bends(fit, one, [own for own in some if own.term.key in laws])
         if law is None:
-            left_over.append(Left(worth, one.term.words, one.number))
+            left_over.append(NamelessShape(worth, one.term.words, one.number))
         else:
             departs[law] = math.hypot(departs[law], share)
             kept.add(key)
@@ -158,21 +158,21 @@ def _verdict(
     unknown = _unknown(whole, left_over, kept) or _silent(
         whole, what_is_left(whole, explained), reporting, harming
     )
-    return Verdict(
+    return SeriesVerdict(
         fit, corrected, laws, spread, departs, sets, unknown, remainder, frozenset(kept), tuple(said)
     )
 
 
-def _overshadowed(fit: Fit, number: int, others: Sequence[int], reporting: Picked) -> Left:
+def _overshadowed(fit: SeriesFit, number: int, others: Sequence[int], reporting: Picked) -> NamelessShape:
     """A name beside which more is left than it explains."""
     name = fit.linear.terms[number].key
     assert isinstance(name, EffectName)
     rest = with_only(fit, others).numbers
     worth = grown(fit, left(fit, rest), left(fit, [*rest, number]), reporting)
-    return Left(worth, f"more is left than {name} would explain", number, name)
+    return NamelessShape(worth, f"more is left than {name} would explain", number, name)
 
 
-def _correction(fit: Fit, one: Member) -> str:
+def _correction(fit: SeriesFit, one: Member) -> str:
     """When camera or currents are read is no effect of the arm: said, and taken off."""
     if one.term.words == CAMERA:
         time_ms = 1e3 * float(one.size[0]) * one.term.size
@@ -195,19 +195,23 @@ def _correction(fit: Fit, one: Member) -> str:
     return ""
 
 
-def _against(fit: Fit, one: Member, reporting: Picked) -> Left | None:
+def _against(fit: SeriesFit, one: Member, reporting: Picked) -> NamelessShape | None:
     """Why a name cannot stand, if it cannot."""
     name, worth = one.term.key, _worth(fit, one.number, reporting)
     rival = name if isinstance(name, EffectName) else None
     # Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same.
     if one.departure > LAW_MOST and not one.term.is_common:
-        return Left(worth, f"what {name} would explain departs too far from its law", one.number, rival)
+        return NamelessShape(
+            worth, f"what {name} would explain departs too far from its law", one.number, rival
+        )
     if worth < 0.0:
-        return Left(worth, f"{name} helps the runs that decide, but not those held out", one.number, rival)
+        return NamelessShape(
+            worth, f"{name} helps the runs that decide, but not those held out", one.number, rival
+        )
     return None
 
 
-def _contested(fit: Fit, reporting: Picked) -> Iterator[Left]:
+def _contested(fit: SeriesFit, reporting: Picked) -> Iterator[NamelessShape]:
     """Names of the best set in whose place something nameless may stand."""
     for group in fit.decision.remainders:
         blocks = [key for key in group if isinstance(key, Block)]
@@ -217,7 +221,7 @@ def _contested(fit: Fit, reporting: Picked) -> Iterator[Left]:
                 words = next(one.words for one in fit.linear.terms if one.key == blocks[0])
                 worth = _worth(fit, number, reporting)
                 if worth > REMAINS:
-                    yield Left(worth, f"{words}, or {key}", number, key)
+                    yield NamelessShape(worth, f"{words}, or {key}", number, key)
 
 
 def _of_values(one: Member) -> Array:
@@ -234,19 +238,19 @@ def _of_values(one: Member) -> Array:
     return np.asarray(across @ one.covariance @ across.T)
 
 
-def _worth(fit: Fit, number: int, reporting: Picked) -> float:
+def _worth(fit: SeriesFit, number: int, reporting: Picked) -> float:
     """By how much the squared gap of a cell grows on the rows kept apart, at most, without a term; negative where it shrinks."""
     return grown(fit, left(fit, fit.numbers, [number]), left(fit, fit.numbers), reporting)
 
 
-def what_is_left(fit: Fit, keys: Collection[Key]) -> Array:
+def what_is_left(fit: SeriesFit, keys: Collection[Key]) -> Array:
     """What these leave of all rows beside how what is known departs, as estimated beside blocks, (rows,)."""
     terms = fit.linear.terms
     drop = [k for k in fit.numbers if terms[k].key not in keys and isinstance(terms[k].key, Block)]
     return left(fit, [k for k in fit.numbers if terms[k].key in keys or k in drop], drop)
 
 
-def _unknown(fit: Fit, other: Sequence[Left], kept: Collection[Key]) -> Unknown | None:
+def _unknown(fit: SeriesFit, other: Sequence[NamelessShape], kept: Collection[Key]) -> Unknown | None:
     """The largest of what is left."""
     if not other:
         return None
@@ -255,7 +259,7 @@ def _unknown(fit: Fit, other: Sequence[Left], kept: Collection[Key]) -> Unknown 
     return Unknown(one.words, one.rival or nearest, round(share, 3))
 
 
-def _silent(fit: Fit, after: Array, reporting: Picked, harming: Sequence[Key]) -> Unknown | None:
+def _silent(fit: SeriesFit, after: Array, reporting: Picked, harming: Sequence[Key]) -> Unknown | None:
     """What is left above the floor although no block takes it: the worst cell, and the name that was withdrawn, if one was."""
     scene = fit.around.scene
     rivals = [key for key in harming if isinstance(key, EffectName) and key.effect in EFFECTS]
@@ -274,7 +278,7 @@ def _silent(fit: Fit, after: Array, reporting: Picked, harming: Sequence[Key]) -
     )
 
 
-def _nearest(fit: Fit, kept: Collection[Key]) -> tuple[EffectName | None, float]:
+def _nearest(fit: SeriesFit, kept: Collection[Key]) -> tuple[EffectName | None, float]:
     """The effect that is not named and explains most beside the names, and its share of what these leave."""
     evidence, best, terms = fit.evidence, fit.best, fit.linear.terms
     named = tuple(one for one in best.members if terms[one[0]].key in kept)
@@ -304,7 +308,7 @@ def _nearest(fit: Fit, kept: Collection[Key]) -> tuple[EffectName | None, float]
     )
 
 
-def _remainder(fit: Fit, other: Sequence[Left], reporting: Picked) -> tuple[Remainder, ...]:
+def _remainder(fit: SeriesFit, other: Sequence[NamelessShape], reporting: Picked) -> tuple[Remainder, ...]:
     """What is left without one name, the largest first."""
     whole = left(fit, fit.numbers)
     scene = fit.around.scene
@@ -321,7 +325,7 @@ def _remainder(fit: Fit, other: Sequence[Left], reporting: Picked) -> tuple[Rema
     return tuple(found)
 
 
-def _share(fit: Fit, number: int) -> float:
+def _share(fit: SeriesFit, number: int) -> float:
     """Of the excess of all rows that decide over what the best set leaves, what a term explains."""
     whole = left_with(fit.evidence, fit.best)
     excess = fit.evidence.gram.left - whole
@@ -329,13 +333,13 @@ def _share(fit: Fit, number: int) -> float:
     return float(np.clip((left_with(fit.evidence, rest) - whole) / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
 
 
-def _is_material(fit: Fit, names: Sequence[EffectName]) -> bool:
+def _is_material(fit: SeriesFit, names: Sequence[EffectName]) -> bool:
     """Whether one of a set, as it is in the best set, is of a size worth a name."""
     laws = fit.laws()
     return any(name in laws and laws[name].is_worth_a_name(fit.around.scene.given_Nm) for name in names)
 
 
-def seen_by_sensors(verdict: Verdict, count: int) -> Array:
+def seen_by_sensors(verdict: SeriesVerdict, count: int) -> Array:
     """What is taken off as the sensors' own and is no law, of all rows (count,)."""
     found = np.zeros(count)
     for one, size in verdict.corrected:
@@ -344,7 +348,7 @@ def seen_by_sensors(verdict: Verdict, count: int) -> Array:
     return found
 
 
-def named_effects(verdict: Verdict) -> tuple[NamedEffect, ...]:
+def named_effects(verdict: SeriesVerdict) -> tuple[NamedEffect, ...]:
     """Names by what each explains, without a gap yet."""
     fit = verdict.fit
     numbers = {fit.linear.terms[k].key: k for k in fit.numbers}
@@ -363,7 +367,7 @@ def named_effects(verdict: Verdict) -> tuple[NamedEffect, ...]:
     )
 
 
-def nameable_effects(fit: Fit) -> tuple[Nameable, ...]:
+def nameable_effects(fit: SeriesFit) -> tuple[Nameable, ...]:
     """Detectability of every effect's usual size, and its rivals, whatever is nominal taken as right."""
     some: dict[Key, list[int]] = {}
     for number, one in enumerate(fit.linear.terms):

@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects.cogging import ORDERS
 from calib.gap.posterior.constants import REMAINS
-from calib.gap.signals.recording import Motion, Recording
+from calib.gap.signals.recording import EvenRun, RunSet
 
 SAMPLES_LEAST = 200  # in each half
 SAMPLES_MOST = 8000  # that are looked at; more tell nothing else
@@ -41,7 +41,7 @@ class Ripple:
         )
 
 
-def ripples(recording: Recording, gear_ratios: Sequence[float]) -> Iterator[Ripple]:
+def ripples(recording: RunSet, gear_ratios: Sequence[float]) -> Iterator[Ripple]:
     """The largest of each joint, if it predicts recordings that it was not fitted to."""
     if not recording.has_current:
         return
@@ -50,7 +50,7 @@ def ripples(recording: Recording, gear_ratios: Sequence[float]) -> Iterator[Ripp
             yield found
 
 
-def _ripple(recording: Recording, j: int, gear_ratio: float) -> Ripple | None:
+def _ripple(recording: RunSet, j: int, gear_ratio: float) -> Ripple | None:
     """The order that explains most of what the half of the recording that it was not fitted to has above the band."""
     parts = [_above_the_band(recording, run, j) for run in recording.runs]
     angle, speed, current = (np.concatenate([part[k] for part in parts]) for k in range(3))
@@ -77,7 +77,7 @@ def _ripple(recording: Recording, j: int, gear_ratio: float) -> Ripple | None:
     return best
 
 
-def _above_the_band(recording: Recording, run: Motion, j: int) -> tuple[Array, Array, Array]:
+def _above_the_band(recording: RunSet, run: EvenRun, j: int) -> tuple[Array, Array, Array]:
     """Angle, speed and what the measured current has beyond the rows' band, of the samples that count."""
     filters = recording.filters
     if len(run) <= 2 * filters.reach:  # shorter than the filter of a row

@@ -15,7 +15,7 @@ from calib.gap.effects.friction import COULOMB
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import Block, smooth
 from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.scene import Beside, Response, Scene
+from calib.gap.residuals.scene import Response, RowConditions, SeriesScene
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import typical
 
@@ -54,7 +54,7 @@ def _block(joint: int, variable: str, words: str, response: Response) -> Iterato
     yield SeriesTerm(Block(joint, variable), words, width, 0, 1.0, response=response, width=width)
 
 
-def _torques(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
+def _torques(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
     """Of the current that the motion of a joint needs."""
     number = scene.number("current_A", joint - 1)
     if number is None:
@@ -67,7 +67,7 @@ def _torques(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
             yield from _block(joint, variable, said, scene.torque(j, size * _unit(columns)))
 
 
-def _of_torque(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
+def _of_torque(at: RowConditions, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
     """Variable, words and shapes (c, m) of torques on a joint."""
     q, v, a, load, way = (own[:, j] for own in (at.q, at.speed, at.acceleration, at.load_Nm, at.direction))
     current = at.current_A[:, j]
@@ -105,7 +105,7 @@ def _of_torque(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
     yield from _of_others(at, j, n)
 
 
-def _of_others(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
+def _of_others(at: RowConditions, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
     """The same with what other joints do."""
     way, even = at.direction[:, j], np.ones((1, len(at.run)))
     for i in range(n):
@@ -124,7 +124,7 @@ def _of_others(at: Beside, j: int, n: int) -> Iterator[tuple[str, str, Array]]:
             )
 
 
-def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
+def _windings(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
     """Of the current that the voltage drives."""
     number = scene.number("voltage_as_A", joint - 1)
     if number is None or not len(scene.beside[number].run):  # no driver was on
@@ -161,7 +161,7 @@ def _windings(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
 SHARE = 0.1  # of a joint's current: the size of a block of its winding
 
 
-def _angles(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
+def _angles(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
     """Of the tip, as if a joint were elsewhere than its encoder says."""
     number = scene.number("tip_m")
     if number is None:
@@ -190,7 +190,7 @@ def _angles(scene: Scene, joint: int) -> Iterator[SeriesTerm]:
         )
 
 
-def _of_an_angle(at: Beside, j: int, n: int) -> list[tuple[str, str, Array]]:
+def _of_an_angle(at: RowConditions, j: int, n: int) -> list[tuple[str, str, Array]]:
     """Variable, words and shapes (c, m) of what a joint may be off by."""
     q, way, load = at.q[:, j], at.direction[:, j], at.load_Nm[:, j]
     half = [np.where(at.t_s > share * at.t_s.max(), 1.0, 0.0) for share in (0.25, 0.5, 0.75)]
@@ -217,7 +217,7 @@ def _of_an_angle(at: Beside, j: int, n: int) -> list[tuple[str, str, Array]]:
     return shapes
 
 
-def _fields(scene: Scene) -> Iterator[SeriesTerm]:
+def _fields(scene: SeriesScene) -> Iterator[SeriesTerm]:
     """The measured places off by any smooth field: products of two coordinates along every axis."""
     number = scene.number("tip_m")
     if number is None:

@@ -19,11 +19,11 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws, other_forms
 from calib.gap.finding import EffectName
-from calib.gap.residuals.rows import Rows
-from calib.gap.series.fit import Fit
-from calib.gap.series.split import Picked, Split
+from calib.gap.residuals.rows import ResidualRows
+from calib.gap.series.fit import SeriesFit
+from calib.gap.series.split import Picked, RowSplit
 from calib.gap.series.validation import Member
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Law
 from control.model.arm import Arm
 from control.model.description import arm_text, parse_arm
 from control.model.effects import EFFECTS
@@ -43,7 +43,7 @@ class Identified:
     dropped: Mapping[EffectName, str]
 
 
-def identified(fit: Fit, some: Sequence[Member], parts: Split) -> Identified:
+def identified(fit: SeriesFit, some: Sequence[Member], parts: RowSplit) -> Identified:
     """Least squares of the laws of members of a fit's best set on the rows that decide, without those that do not help."""
     dropped: dict[EffectName, str] = {}
     while True:
@@ -69,7 +69,7 @@ class _Laws:
     ridge: Array
 
     @classmethod
-    def of(cls, fit: Fit, some: Sequence[Member], parts: Split) -> _Laws:
+    def of(cls, fit: SeriesFit, some: Sequence[Member], parts: RowSplit) -> _Laws:
         ways = tuple(map(_ways, some))
         ends = np.cumsum([0, *(free.shape[1] for _, free in ways)]).tolist()
         places = tuple(slice(first, end) for first, end in itertools.pairwise(ends))
@@ -185,7 +185,7 @@ def _ways(one: Member) -> tuple[Array, Array]:
     return np.zeros(len(size)), np.eye(len(size))[:, : one.term.laws]
 
 
-def in_best_forms(rows: Rows, laws: Sequence[Law], deciding: Picked) -> list[Law]:
+def in_best_forms(rows: ResidualRows, laws: Sequence[Law], deciding: Picked) -> list[Law]:
     """Each law in the form that leaves least of the rows that decide: arm.toml does not say in which of them a part keeps it."""
     model = list(laws)
     for place, law in enumerate(laws):
@@ -203,6 +203,6 @@ def read_back(arm: Arm) -> Arm:
     return dataclasses.replace(parse_arm(arm_text(arm), Path(f"{arm.name}.toml")), path=arm.path)
 
 
-def laws_of(rows: Rows, arm: Arm, deciding: Picked) -> dict[EffectName, Law]:
+def laws_of(rows: ResidualRows, arm: Arm, deciding: Picked) -> dict[EffectName, Law]:
     """What an arm's file says of time series, by name."""
     return {law.name: law for law in in_best_forms(rows, known_laws(arm), deciding)}

@@ -12,11 +12,11 @@ from calib.gap.effects.frame import FRAME
 from calib.gap.finding import GEOMETRY, GapFinding
 from calib.gap.log import Log
 from calib.gap.model_update import as_totals, updated_arm
-from calib.gap.residuals.rows import Rows, without_motion
-from calib.gap.residuals.scene import Scene
+from calib.gap.residuals.rows import ResidualRows, without_motion
+from calib.gap.residuals.scene import SeriesScene
 from calib.gap.series.advice import next_experiment, open_questions
 from calib.gap.series.answer import (
-    Verdict,
+    SeriesVerdict,
     judged,
     nameable_effects,
     named_effects,
@@ -29,12 +29,12 @@ from calib.gap.series.file import in_best_forms, laws_of, read_back
 from calib.gap.series.iterations import fitted
 from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, grown, in_rad, in_si, left_out
 from calib.gap.series.plausible import plausible
-from calib.gap.series.split import Split, split
+from calib.gap.series.split import RowSplit, split
 from calib.gap.series.validation import validated
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.physics import Physics
-from calib.gap.signals.recording import Recording, prepare
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.recording import RunSet, prepare
+from calib.gap.signals.terms import Law
 from control.model.arm import Arm
 from control.progress import Advance
 from control.progress import silent as quiet
@@ -62,7 +62,7 @@ def examine(
     rows, known = _rows(Physics(arm, recording), recording, known_laws(arm))
     warnings = [*recording.warnings, *without_motion(rows.table)]
     warnings += map(str, ripples(recording, rows.physics.gear_ratios))
-    parts, scene = split(recording, rows.table), Scene(rows, known)
+    parts, scene = split(recording, rows.table), SeriesScene(rows, known)
     fit = fitted(scene, known, parts, candidates, progress)
     progress("the gap on runs used for nothing else", 0.95)
     parts = parts.only(scene.kept)
@@ -86,15 +86,21 @@ def examine(
     )
 
 
-def _rows(physics: Physics, recording: Recording, known: Sequence[Law]) -> tuple[Rows, tuple[Law, ...]]:
+def _rows(physics: Physics, recording: RunSet, known: Sequence[Law]) -> tuple[ResidualRows, tuple[Law, ...]]:
     """Rows, and what the file has, so that what is found adds up to its total."""
-    rows = Rows(physics, known)
+    rows = ResidualRows(physics, known)
     model = tuple(in_best_forms(rows, known, split(recording, rows.table).deciding))
-    return (rows if model == tuple(known) else Rows(physics, model)), model
+    return (rows if model == tuple(known) else ResidualRows(physics, model)), model
 
 
 def _finding(
-    arm: Arm, log: Log, recording: Recording, rows: Rows, known: Sequence[Law], verdict: Verdict, parts: Split
+    arm: Arm,
+    log: Log,
+    recording: RunSet,
+    rows: ResidualRows,
+    known: Sequence[Law],
+    verdict: SeriesVerdict,
+    parts: RowSplit,
 ) -> tuple[GapFinding, Array, Array, tuple[Law, ...]]:
     """What was decided, with the gap that the file leaves on the runs that were used for nothing else; what the arm and the file
     leave of all rows, and the file's laws with what is taken off as the sensors' own.

@@ -15,21 +15,21 @@ from calib.gap.posterior.search import MergingSearch, Weighed
 from calib.gap.posterior.term import Key
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.whitening import Noise
-from calib.gap.series.linear import Linear, marginalised
-from calib.gap.series.split import Picked, Split
-from calib.gap.signals.terms import Term as Law
+from calib.gap.series.linear import SeriesLinear, marginalised
+from calib.gap.series.split import Picked, RowSplit
+from calib.gap.signals.terms import Law
 
 BARRED_MOST = 4  # searches, each without the laws that the one before bent too far
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class SeriesFit:
     """One linearisation, the noise around it, and what was decided; `gram` with nuisances, on the rows; `found`: all sets that
     were weighed, best first.
     """
 
     around: OperatingPoint
-    linear: Linear
+    linear: SeriesLinear
     noises: tuple[Noise, ...]
     gram: Gram
     evidence: Evidence
@@ -66,11 +66,11 @@ class Fit:
 
 def weighed(
     around: OperatingPoint,
-    linear: Linear,
+    linear: SeriesLinear,
     noises: Sequence[Noise],
-    split: Split,
+    split: RowSplit,
     starts: Sequence[frozenset[Key]],
-) -> Fit:
+) -> SeriesFit:
     """The sets of effects around an operating point, weighed on the rows that decide; `starts`: sets to begin with."""
     rows = around.scene.picked(split.deciding & around.scene.kept)
     gram = linear.gram(noises, rows)
@@ -81,10 +81,14 @@ def weighed(
         if not (bent := _bent_too_far(evidence, linear, found[0], around)):
             break
         barred |= bent
-    return Fit(around, linear, tuple(noises), gram, evidence, tuple(found), decide(evidence, found), rows)
+    return SeriesFit(
+        around, linear, tuple(noises), gram, evidence, tuple(found), decide(evidence, found), rows
+    )
 
 
-def _bent_too_far(evidence: Evidence, linear: Linear, best: Weighed, around: OperatingPoint) -> set[Key]:
+def _bent_too_far(
+    evidence: Evidence, linear: SeriesLinear, best: Weighed, around: OperatingPoint
+) -> set[Key]:
     """Names of a set that depart from their law more than real parts do: another law is behind them.
 
     Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same. How far a law departs
@@ -101,7 +105,7 @@ def _bent_too_far(evidence: Evidence, linear: Linear, best: Weighed, around: Ope
     return found
 
 
-def left(fit: Fit, numbers: Sequence[int], drop: Collection[int] = ()) -> Array:
+def left(fit: SeriesFit, numbers: Sequence[int], drop: Collection[int] = ()) -> Array:
     """What terms of the best set leave of all rows (rows,), refitted beside nuisances, without those of `drop`."""
     linear, scales = fit.linear, dict(fit.best.members)
     at = linear.at(numbers)

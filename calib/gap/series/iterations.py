@@ -13,17 +13,17 @@ from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import REMAINS, UNTOLD
 from calib.gap.posterior.term import Key
 from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.scene import Scene
+from calib.gap.residuals.scene import SeriesScene
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.blocks import blocks_of
-from calib.gap.series.fit import Fit, weighed
-from calib.gap.series.linear import Linear, cross_validated, noises_of
+from calib.gap.series.fit import SeriesFit, weighed
+from calib.gap.series.linear import SeriesLinear, cross_validated, noises_of
 from calib.gap.series.nuisances import nuisances
 from calib.gap.series.rivals import against_rivals
 from calib.gap.series.settling import remains, settled
-from calib.gap.series.split import Picked, Split
-from calib.gap.signals.terms import Term as Law
+from calib.gap.series.split import Picked, RowSplit
+from calib.gap.signals.terms import Law
 from control.progress import Advance
 
 LINEARISATIONS = 3  # linearisations, at most
@@ -37,13 +37,13 @@ class Validated:
     rows that were looked at.
     """
 
-    fit: Fit
+    fit: SeriesFit
     noises: tuple[Noise, ...]
     missed: float
     kept: Picked
 
     @classmethod
-    def of(cls, fit: Fit, split: Split) -> Validated:
+    def of(cls, fit: SeriesFit, split: RowSplit) -> Validated:
         """Every group of recordings predicted from the others."""
         scene, members = fit.around.scene, fit.best.members
         sd = np.concatenate([fit.evidence.scales[k][0][h] for k, h in members] or [np.zeros(0)])
@@ -62,8 +62,8 @@ class Validated:
 
 
 def fitted(
-    scene: Scene, known: Sequence[Law], split: Split, names: Collection[str] | None, advance: Advance
-) -> Fit:
+    scene: SeriesScene, known: Sequence[Law], split: RowSplit, names: Collection[str] | None, advance: Advance
+) -> SeriesFit:
     """The last fit that predicts recordings no worse than those before it."""
     around = OperatingPoint.of(scene, known, {})
     last: Validated | None = None
@@ -72,9 +72,9 @@ def fitted(
     first: list[SeriesTerm] = []
     blocks = list(blocks_of(around))
 
-    def linearised(point: OperatingPoint) -> Linear:
+    def linearised(point: OperatingPoint) -> SeriesLinear:
         terms = [*series_terms(point, names, first), *blocks]
-        return Linear.around(point, terms, tuple(nuisances(point, terms)))
+        return SeriesLinear.around(point, terms, tuple(nuisances(point, terms)))
 
     for count in range(LINEARISATIONS):
         advance("what every effect would do", 0.1 + 0.28 * count)

@@ -13,7 +13,7 @@ from scipy.linalg import solve_triangular
 from calib.arrays import Array
 from calib.gap.posterior.evidence import Gram
 from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.scene import Scene
+from calib.gap.residuals.scene import SeriesScene
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.residuals.whitening import Noise, fitted
 from calib.gap.series.split import Picked
@@ -30,13 +30,13 @@ class Stack:
 
 
 @dataclass(frozen=True, slots=True)
-class Linear:
+class SeriesLinear:
     """Terms, and y (rows,): what the arm does beyond what is known, as if no term were in the model yet.
 
     Columns are counted with those of `nuisances` first. `stacks`: one a cell, of thin rows, as `thin_y` (thin rows,) is.
     """
 
-    scene: Scene
+    scene: SeriesScene
     terms: tuple[SeriesTerm, ...]
     nuisances: tuple[SeriesTerm, ...]
     y: Array
@@ -47,7 +47,7 @@ class Linear:
     @classmethod
     def around(
         cls, around: OperatingPoint, terms: Sequence[SeriesTerm], nuisances: Sequence[SeriesTerm] = ()
-    ) -> Linear:
+    ) -> SeriesLinear:
         """Terms of the model are added to what it leaves, at what they are there."""
         y = -around.residual.copy()
         for one in terms:
@@ -141,7 +141,7 @@ def only(gram: Gram, at: Places) -> Gram:
 
 
 def cross_validated(
-    linear: Linear, numbers: Sequence[int], sd: Array, noises: Sequence[Noise], groups: Sequence[Picked]
+    linear: SeriesLinear, numbers: Sequence[int], sd: Array, noises: Sequence[Noise], groups: Sequence[Picked]
 ) -> Array:
     """What a set leaves of every group of thin rows with the coefficients that the other groups give: (rows,).
 
@@ -161,7 +161,7 @@ def cross_validated(
     return rest
 
 
-def noises_of(scene: Scene, rest: Array, rows: Picked) -> list[Noise]:
+def noises_of(scene: SeriesScene, rest: Array, rows: Picked) -> list[Noise]:
     """Each cell's noise from what is left on the picked thin rows."""
     found = []
     for k, thin in enumerate(scene.thin):

@@ -17,7 +17,7 @@ from calib.gap.posterior.constants import DEPARTURES, IMMATERIAL
 from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.term import SeriesTerm, scaled
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Law
 
 KNOWN_DEPARTURE = DEPARTURES[2]
 NUISANCES = Block(0, "nuisances")

@@ -11,11 +11,11 @@ from calib.arrays import Array
 from calib.gap.drawn_law import DrawnLaw
 from calib.gap.finding import GapFinding
 from calib.gap.posterior.constants import SILENT_MOST
-from calib.gap.residuals.rows import Cell, RowTable
-from calib.gap.series.split import Picked, Split
+from calib.gap.residuals.rows import ChannelRows, RowTable
+from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.motion import MotionGap
 from calib.gap.signals.physics import Physics
-from calib.gap.signals.terms import Term as Law
+from calib.gap.signals.terms import Law
 from control.model.arm import Arm
 
 FAR_OFF = 20.0  # floors
@@ -32,7 +32,7 @@ class DynamicOutcome:
     rows: RowTable
     before: Array
     after: Array
-    split: Split
+    split: RowSplit
     run_names: tuple[str, ...]
     physics: Physics
     model: tuple[Law, ...]
@@ -62,7 +62,7 @@ def floors_si(table: RowTable, arm: Arm) -> dict[str, float]:
 def in_si(residual: Array, table: RowTable, picked: Picked, arm: Arm) -> dict[str, float]:
     """Root mean square of picked rows by channel."""
 
-    def size(cell: Cell) -> float:
+    def size(cell: ChannelRows) -> float:
         values = residual[cell.rows][picked[cell.rows]]
         return float(np.sqrt(np.mean(values**2)) * cell.floor) if len(values) else float("nan")
 
@@ -74,7 +74,7 @@ def in_rad(moved: Mapping[str, MotionGap], which: str) -> dict[str, float]:
     return {channel: float(getattr(one, which)) for channel, one in moved.items()}
 
 
-def _by_channel(table: RowTable, arm: Arm, size: Callable[[Cell], float]) -> dict[str, float]:
+def _by_channel(table: RowTable, arm: Arm, size: Callable[[ChannelRows], float]) -> dict[str, float]:
     """Root mean square over the joints of each channel, the voltage in volts."""
     squares: dict[str, list[float]] = {}
     for cell in table.cells:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.body import Body, Load
+from calib.gap.signals.body import BodyTorques, Load
 from calib.gap.signals.held import not_held
-from calib.gap.signals.recording import Recording, UnusableLogError
+from calib.gap.signals.recording import RunSet, UnusableLogError
 from calib.gap.signals.sampling import is_resampled
 from calib.gap.units import UNITS, amperes_per
 from control.kinematics.kinematics import Kinematics
@@ -42,7 +42,7 @@ class _Fit:
     correlation: float
 
 
-def plausible(arm: Arm, recording: Recording) -> Recording:
+def plausible(arm: Arm, recording: RunSet) -> RunSet:
     """The recording without channels that cannot be right, each with a sentence; UnusableLogError if none is left."""
     _check_time(recording)
     if all(np.ptp(run.q_raw, axis=0).max() < MOVES_rad for run in recording.runs):
@@ -77,7 +77,7 @@ def _found(said: list[str], sentence: str) -> bool:
     return bool(sentence)
 
 
-def _resampled(recording: Recording) -> str:
+def _resampled(recording: RunSet) -> str:
     if not is_resampled([run.current_raw_A for run in recording.runs]):
         return ""
     return (
@@ -86,7 +86,7 @@ def _resampled(recording: Recording) -> str:
     )
 
 
-def _check_time(recording: Recording) -> None:
+def _check_time(recording: RunSet) -> None:
     period = 1.0 / recording.filters.rate_Hz
     if period > SLOWEST_s:
         like = ": are they milliseconds?" if period >= 0.5 else ": too slow for the dynamics of an arm"
@@ -95,7 +95,7 @@ def _check_time(recording: Recording) -> None:
         raise UnusableLogError(f"log: t_s advances by {period:g} s a sample: expected seconds")
 
 
-def _is_silent(recording: Recording, column: str, said: list[str]) -> bool:
+def _is_silent(recording: RunSet, column: str, said: list[str]) -> bool:
     """A sensor whose value never changes while its joint moves; with the driver off, nothing else is expected of it."""
     is_current = column.startswith("i")
     for j in range(recording.runs[0].q.shape[1]):
@@ -114,7 +114,7 @@ def _is_silent(recording: Recording, column: str, said: list[str]) -> bool:
     return False
 
 
-def _wrong_current(arm: Arm, recording: Recording) -> str:
+def _wrong_current(arm: Arm, recording: RunSet) -> str:
     """Currents beside those that the motion needs."""
     fits = _current_fits(arm, recording)
     sentence = _another_unit(arm, fits)
@@ -153,10 +153,10 @@ def _another_unit(arm: Arm, fits: Mapping[int, _Fit]) -> str:
     return ""
 
 
-def _current_fits(arm: Arm, recording: Recording) -> dict[int, _Fit]:
+def _current_fits(arm: Arm, recording: RunSet) -> dict[int, _Fit]:
     """Measured currents as factors of those that the motion needs, by joint (1-based); its friction is left free."""
     fits = {}
-    body, filters = Body(arm, recording), recording.filters
+    body, filters = BodyTorques(arm, recording), recording.filters
     torques = body.link_torques(Load())
     for drive in arm.drives:
         j = drive.joint - 1
@@ -175,7 +175,7 @@ def _current_fits(arm: Arm, recording: Recording) -> dict[int, _Fit]:
     return fits
 
 
-def _placeholders(arm: Arm, recording: Recording) -> str:
+def _placeholders(arm: Arm, recording: RunSet) -> str:
     """Drives whose back-EMF is far from the file's torque constant: voltages and speeds tell it whatever the currents' unit."""
     off = []
     for drive in arm.drives:
@@ -200,7 +200,7 @@ def _placeholders(arm: Arm, recording: Recording) -> str:
     )
 
 
-def _electrical(recording: Recording, j: int) -> tuple[Array, Array]:
+def _electrical(recording: RunSet, j: int) -> tuple[Array, Array]:
     """Voltages (m,) of a drive, and its currents, speeds and ones (m, 3)."""
     driven = [~run.is_off[:, j] for run in recording.runs]
     columns = [
@@ -219,7 +219,7 @@ def _fitted(wanted: Array, columns: Array, of: Array | None = None) -> tuple[Arr
     return np.asarray(size, dtype=float), 1.0 - left / whole if whole > 0.0 else 0.0
 
 
-def _wrong_voltage(arm: Arm, recording: Recording) -> str:
+def _wrong_voltage(arm: Arm, recording: RunSet) -> str:
     """Voltages beside what currents and speeds need."""
     for drive in arm.drives:
         j = drive.joint - 1
@@ -262,7 +262,7 @@ def _factor_in_words(name: str, what: str, fit: _Fit) -> str:
     return ""
 
 
-def _wrong_tip(arm: Arm, recording: Recording) -> str:
+def _wrong_tip(arm: Arm, recording: RunSet) -> str:
     kinematics = Kinematics(arm)
     reach = sum(abs(link.L_m) + abs(link.d_m) for link in arm.links)
     seen = np.concatenate([run.tip_m for run in recording.runs])

@@ -14,15 +14,17 @@ from calib.gap.posterior.constants import FLOOR_DOUBT, MARGIN, NEARLY
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.series.fit import Fit, weighed
-from calib.gap.series.linear import Linear, marginalised
+from calib.gap.series.fit import SeriesFit, weighed
+from calib.gap.series.linear import SeriesLinear, marginalised
 from calib.gap.series.settling import settled
-from calib.gap.series.split import Picked, Split
+from calib.gap.series.split import Picked, RowSplit
 
 RIVALS_MOST = 3  # that are looked into: each costs a linearisation
 
 
-def against_rivals(fit: Fit, split: Split, linearise: Callable[[OperatingPoint], Linear]) -> Fit:
+def against_rivals(
+    fit: SeriesFit, split: RowSplit, linearise: Callable[[OperatingPoint], SeriesLinear]
+) -> SeriesFit:
     """The likeliest of a fit and its rivals' own; what leads by too little for a name is ambiguous with its rival."""
     scene = fit.around.scene
     near: list[tuple[EffectName, EffectName]] = []
@@ -52,7 +54,7 @@ def against_rivals(fit: Fit, split: Split, linearise: Callable[[OperatingPoint],
     return replace(fit, decision=fit.decision.with_sets(still))
 
 
-def rivals(fit: Fit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
+def rivals(fit: SeriesFit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
     """Each name with another that, in its place, adds nearly what it adds, and the likeliest such set."""
     terms, best = fit.linear.terms, fit.best
     for (number, _), gain in zip(best.members, best.gains, strict=True):
@@ -70,11 +72,11 @@ def rivals(fit: Fit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
                 yield name, new[0], one
 
 
-def _with(fit: Fit, members: Weighed) -> Fit:
+def _with(fit: SeriesFit, members: Weighed) -> SeriesFit:
     return replace(fit, decision=replace(fit.decision, best=members))
 
 
-def _log(fit: Fit, rows: Picked) -> float:
+def _log(fit: SeriesFit, rows: Picked) -> float:
     """Log posterior of a fit's best set on thin rows, that of another operating point may be compared with."""
     gram = marginalised(fit.linear.gram(fit.noises, rows), fit.linear.first)
     evidence = Evidence(gram, fit.linear.terms, FLOOR_DOUBT)

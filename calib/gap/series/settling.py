@@ -11,16 +11,16 @@ from calib.gap.posterior.constants import DEPARTURES, SIZE_LEVELS
 from calib.gap.posterior.term import Key
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.term import SeriesTerm
-from calib.gap.series.fit import Fit
-from calib.gap.series.linear import Linear
-from calib.gap.series.split import Picked, Split
-from calib.gap.signals.terms import Term as Law
+from calib.gap.series.fit import SeriesFit
+from calib.gap.series.linear import SeriesLinear
+from calib.gap.series.split import Picked, RowSplit
+from calib.gap.signals.terms import Law
 
 SETTLINGS = 5  # refits of laws that bend
 SETTLED = 0.01  # of a value
 
 
-def remains(around: OperatingPoint, fit: Fit) -> float:
+def remains(around: OperatingPoint, fit: SeriesFit) -> float:
     """What a model leaves of the rows that decide, each cell by its noise; blocks are in no model."""
     thin = zip(around.scene.thinned, around.scene.cells, strict=True)
     left = np.concatenate([one.of(around.residual[cell.rows]) for one, cell in thin])
@@ -28,7 +28,7 @@ def remains(around: OperatingPoint, fit: Fit) -> float:
     return float(np.sum(white**2))
 
 
-def settled(fit: Fit, split: Split) -> OperatingPoint:
+def settled(fit: SeriesFit, split: RowSplit) -> OperatingPoint:
     """Around the best set, its laws' values refitted until those that the rows follow in no straight line stay.
 
     Of all turns the one that leaves least: what a play does to the rows bends so much that a refit may lead away.
@@ -50,12 +50,12 @@ def settled(fit: Fit, split: Split) -> OperatingPoint:
     return best[1]
 
 
-def _refitted(fit: Fit, around: OperatingPoint, split: Split) -> tuple[dict[Key, Law], float]:
+def _refitted(fit: SeriesFit, around: OperatingPoint, split: RowSplit) -> tuple[dict[Key, Law], float]:
     """The laws of a model one step further, and by what share the values of those that bend changed, at most."""
     scene, laws = around.scene, around.found
     blocks = [fit.linear.terms[k] for k in fit.numbers if fit.linear.terms[k].law is None]
     terms = [one for one in series_terms(around, keys=laws.keys()) if one.now is not None]
-    linear = Linear.around(around, [*terms, *blocks])
+    linear = SeriesLinear.around(around, [*terms, *blocks])
     gram = linear.gram(fit.noises, scene.picked(split.deciding & scene.kept))
     sd = np.concatenate([_usual(one) for one in linear.terms])
     inner = np.eye(len(sd)) + sd[:, None] * gram.tip * sd

@@ -16,7 +16,7 @@ from calib.gap.posterior.parameters import is_exact
 from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.blocks import CAMERA
-from calib.gap.series.fit import Fit, left
+from calib.gap.series.fit import SeriesFit, left
 from calib.gap.series.outcome import gap
 from calib.gap.series.split import Picked
 
@@ -47,7 +47,7 @@ class Member:
         return self.term.departed_by(self.size)
 
 
-def members(fit: Fit) -> Iterator[Member]:
+def members(fit: SeriesFit) -> Iterator[Member]:
     """Each averaged over how large it and its departures may be, all others at their best.
 
     An exact law is left out of that where a law may depart: an interval holds only if it counts departures that do not show.
@@ -82,7 +82,7 @@ def members(fit: Fit) -> Iterator[Member]:
         yield Member(number, term, mean, np.asarray(covariance) + departs * _alike(fit, term, mean))
 
 
-def _alike(fit: Fit, term: SeriesTerm, size: Array) -> Array:
+def _alike(fit: SeriesFit, term: SeriesTerm, size: Array) -> Array:
     """Covariance that departures as large as the law give its coefficients, as far as no data tell them from the law.
 
     What the arm's file has of the same law departs with it.
@@ -101,7 +101,7 @@ def _alike(fit: Fit, term: SeriesTerm, size: Array) -> Array:
     return result
 
 
-def with_only(fit: Fit, names: Collection[int]) -> Fit:
+def with_only(fit: SeriesFit, names: Collection[int]) -> SeriesFit:
     """The fit with the best set's blocks and these of its other terms."""
     terms = fit.linear.terms
     some = tuple(one for one in fit.best.members if one[0] in names or isinstance(terms[one[0]].key, Block))
@@ -109,7 +109,7 @@ def with_only(fit: Fit, names: Collection[int]) -> Fit:
     return dataclasses.replace(fit, decision=dataclasses.replace(fit.decision, best=best))
 
 
-def validated(fit: Fit, reporting: Picked) -> tuple[Fit, list[Key]]:
+def validated(fit: SeriesFit, reporting: Picked) -> tuple[SeriesFit, list[Key]]:
     """The fit whose best set is estimated without blocks that do not help the runs kept apart, and the names that harm them.
 
     Blocks are tried beside names that do no harm by themselves.
@@ -132,7 +132,7 @@ def validated(fit: Fit, reporting: Picked) -> tuple[Fit, list[Key]]:
     return dataclasses.replace(fit, decision=dataclasses.replace(fit.decision, best=best_set)), harming
 
 
-def _harmless(fit: Fit, numbers: Sequence[int], reporting: Picked) -> list[int]:
+def _harmless(fit: SeriesFit, numbers: Sequence[int], reporting: Picked) -> list[int]:
     """Those without which the gap on the runs kept apart does not shrink, each time estimated again."""
     table, sound = fit.around.scene.rows.table, list(numbers)
     while sound:
@@ -145,7 +145,9 @@ def _harmless(fit: Fit, numbers: Sequence[int], reporting: Picked) -> list[int]:
     return sound
 
 
-def dominant_names(fit: Fit, names: Sequence[int], corrected: Sequence[int], reporting: Picked) -> list[int]:
+def dominant_names(
+    fit: SeriesFit, names: Sequence[int], corrected: Sequence[int], reporting: Picked
+) -> list[int]:
     """Names that explain more than is left without a name, in the channels where they show, on the runs kept apart.
 
     What has no name casts shadows: of a dozen laws of a joint one always takes a part of it. So the largest of all is known.
@@ -173,7 +175,7 @@ def dominant_names(fit: Fit, names: Sequence[int], corrected: Sequence[int], rep
 
 
 def _explained_over_remainder(
-    fit: Fit, one: Member, without: Array, whole: Array, reporting: Picked
+    fit: SeriesFit, one: Member, without: Array, whole: Array, reporting: Picked
 ) -> float:
     """What a term explains over what is left above the noise in the channels that it moves, each as it moves them.
 
@@ -199,7 +201,7 @@ def _explained_over_remainder(
     return sum(explained) / sum(left * signal / most for left, signal in zip(remains, moved, strict=True))
 
 
-def _strongest(fit: Fit, one: Member, picked: Picked) -> float:
+def _strongest(fit: SeriesFit, one: Member, picked: Picked) -> float:
     """Mean square of what a term does to the rows picked, in the channel that it moves most there [noise variances]."""
     found = [0.0]
     for cell, columns in one.term.response.items():
@@ -209,7 +211,7 @@ def _strongest(fit: Fit, one: Member, picked: Picked) -> float:
     return max(found)
 
 
-def grown(fit: Fit, rest: Array, whole: Array, reporting: Picked) -> float:
+def grown(fit: SeriesFit, rest: Array, whole: Array, reporting: Picked) -> float:
     """By how much the squared gap of a cell is larger with `rest` than with `whole`, on the rows kept apart, at most."""
     found = []
     for cell in fit.around.scene.cells:
@@ -219,7 +221,7 @@ def grown(fit: Fit, rest: Array, whole: Array, reporting: Picked) -> float:
     return max(found, key=abs, default=0.0)
 
 
-def bends(fit: Fit, block: Member, names: Sequence[Member]) -> tuple[EffectName | None, float]:
+def bends(fit: SeriesFit, block: Member, names: Sequence[Member]) -> tuple[EffectName | None, float]:
     """The law that a block bends in its own variable, no more than real parts do, and by what share of it."""
     for one in names:
         key, own = one.term.key, block.term.key
@@ -235,7 +237,7 @@ def bends(fit: Fit, block: Member, names: Sequence[Member]) -> tuple[EffectName 
     return None, 0.0
 
 
-def _moved(fit: Fit, one: Member, count: int, cells: Collection[int]) -> float:
+def _moved(fit: SeriesFit, one: Member, count: int, cells: Collection[int]) -> float:
     """Root of the sum of squares of what a member's first columns do to the rows of cells."""
     parts = [
         one.term.response[cell][:, :count] @ one.size[:count] for cell in cells if cell in one.term.response

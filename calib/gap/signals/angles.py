@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.signals.friction import Moving
-from calib.gap.signals.terms import Term
+from calib.gap.signals.terms import Law
 from control.model.effects import followed_joint, moved_joint
 
 
@@ -32,7 +32,7 @@ class MotorAhead:
 STILL: Final = MotorAhead(0.0, 0.0, 0.0)
 
 
-def joint_ahead(terms: Sequence[Term], q: Array, t_s: Array) -> Array:
+def joint_ahead(terms: Sequence[Law], q: Array, t_s: Array) -> Array:
     """How much further than their encoders say the joints have turned, (m, n)."""
     ahead = np.zeros_like(q)
     for term in terms:
@@ -41,16 +41,16 @@ def joint_ahead(terms: Sequence[Term], q: Array, t_s: Array) -> Array:
     return ahead
 
 
-def motor_ahead(terms: Sequence[Term], q: Array, t_s: Array) -> Array:
+def motor_ahead(terms: Sequence[Law], q: Array, t_s: Array) -> Array:
     """How much further than their encoders say the motors have turned, in joint angles, (m, n)."""
     return joint_ahead([term for term in terms if _is_of_motor(term)], q, t_s)
 
 
-def _is_of_motor(term: Term) -> bool:
+def _is_of_motor(term: Law) -> bool:
     return term.form.where == "encoder" and not term.form.is_by_time
 
 
-def angle_error(terms: Sequence[Term], run: Moving) -> tuple[MotorAhead, tuple[Array, Array, Array]]:
+def angle_error(terms: Sequence[Law], run: Moving) -> tuple[MotorAhead, tuple[Array, Array, Array]]:
     """What the motors do beyond their encoders, and the links' angles, speeds and accelerations."""
     q, speed, acceleration = np.array(run.q), np.array(run.speed), np.array(run.acceleration)
     motor = np.zeros((3, *q.shape))
@@ -71,14 +71,14 @@ def angle_error(terms: Sequence[Term], run: Moving) -> tuple[MotorAhead, tuple[A
     return MotorAhead(*motor), (q, speed, acceleration)
 
 
-def place(term: Term) -> tuple[int, int]:
+def place(term: Law) -> tuple[int, int]:
     """The joint (0-based) that is elsewhere, and the one whose angle says how far."""
     name = term.name
     moved, followed = moved_joint(name.effect, name.joint), followed_joint(name.effect, name.joint)
     return (moved or 0) - 1, (followed or 0) - 1
 
 
-def _turned(term: Term, q: Array, t_s: Array) -> tuple[Array, Array, Array]:
+def _turned(term: Law, q: Array, t_s: Array) -> tuple[Array, Array, Array]:
     """The error and its first and second derivative by the angle, by time for a drift."""
     if term.form.angle is None:
         raise ValueError(f"{term.form} is no error of an angle")

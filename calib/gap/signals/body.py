@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.recording import Motion, Recording
+from calib.gap.signals.recording import EvenRun, RunSet
 from calib.gap.signals.staircase import Windings
 from control.dynamics.dynamics import Dynamics
 from control.model.arm import Arm
@@ -34,10 +34,10 @@ class Load:
     inertia_kg_m2: tuple[tuple[int, float], ...] = ()
 
 
-class Body:
+class BodyTorques:
     """Rigid-body torques of one arm on one recording."""
 
-    def __init__(self, arm: Arm, recording: Recording) -> None:
+    def __init__(self, arm: Arm, recording: RunSet) -> None:
         self._arm, self._recording = _with_inertia(arm), recording
         self._loaded: dict[Load, Dynamics] = {}
         self._torques: dict[Load, list[Array]] = {}
@@ -53,7 +53,7 @@ class Body:
             self._torques[load] = [self.moved(load, r, r.q, r.speed, r.acceleration) for r in runs]
         return self._torques[load]
 
-    def moved(self, load: Load, run: Motion, q: Array, speed: Array, acceleration: Array) -> Array:
+    def moved(self, load: Load, run: EvenRun, q: Array, speed: Array, acceleration: Array) -> Array:
         """Link torques (m, n) of one run for another motion of the links."""
         dynamics = self.dynamics(load)
         payload = np.maximum(run.payload_kg + load.payload_kg, 0.0)
@@ -97,7 +97,7 @@ class Body:
             result.append((there - here)[:, joint] / SLOPE_rad)
         return result
 
-    def _push(self, load: Load, run: Motion, joint: int) -> Array:
+    def _push(self, load: Load, run: EvenRun, joint: int) -> Array:
         pushed = np.array(run.acceleration)
         pushed[:, joint] += 1.0
         with_push = self.moved(load, run, run.q, run.speed, pushed)

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.body import Body, Load
-from calib.gap.signals.parts import Parts, sorted_terms
-from calib.gap.signals.play import Followed, Follower, elastics, looses
-from calib.gap.signals.recording import Flags, Recording
-from calib.gap.signals.terms import Term
+from calib.gap.signals.body import BodyTorques, Load
+from calib.gap.signals.parts import ActingTerms, sorted_terms
+from calib.gap.signals.play import LinkDrive, LinkPlay, elastics, looses
+from calib.gap.signals.recording import Flags, RunSet
+from calib.gap.signals.terms import Law
 
 SHORTEST_SPRING_rad_Nm = 1e-8
 LEAST_INERTIA = 0.1  # of the nominal one
@@ -24,19 +24,19 @@ TERMS_KEPT = 48  # motions of elastic joints, some 1.5 MB each
 MODELS_KEPT = 6
 LOADS_KEPT = 24
 
-Rubbed = tuple[tuple[Term, tuple[float, float]], ...]
+Rubbed = tuple[tuple[Law, tuple[float, float]], ...]
 
 
-class Following:
+class YieldingJoints:
     """The elastic and loose joints of one recording."""
 
-    def __init__(self, recording: Recording, body: Body) -> None:
+    def __init__(self, recording: RunSet, body: BodyTorques) -> None:
         self._recording, self._body = recording, body
         self._moved: dict[tuple[Load, Rubbed], list[tuple[Array, Array]]] = {}
-        self._follow: dict[tuple[Load, int], Follower] = {}
-        self._followed_terms: dict[tuple[Load, tuple[float, float], Term], Followed] = {}
+        self._follow: dict[tuple[Load, int], LinkDrive] = {}
+        self._followed_terms: dict[tuple[Load, tuple[float, float], Law], LinkPlay] = {}
 
-    def all(self, parts: Parts) -> list[tuple[Array, Array]]:
+    def all(self, parts: ActingTerms) -> list[tuple[Array, Array]]:
         """Link torques and angles beyond the encoders', with the motion of elastic or loose joints in them."""
         key = (parts.load, tuple((term, parts.link_friction(term.index)) for term in parts.elastic))
         if key not in self._moved:
@@ -45,7 +45,7 @@ class Following:
             self._moved[key] = self._follow_anew(parts)
         return self._moved[key]
 
-    def _follow_anew(self, parts: Parts) -> list[tuple[Array, Array]]:
+    def _follow_anew(self, parts: ActingTerms) -> list[tuple[Array, Array]]:
         followed = {term.index: self._followed(parts, term) for term in parts.elastic}
         result = []
         for k, run in enumerate(self._recording.runs):
@@ -62,7 +62,7 @@ class Following:
             result.append((link, offset))
         return result
 
-    def flights(self, model: Sequence[Term]) -> dict[int, list[Flags]]:
+    def flights(self, model: Sequence[Law]) -> dict[int, list[Flags]]:
         """Samples (m,) of each run at which a loose joint (0-based) of the model lies on neither flank or just lands."""
         parts = sorted_terms(model)
         found = {}
@@ -72,7 +72,7 @@ class Following:
                 found[term.index] = [moving[: len(run), k] for k, run in enumerate(self._recording.runs)]
         return found
 
-    def beyond(self, model: Sequence[Term]) -> tuple[list[Array], list[Array]]:
+    def beyond(self, model: Sequence[Law]) -> tuple[list[Array], list[Array]]:
         """Angles and speeds of the links beyond their motors', (m, n) of each run."""
         parts = sorted_terms(model)
         angles = [np.zeros_like(run.q) for run in self._recording.runs]
@@ -84,11 +84,11 @@ class Following:
                 speeds[k][:, term.index] = found.speed_rad_s[: len(run), k]
         return angles, speeds
 
-    def foresee(self, model: Sequence[Term], variants: Sequence[Term]) -> None:
+    def foresee(self, model: Sequence[Law], variants: Sequence[Law]) -> None:
         """Follow one joint's elastic or loose gear with several values at once, for `predict` to find them done."""
         self._foresee(sorted_terms(model), variants)
 
-    def _foresee(self, parts: Parts, variants: Sequence[Term]) -> None:
+    def _foresee(self, parts: ActingTerms, variants: Sequence[Law]) -> None:
         link_friction = parts.link_friction(variants[0].index)
         missing = [term for term in variants if (parts.load, link_friction, term) not in self._followed_terms]
         if not missing:
@@ -109,20 +109,20 @@ class Following:
         for term, one in zip(missing, found, strict=True):
             self._followed_terms[parts.load, link_friction, term] = one
 
-    def _followed(self, parts: Parts, term: Term) -> Followed:
+    def _followed(self, parts: ActingTerms, term: Law) -> LinkPlay:
         key = parts.load, parts.link_friction(term.index), term
         if key not in self._followed_terms:
             # The slopes by its values are asked for next, and cost nothing beside it.
             self._foresee(parts, [term, *(neighbour for neighbour, _ in term.neighbours())])
         return self._followed_terms[key]
 
-    def _follower(self, load: Load, j: int) -> Follower:
+    def _follower(self, load: Load, j: int) -> LinkDrive:
         key = (load, j)
         if key not in self._follow:
             if len(self._follow) > LOADS_KEPT:
                 self._follow.clear()
             torques = [part[:, j] for part in self._body.link_torques(load)]
-            self._follow[key] = Follower(
+            self._follow[key] = LinkDrive(
                 _side_by_side(torques),
                 _side_by_side(self._turned(load, j)),
                 _side_by_side(self._body.gravity_slope(load, j)),

@@ -19,7 +19,7 @@ from calib.gap.signals.friction import friction_Nm
 from calib.gap.signals.parts import sorted_terms
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Flags
-from calib.gap.signals.terms import Term
+from calib.gap.signals.terms import Law
 
 STEP_s = 0.0004
 HARDEST = 0.25  # of inertia over step squared
@@ -27,7 +27,7 @@ FLANK_DAMPING = 0.7  # of critical
 
 
 @dataclass(slots=True)
-class State:
+class ForwardState:
     """Angles, speeds and accelerations of the links, those of the motors at the joint, and currents: (W, n)."""
 
     q: Array
@@ -52,7 +52,7 @@ class _Motion:
 class Forward:
     """One model of the arm, for W motions at once that carry `payload_kg` (W,)."""
 
-    def __init__(self, physics: Physics, model: Sequence[Term], payload_kg: Array) -> None:
+    def __init__(self, physics: Physics, model: Sequence[Law], payload_kg: Array) -> None:
         self._physics, self._parts, self._payload = physics, sorted_terms(model), payload_kg
         self._period = 1.0 / physics.recording.filters.rate_Hz
         self._steps = max(2, round(self._period / STEP_s))
@@ -72,7 +72,7 @@ class Forward:
         whole, within = divmod(max(self._parts.delay_s, 0.0), self._period)
         return int(whole), within
 
-    def advance(self, state: State, newer_V: Array, older_V: Array, is_off: Flags) -> None:
+    def advance(self, state: ForwardState, newer_V: Array, older_V: Array, is_off: Flags) -> None:
         """One sample, in place: `older_V` until the delay's rest has passed, then `newer_V` (W, n)."""
         bias, inverse, mass = self._body(state)
         rigid = bias + np.einsum("wij,wj->wi", mass, state.acceleration)
@@ -101,14 +101,14 @@ class Forward:
             state.motor_speed, state.motor = motor_speed, motor
         state.t_s = state.t_s + self._period
 
-    def _current(self, state: State, voltage: Array) -> Array:
+    def _current(self, state: ForwardState, voltage: Array) -> Array:
         physics = self._physics
         seen = physics.sagged(self._parts, voltage, state.current_A)
         target = (seen - self._K * state.motor_speed) / physics.resistance_ohm
         lag = np.maximum(physics.lag_s, 1e-9)
         return np.asarray(target + (state.current_A - target) * np.exp(-self._h / lag))
 
-    def _transmitted(self, state: State, inverse: Array) -> dict[int, Array]:
+    def _transmitted(self, state: ForwardState, inverse: Array) -> dict[int, Array]:
         """Torque of each elastic or loose gear (W,)."""
         result = {}
         for j, term in self._gears.items():
@@ -127,7 +127,7 @@ class Forward:
                 result[j] = np.where(into > 0.0, np.maximum(torque, 0.0), np.minimum(torque, 0.0))
         return result
 
-    def _frictions(self, state: State, load_Nm: Array) -> tuple[Array, Array]:
+    def _frictions(self, state: ForwardState, load_Nm: Array) -> tuple[Array, Array]:
         """At the motors, and behind the gears: (W, n) each."""
         at_motor, behind = np.zeros_like(load_Nm), np.zeros_like(load_Nm)
         motors = _Motion(state.motor, state.motor_speed, state.acceleration, state.t_s)
@@ -138,7 +138,7 @@ class Forward:
                 behind[:, j] += share * friction_Nm(term, links, j, load_Nm[:, j], ratio)
         return at_motor, behind
 
-    def _body(self, state: State) -> tuple[Array, Array, Array]:
+    def _body(self, state: ForwardState) -> tuple[Array, Array, Array]:
         """Bias (W, n), inverse of the mass matrices with the rotors that turn with their links, those without rotors."""
         W, n = state.q.shape
         dynamics = self._physics.body.dynamics(self._parts.load)
@@ -151,7 +151,9 @@ class Forward:
         return found[0], np.linalg.inv(mass + np.diag(self._own_rotor)), mass
 
 
-def begin(physics: Physics, model: Sequence[Term], runs: Sequence[int], samples: Sequence[int]) -> State:
+def begin(
+    physics: Physics, model: Sequence[Law], runs: Sequence[int], samples: Sequence[int]
+) -> ForwardState:
     """The measured states at these samples of these runs; behind elastic gears where they are simulated to be."""
     recording = physics.recording
     offsets, speeds = physics.following.beyond(model)
@@ -168,4 +170,6 @@ def begin(physics: Physics, model: Sequence[Term], runs: Sequence[int], samples:
     ahead = np.stack([offsets[k][s] for k, s in pairs])
     faster = np.stack([speeds[k][s] for k, s in pairs])
     times = np.array([recording.runs[k].t_s[s] for k, s in pairs])
-    return State(motor + ahead, motor_speed + faster, at("acceleration"), motor, motor_speed, current, times)
+    return ForwardState(
+        motor + ahead, motor_speed + faster, at("acceleration"), motor, motor_speed, current, times
+    )

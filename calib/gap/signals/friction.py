@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.terms import Term
+from calib.gap.signals.terms import Law
 
 FAST, FASTEST = 0.3, 0.4  # of a turn of cogging's phase a sample: from here on it fades, and is gone
 
@@ -33,7 +33,7 @@ class Moving(Protocol):
 
 
 def sampled_friction_Nm(
-    term: Term, run: Moving, j: int, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
+    term: Law, run: Moving, j: int, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
 ) -> Array:
     """`friction_Nm` along a run of equal samples, without what these cannot carry.
 
@@ -48,7 +48,7 @@ def sampled_friction_Nm(
 
 
 def friction_Nm(
-    term: Term, run: Moving, j: int, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
+    term: Law, run: Moving, j: int, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
 ) -> Array:
     """Torque (m,) that the motor has to add for this term; `ahead_rad` (m,): its angle beyond what its encoder says."""
     if term.form.torque is None:

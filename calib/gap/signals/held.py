@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.body import Body
-from calib.gap.signals.recording import Recording
+from calib.gap.signals.body import BodyTorques
+from calib.gap.signals.recording import RunSet
 from control.model.arm import Arm
 
 # Of what should show: whole logs at 100 to 1000 samples a second have 0.7 to 1.2, those of which every second to tenth sample
@@ -21,7 +21,7 @@ SURE = 0.3  # standard deviation of what shows: joints whose currents are too no
 LATEST_s = 0.01  # of a delay
 
 
-def not_held(arm: Arm, recording: Recording) -> str:
+def not_held(arm: Arm, recording: RunSet) -> str:
     """A sentence if the voltages cannot be what was held between the samples; empty if they can, or nothing tells."""
     share = shown(arm, recording)
     if share is None or share > SHOWN:
@@ -33,10 +33,10 @@ def not_held(arm: Arm, recording: Recording) -> str:
     )
 
 
-def shown(arm: Arm, recording: Recording) -> float | None:
+def shown(arm: Arm, recording: RunSet) -> float | None:
     """What the currents show of the voltages' quick changes over what they should; None where noise hides it."""
     period = 1.0 / recording.filters.rate_Hz
-    windings = Body(arm, recording).windings()[0]
+    windings = BodyTorques(arm, recording).windings()[0]
     # A motor turns away under its voltage, and its current goes back: what is left of it in the mean over a sample.
     turned = period * windings.torque_per_A**2 / np.diag(windings.inertia_kg_m2) / windings.resistance_ohm
     expected = -np.expm1(-turned) / turned
@@ -52,7 +52,7 @@ def shown(arm: Arm, recording: Recording) -> float | None:
     return float(np.average(shares, weights=deviations**-2.0))  # a joint whose voltage is smooth says little
 
 
-def _followed(recording: Recording, j: int, resistance_ohm: float) -> tuple[float, float] | None:
+def _followed(recording: RunSet, j: int, resistance_ohm: float) -> tuple[float, float] | None:
     """Share of a voltage's quick change in the currents that follow it, and its deviation; None where it never changes."""
     period = 1.0 / recording.filters.rate_Hz
     lags = int(np.ceil(LATEST_s / period)) + 2

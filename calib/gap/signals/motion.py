@@ -19,7 +19,7 @@ import numpy.typing as npt
 from calib.arrays import Array
 from calib.gap.signals.forward import Forward, begin
 from calib.gap.signals.physics import Physics
-from calib.gap.signals.terms import Term
+from calib.gap.signals.terms import Law
 from control.dynamics.gains import gains_of
 from control.errors import MissingModel
 
@@ -40,7 +40,7 @@ class MotionGap:
 
 
 def motion_gaps(
-    physics: Physics, known: Sequence[Term], model: Sequence[Term], report: Sequence[str]
+    physics: Physics, known: Sequence[Law], model: Sequence[Law], report: Sequence[str]
 ) -> dict[str, MotionGap]:
     """By channel, OPEN and CLOSED; without voltages, or with too little to simulate, there is none of them."""
     if not physics.recording.has_voltage:
@@ -73,13 +73,13 @@ class Windows:
         """Whether there are enough."""
         return len(self.run) >= FEWEST_WINDOWS
 
-    def gap(self, known: Sequence[Term], model: Sequence[Term]) -> MotionGap:
+    def gap(self, known: Sequence[Law], model: Sequence[Law]) -> MotionGap:
         """With the model as it was and as it is."""
         after = self.errors(model)
         before = after if tuple(known) == tuple(model) else self.errors(known)
         return MotionGap(self._floor(after), _rms(before), _rms(after))
 
-    def errors(self, model: Sequence[Term]) -> Array:
+    def errors(self, model: Sequence[Law]) -> Array:
         """Simulated less measured angles, (length, W, n)."""
         runs = self._physics.recording.runs
         payload = np.array([float(runs[k].payload_kg[s]) for k, s in zip(self.run, self.start, strict=True)])
@@ -134,7 +134,7 @@ class Loop:
             return False
         return not any(self._physics.recording.runs[k].is_off.any() for k in self._runs)
 
-    def gap(self, known: Sequence[Term], model: Sequence[Term]) -> MotionGap:
+    def gap(self, known: Sequence[Law], model: Sequence[Law]) -> MotionGap:
         """With the model as it was and as it is."""
         after = self.errors(model)
         before = after if tuple(known) == tuple(model) else self.errors(known)
@@ -146,7 +146,7 @@ class Loop:
         floor = _floor(self._physics, differences, 1.0)
         return MotionGap(floor, _rms(np.concatenate(before)), _rms(np.concatenate(after)))
 
-    def errors(self, model: Sequence[Term]) -> list[Array]:
+    def errors(self, model: Sequence[Law]) -> list[Array]:
         """Simulated less measured angles, (samples, n) of each run."""
         assert self._gains is not None
         recording, kp, ki, kd = self._physics.recording, *self._gains

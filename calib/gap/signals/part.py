@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from calib.gap.log import Log, Run
+from calib.gap.log import Log, LoggedRun
 
 # What an answer in half a minute can look at, on two cores: eleven runs of 8 s are 44 000 samples. Every joint counts.
 MOST_SAMPLES = 66_000 * 3
@@ -45,7 +45,7 @@ def _spread(blocks: Log, groups: list[tuple[int, ...]], most_s: float) -> list[i
     return list(groups[0])
 
 
-def _blocks(run: Run) -> list[Run]:
+def _blocks(run: LoggedRun) -> list[LoggedRun]:
     """A run in pieces of equal length; one that is short as it is."""
     count = max(1, round(_length_s(run) / BLOCK_s))
     if count == 1:
@@ -54,15 +54,15 @@ def _blocks(run: Run) -> list[Run]:
     return [_piece(run, slice(a, b)) for a, b in itertools.pairwise(edges)]
 
 
-def _piece(run: Run, rows: slice) -> Run:
+def _piece(run: LoggedRun, rows: slice) -> LoggedRun:
     begin, end = (float(t) - float(run.t_s[0]) for t in (run.t_s[rows][0], run.t_s[rows][-1]))
     return run.rows(rows, f"{run.name} ({begin:.0f} to {end:.0f} s)")
 
 
-def _length_s(run: Run) -> float:
+def _length_s(run: LoggedRun) -> float:
     return float(run.t_s[-1] - run.t_s[0])
 
 
-def _speed_rad_s(run: Run) -> float:
+def _speed_rad_s(run: LoggedRun) -> float:
     """Mean speed of all joints over a block, from its encoders."""
     return float(np.abs(np.diff(run.q_rad, axis=0)).sum()) / max(_length_s(run), 1e-9)

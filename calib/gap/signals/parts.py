@@ -6,28 +6,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from calib.gap.signals.body import Load
-from calib.gap.signals.terms import Term
+from calib.gap.signals.terms import Law
 
 OF_TIP = ("beam", "geometry", "frame")
 
 
-def is_seen_alone(term: Term) -> bool:
+def is_seen_alone(term: Law) -> bool:
     """Whether a term changes what the camera sees and nothing else."""
     return term.form.acts in OF_TIP or term.form.where == "seen"
 
 
 @dataclass(slots=True)
-class Parts:
+class ActingTerms:
     """Terms by where they act."""
 
     load: Load = field(default_factory=Load)
     scale: dict[int, float] = field(default_factory=dict)
     delay_s: float = 0.0
-    sag: list[Term] = field(default_factory=list)
-    friction: list[Term] = field(default_factory=list)
-    elastic: list[Term] = field(default_factory=list)
-    angles: list[Term] = field(default_factory=list)
-    tip: list[Term] = field(default_factory=list)
+    sag: list[Law] = field(default_factory=list)
+    friction: list[Law] = field(default_factory=list)
+    elastic: list[Law] = field(default_factory=list)
+    angles: list[Law] = field(default_factory=list)
+    tip: list[Law] = field(default_factory=list)
 
     def link_friction(self, j: int) -> tuple[float, float]:
         """Coulomb and viscous friction of a joint (0-based) in all."""
@@ -37,16 +37,16 @@ class Parts:
                 sums[term.form.shared] += term.values[0]
         return max(sums["coulomb"], 0.0), max(sums["viscous"], 0.0)  # less than none drives
 
-    def behind(self, term: Term) -> float:
+    def behind(self, term: Law) -> float:
         """The share of a friction that acts behind its elastic or loose gear."""
         if not term.form.shared:
             return 0.0
         return sum(gear.values[-1] for gear in self.elastic if gear.index == term.index)
 
 
-def sorted_terms(model: Sequence[Term]) -> Parts:
+def sorted_terms(model: Sequence[Law]) -> ActingTerms:
     """A model's terms by where they act."""
-    parts = Parts()
+    parts = ActingTerms()
     payload, masses, inertias = 0.0, [], []
     for term in model:
         match term.form.acts:

@@ -17,14 +17,14 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.signals.angles import STILL, MotorAhead, angle_error, place
-from calib.gap.signals.body import Body
-from calib.gap.signals.following import Following
+from calib.gap.signals.body import BodyTorques
+from calib.gap.signals.following import YieldingJoints
 from calib.gap.signals.friction import sampled_friction_Nm
-from calib.gap.signals.parts import Parts, is_seen_alone, sorted_terms
-from calib.gap.signals.recording import Motion, Recording
+from calib.gap.signals.parts import ActingTerms, is_seen_alone, sorted_terms
+from calib.gap.signals.recording import EvenRun, RunSet
 from calib.gap.signals.staircase import Staircase, settled_shares
-from calib.gap.signals.terms import Term
-from calib.gap.signals.tips import Tips
+from calib.gap.signals.terms import Law
+from calib.gap.signals.tips import SeenTips
 from control.model.arm import Arm
 
 LATEST_s = 0.01  # of a delay
@@ -43,9 +43,9 @@ class Prediction:
 class Physics:
     """Evaluates models on one recording."""
 
-    def __init__(self, arm: Arm, recording: Recording) -> None:
+    def __init__(self, arm: Arm, recording: RunSet) -> None:
         self.arm, self.recording = arm, recording
-        self.body = Body(arm, recording)
+        self.body = BodyTorques(arm, recording)
         self._K = np.array([d.torque_constant_Nm_A * d.gear_ratio for d in arm.drives])
         self._R = np.array([d.resistance_ohm for d in arm.drives])
         self._lag = np.array([d.inductance_H / d.resistance_ohm for d in arm.drives])
@@ -56,9 +56,9 @@ class Physics:
         self._staircase = Staircase(
             self.body.windings(), self._period, [value for value, _, _ in self._voltage]
         )
-        self.following = Following(recording, self.body)
-        self.tips = Tips(arm, recording)
-        self._last_driven: tuple[tuple[Term, ...], list[tuple[Array, Array, Array]]] | None = None
+        self.following = YieldingJoints(recording, self.body)
+        self.tips = SeenTips(arm, recording)
+        self._last_driven: tuple[tuple[Law, ...], list[tuple[Array, Array, Array]]] | None = None
 
     @property
     def torque_per_A(self) -> Array:
@@ -96,7 +96,7 @@ class Physics:
             for delay in delays
         )
 
-    def predict(self, model: Sequence[Term]) -> list[Prediction]:
+    def predict(self, model: Sequence[Law]) -> list[Prediction]:
         """The model's residuals on every run."""
         parts = sorted_terms(model)
         driven = self._driven(tuple(one for one in model if not is_seen_alone(one)))
@@ -107,13 +107,13 @@ class Physics:
             )
         ]
 
-    def _driven(self, model: tuple[Term, ...]) -> list[tuple[Array, Array, Array]]:
+    def _driven(self, model: tuple[Law, ...]) -> list[tuple[Array, Array, Array]]:
         """Currents of motion and of voltage, and links' angles beyond their encoders, (m, n) of each run; kept."""
         if self._last_driven is None or self._last_driven[0] != model:
             self._last_driven = model, self._driven_anew(model)
         return self._last_driven[1]
 
-    def _driven_anew(self, model: tuple[Term, ...]) -> list[tuple[Array, Array, Array]]:
+    def _driven_anew(self, model: tuple[Law, ...]) -> list[tuple[Array, Array, Array]]:
         parts = sorted_terms(model)
         parts.delay_s = max(parts.delay_s, -MOST_OF_PERIOD * self._period)
         torques = self.body.link_torques(parts.load)
@@ -137,7 +137,7 @@ class Physics:
             result.append((mechanical, self._electrical(parts, run, k, ahead), offset))
         return result
 
-    def _current(self, parts: Parts, run: Motion, k: int, link: Array, ahead: MotorAhead) -> Array:
+    def _current(self, parts: ActingTerms, run: EvenRun, k: int, link: Array, ahead: MotorAhead) -> Array:
         """Mean current expected from the motion, less the measured one."""
         wanted = link + self.body.rotor_kg_m2 * (run.acceleration + ahead.acceleration_rad_s2)
         for term in parts.friction:
@@ -149,7 +149,9 @@ class Physics:
         measured = self._mean_current(parts, run, k, scale, ahead)
         return np.asarray(wanted / (self._K * scale) - measured)
 
-    def _mean_current(self, parts: Parts, run: Motion, k: int, scale: Array, ahead_of: MotorAhead) -> Array:
+    def _mean_current(
+        self, parts: ActingTerms, run: EvenRun, k: int, scale: Array, ahead_of: MotorAhead
+    ) -> Array:
         K = self._K * scale
         if not self.recording.has_current:
             value, slope, _ = self._voltage[k]
@@ -162,7 +164,7 @@ class Physics:
         ahead = 0.5 * self.recording.held_s - self._lag + min(parts.delay_s, 0.0)
         return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
 
-    def _electrical(self, parts: Parts, run: Motion, k: int, ahead: MotorAhead) -> Array:
+    def _electrical(self, parts: ActingTerms, run: EvenRun, k: int, ahead: MotorAhead) -> Array:
         """Sampled current expected from voltage and speed, less the measured one."""
         if not (self.recording.has_current and self.recording.has_voltage):
             return np.zeros((len(run), 0))
@@ -180,7 +182,7 @@ class Physics:
         shares = np.array([settled_shares(float(lag), self._period, delay_s) for lag in self._lag])
         return np.asarray(sum(shares[:, back] * _earlier(voltage, n + 1 + back) for back in range(3)))
 
-    def sagged(self, parts: Parts, voltage: Array, current: Array) -> Array:
+    def sagged(self, parts: ActingTerms, voltage: Array, current: Array) -> Array:
         """What of a commanded voltage (m, n) reaches the windings of motors that draw current (m, n)."""
         for term in parts.sag:
             if term.form.drawn is None:
@@ -189,7 +191,7 @@ class Physics:
             voltage = voltage * (1.0 - term.values[0] * drawn / self._supply)
         return voltage
 
-    def scales(self, parts: Parts) -> Array:
+    def scales(self, parts: ActingTerms) -> Array:
         """What the torque constants are of their nominal values (n,)."""
         scale = np.ones(len(self._K))
         for j, value in parts.scale.items():

@@ -23,7 +23,7 @@ SPRING_SUBSTEPS = 2  # the trapezoidal rule is content with fewer
 
 
 @dataclass(frozen=True, slots=True)
-class Follower:
+class LinkDrive:
     """What drives a link: torque_Nm, inertia_kg_m2, slope_Nm_rad (samples, runs), and the time between samples."""
 
     torque_Nm: Array
@@ -43,7 +43,7 @@ class Follower:
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
+class LinkPlay:
     """delta and its derivatives, and the torque that the gear transmitted, (samples, runs)."""
 
     delta_rad: Array
@@ -52,12 +52,12 @@ class Followed:
     transmitted_Nm: Array
 
 
-def elastic(of: Follower, stiffness_Nm_rad: float, damping_Nm_s_rad: float, share: float = 0.0) -> Followed:
+def elastic(of: LinkDrive, stiffness_Nm_rad: float, damping_Nm_s_rad: float, share: float = 0.0) -> LinkPlay:
     """Spring and damper; the trapezoidal rule, which adds no damping of its own. Starts at rest."""
     return elastics(of, [(stiffness_Nm_rad, damping_Nm_s_rad, share)])[0]
 
 
-def elastics(of: Follower, springs: Sequence[tuple[float, float, float]]) -> list[Followed]:
+def elastics(of: LinkDrive, springs: Sequence[tuple[float, float, float]]) -> list[LinkPlay]:
     """`elastic` for several sets of stiffness, damping and the friction's share on the link."""
     k, d, share = (np.array(column)[:, None] for column in zip(*springs, strict=True))
     steps = 1 if float(k.min()) > 4.0 * float(of.inertia_kg_m2.max()) / of.period_s**2 else SPRING_SUBSTEPS
@@ -95,14 +95,14 @@ def elastics(of: Follower, springs: Sequence[tuple[float, float, float]]) -> lis
     found = []
     for place, (stiffness, damping, _) in enumerate(springs):
         own = [np.ascontiguousarray(part[:, place]) for part in (delta, speed, acceleration)]
-        found.append(Followed(own[0], own[1], own[2], -stiffness * own[0] - damping * own[1]))
+        found.append(LinkPlay(own[0], own[1], own[2], -stiffness * own[0] - damping * own[1]))
     return found
 
 
 class _LinkFriction:
     """Friction on the links, by their speeds; smooth through zero, and its slope for the implicit step."""
 
-    def __init__(self, of: Follower, share: Array, steps: int) -> None:
+    def __init__(self, of: LinkDrive, share: Array, steps: int) -> None:
         self.is_on = of.has_friction and bool(np.any(share > 0.0))
         self._coulomb, self._viscous = share * of.coulomb_Nm, share * of.viscous_Nm_s_rad
         own = of.torque_Nm if of.speed_rad_s is None else of.speed_rad_s
@@ -115,7 +115,7 @@ class _LinkFriction:
         return dry + self._viscous * speed, (self._coulomb - dry * way) / SMOOTH_rad_s + self._viscous
 
 
-def loose(of: Follower, width_rad: float, share: float = 0.0) -> Followed:
+def loose(of: LinkDrive, width_rad: float, share: float = 0.0) -> LinkPlay:
     """Play between two hard flanks: the link lies on one, falls free to the other, and stays there.
 
     What a link springs back by is in the motor's measured motion already, which every impact throws back.
@@ -123,7 +123,7 @@ def loose(of: Follower, width_rad: float, share: float = 0.0) -> Followed:
     return looses(of, [(width_rad, share)])[0]
 
 
-def looses(of: Follower, plays: Sequence[tuple[float, float]]) -> list[Followed]:
+def looses(of: LinkDrive, plays: Sequence[tuple[float, float]]) -> list[LinkPlay]:
     """`loose` for several pairs of width and the friction's share on the link."""
     steps = max(SUBSTEPS, round(of.period_s / SUBSTEP_s))
     width, share = (np.array(column)[:, None] for column in zip(*plays, strict=True))
@@ -140,7 +140,7 @@ def looses(of: Follower, plays: Sequence[tuple[float, float]]) -> list[Followed]
     return found
 
 
-def _between_flanks(of: Follower, half_rad: Array, link_friction: _LinkFriction, steps: int) -> Array:
+def _between_flanks(of: LinkDrive, half_rad: Array, link_friction: _LinkFriction, steps: int) -> Array:
     """Delta, speed and acceleration after each of `steps` per sample, (3, steps x samples, plays, runs)."""
     h = of.period_s / steps
     torque, inertia, slope = (
@@ -172,7 +172,7 @@ def _between_flanks(of: Follower, half_rad: Array, link_friction: _LinkFriction,
     return result
 
 
-def _at_samples(of: Follower, result: Array, steps: int) -> Followed:
+def _at_samples(of: LinkDrive, result: Array, steps: int) -> LinkPlay:
     """Row n of `result` is the state after step n; the mean over the steps around a sample keeps impacts in time."""
     count = result.shape[1]
     early = np.pad(result[2], ((steps // 2, 0), (0, 0)), mode="edge")[:count]
@@ -181,7 +181,7 @@ def _at_samples(of: Follower, result: Array, steps: int) -> Followed:
     before_step = np.pad(result[:2], ((0, 0), (1, 0), (0, 0)), mode="edge")[:, :count]
     delta, speed = before_step[0, ::steps], before_step[1, ::steps]
     transmitted = of.torque_Nm + of.slope_Nm_rad * delta + of.inertia_kg_m2 * acceleration
-    return Followed(delta, speed, acceleration, transmitted)
+    return LinkPlay(delta, speed, acceleration, transmitted)
 
 
 def _fine(values: Array, steps: int) -> Array:

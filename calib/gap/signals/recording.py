@@ -11,7 +11,7 @@ import numpy.typing as npt
 from calib.arm_problem.assembly import base_frame_of
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
-from calib.gap.log import Log, Run
+from calib.gap.log import Log, LoggedRun
 from calib.gap.signals.filters import Filters, filters_for
 from calib.gap.signals.part import part_of
 from calib.gap.signals.sampling import GAP, averaged, common_period, evened, measured, period_of
@@ -36,7 +36,7 @@ class UnusableLogError(CalibrationError):
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class EvenRun:
     """A run at a constant rate: (m, n) arrays; `usable` (m, n) says which samples count.
 
     q, speed, acceleration and current are state-filtered; voltage_V is as commanded (0 where the driver is off),
@@ -66,13 +66,13 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RunSet:
     """All runs, which repeat each other, and sentences about what is wrong with them.
 
     `held_s`: how long the controller holds a voltage, its own sampling period, where samples were averaged afterwards.
     """
 
-    runs: tuple[Motion, ...]
+    runs: tuple[EvenRun, ...]
     repeats: tuple[tuple[int, ...], ...]
     filters: Filters
     has_current: bool
@@ -82,7 +82,7 @@ class Recording:
     held_s: float
 
 
-def prepare(arm: Arm, log: Log) -> Recording:
+def prepare(arm: Arm, log: Log) -> RunSet:
     """Return the recording of this arm; UnusableLogError if it cannot be one."""
     _check(arm, log)
     kept, warnings = _long_enough(log)
@@ -106,10 +106,10 @@ def prepare(arm: Arm, log: Log) -> Recording:
     has_voltage = all(run.is_commanded or np.isfinite(run.voltage_V).any() for run in given)
     has_tip = all(len(run.frames) > 20 for run in runs)
     held_s = period / averaged_count
-    return Recording(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings), held_s)
+    return RunSet(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings), held_s)
 
 
-def _long_enough(log: Log) -> tuple[list[Run], list[str]]:
+def _long_enough(log: Log) -> tuple[list[LoggedRun], list[str]]:
     """The runs that are long enough, and a sentence about the others."""
     kept = [run for run in log.runs if run.t_s[-1] - run.t_s[0] >= SHORTEST_s]
     if not kept:
@@ -134,9 +134,9 @@ def _about_inertia(arm: Arm) -> list[str]:
     ]
 
 
-def _without_copies(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+def _without_copies(runs: Sequence[LoggedRun]) -> tuple[list[LoggedRun], list[str]]:
     """Each recording once, and a sentence about those that are there again: copies repeat nothing."""
-    kept: list[Run] = []
+    kept: list[LoggedRun] = []
     copies = []
     for run in runs:
         if any(_is_copy(run, other) for other in kept):
@@ -147,7 +147,7 @@ def _without_copies(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     return kept, [f"{_runs(copies)}: {what}, used once"] if copies else []
 
 
-def _is_copy(run: Run, other: Run) -> bool:
+def _is_copy(run: LoggedRun, other: LoggedRun) -> bool:
     """Whether all that was measured is the same: to the last digit nothing is measured twice."""
     if len(run) != len(other) or not np.array_equal(run.q_rad, other.q_rad):
         return False
@@ -156,7 +156,7 @@ def _is_copy(run: Run, other: Run) -> bool:
     return bool(measured) and all(np.array_equal(one, two, equal_nan=True) for one, two in measured)
 
 
-def _as_sampled(runs: Sequence[Run]) -> tuple[tuple[Run, ...], list[str], int]:
+def _as_sampled(runs: Sequence[LoggedRun]) -> tuple[tuple[LoggedRun, ...], list[str], int]:
     """Samples that were measured, at their times, as many as are looked at; sentences about that; how many a mean is of."""
     given, computed = measured(runs)
     given, fast, count = averaged(tuple(evened(run, period_of([run])) for run in given))
@@ -164,7 +164,7 @@ def _as_sampled(runs: Sequence[Run]) -> tuple[tuple[Run, ...], list[str], int]:
     return part.runs, [sentence for sentence in (computed, fast, long) if sentence], count
 
 
-def _from_its_beginning(run: Run) -> Run:
+def _from_its_beginning(run: LoggedRun) -> LoggedRun:
     """A run whose clock counts from 1970 begins at 0: when the arm was started, such a clock does not say."""
     if run.t_s[0] < SINCE_1970_s:
         return run
@@ -220,7 +220,7 @@ def _beyond(joint: int, q: Array, lower: float, upper: float) -> Iterator[str]:
         yield f"{goes}: another arm's log? {remedy}"
 
 
-def _motion(arm: Arm, run: Run, filters: Filters, period: float) -> Motion:
+def _motion(arm: Arm, run: LoggedRun, filters: Filters, period: float) -> EvenRun:
     times, sound = _grid(run, period)
 
     def at(values: Array) -> Array:
@@ -243,7 +243,7 @@ def _motion(arm: Arm, run: Run, filters: Filters, period: float) -> Motion:
     seen = np.flatnonzero(np.isfinite(run.tip_m[:, 0]))
     frames = np.clip(np.round((run.t_s[seen] - times[0]) / period).astype(np.intp), 0, len(times) - 1)
     good = (np.abs(times[frames] - run.t_s[seen]) < 0.05 * period) & usable[frames].all(axis=1)
-    return Motion(
+    return EvenRun(
         run.name,
         times,
         q_raw,
@@ -262,7 +262,7 @@ def _motion(arm: Arm, run: Run, filters: Filters, period: float) -> Motion:
     )
 
 
-def _grid(run: Run, period: float) -> tuple[Array, Flags]:
+def _grid(run: LoggedRun, period: float) -> tuple[Array, Flags]:
     """Equal steps over the run, and which of them are not in or beside a gap."""
     count = round(float(run.t_s[-1] - run.t_s[0]) / period) + 1
     times = run.t_s[0] + period * np.arange(count)
@@ -272,7 +272,7 @@ def _grid(run: Run, period: float) -> tuple[Array, Flags]:
     return times, sound
 
 
-def _require_a_rate(runs: Sequence[Run], period: float) -> None:
+def _require_a_rate(runs: Sequence[LoggedRun], period: float) -> None:
     """UnusableLogError for samples that come when something happens: between them nothing is known of a motion."""
     share = float(np.mean(np.concatenate([_grid(run, period)[1] for run in runs])))
     if share < SOUND_LEAST:
@@ -283,12 +283,12 @@ def _require_a_rate(runs: Sequence[Run], period: float) -> None:
         )
 
 
-def _gaps(run: Run, period: float) -> npt.NDArray[np.intp]:
+def _gaps(run: LoggedRun, period: float) -> npt.NDArray[np.intp]:
     """The last sample before each gap."""
     return np.flatnonzero(np.diff(run.t_s) > GAP * period)
 
 
-def _about_gaps(runs: Sequence[Run], period: float) -> Iterator[str]:
+def _about_gaps(runs: Sequence[LoggedRun], period: float) -> Iterator[str]:
     """One sentence about all gaps."""
     found = {run.name: _gaps(run, period) for run in runs}
     count = sum(map(len, found.values()))
@@ -301,7 +301,7 @@ def _about_gaps(runs: Sequence[Run], period: float) -> Iterator[str]:
         )
 
 
-def _about_steps(runs: Sequence[Run], period: float) -> Iterator[str]:
+def _about_steps(runs: Sequence[LoggedRun], period: float) -> Iterator[str]:
     """One sentence about all samples that are not a period apart."""
     shares = {}
     for run in runs:
@@ -315,7 +315,7 @@ def _about_steps(runs: Sequence[Run], period: float) -> Iterator[str]:
         )
 
 
-def _limited(arm: Arm, run: Run) -> Flags:
+def _limited(arm: Arm, run: LoggedRun) -> Flags:
     """Where a drive's current or voltage is at its limit."""
     flags = np.zeros(run.q_rad.shape, dtype=bool)
     for drive in arm.drives:
@@ -329,7 +329,7 @@ def _limited(arm: Arm, run: Run) -> Flags:
     return flags
 
 
-def _saturation(arm: Arm, runs: Sequence[Run]) -> Iterator[str]:
+def _saturation(arm: Arm, runs: Sequence[LoggedRun]) -> Iterator[str]:
     """One sentence a drive that is at its limit somewhere."""
     shares = [_limited(arm, run).mean(axis=0) for run in runs]
     for drive in arm.drives:

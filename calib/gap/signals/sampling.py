@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from calib.arrays import Array, frozen
-from calib.gap.log import Run
+from calib.gap.log import LoggedRun
 
 GAP = 2.5  # periods between samples: more is a gap, and its neighbourhood is not used
 ONE_RATE = 0.1  # by which runs of one controller may differ
@@ -30,7 +30,7 @@ ROUNDED = 0.75  # of a stamp's last digit: half of it, and what the line through
 ON_A_LINE, ON_A_LINE_SHARE = 0.05, 0.15
 
 
-def period_of(runs: Sequence[Run]) -> float:
+def period_of(runs: Sequence[LoggedRun]) -> float:
     """The sampling period [s]: the span of the samples over how many there are; lost samples count, gaps do not.
 
     A stamp that is late is followed by one that seems early: together they are two periods.
@@ -41,7 +41,7 @@ def period_of(runs: Sequence[Run]) -> float:
     return float(near.sum() / max(np.round(near / usual).sum(), 1.0))
 
 
-def common_period(runs: Sequence[Run]) -> tuple[float, str]:
+def common_period(runs: Sequence[LoggedRun]) -> tuple[float, str]:
     """The period that all runs are brought to, that of the slowest, and a sentence where they differ."""
     own = np.array([period_of([run]) for run in runs])
     if own.max() < (1.0 + ONE_RATE) * own.min():
@@ -51,7 +51,7 @@ def common_period(runs: Sequence[Run]) -> tuple[float, str]:
     )
 
 
-def evened(run: Run, period_s: float) -> Run:
+def evened(run: LoggedRun, period_s: float) -> LoggedRun:
     """The same at the times at which it was sampled, where its stamps are these times rounded; else unchanged."""
     steps = np.diff(run.t_s)
     if len(steps) < 3 or steps.max() > GAP * period_s:
@@ -70,7 +70,7 @@ def _quantum_s(steps: Array) -> float:
     return float(different.min()) if len(different) else 0.0
 
 
-def measured(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str]:
+def measured(runs: Sequence[LoggedRun]) -> tuple[tuple[LoggedRun, ...], str]:
     """The runs without samples that were computed from others, and a sentence about these, if there are any."""
     for factor in FACTORS:
         for differences, words in ((1, "repeats the one before"), (2, "lies on the line between others")):
@@ -87,16 +87,16 @@ def measured(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str]:
     return tuple(runs), ""
 
 
-def _contradicted(phases: Iterable[int | None], runs: Sequence[Run]) -> bool:
+def _contradicted(phases: Iterable[int | None], runs: Sequence[LoggedRun]) -> bool:
     """Whether a run that moves shows no such phase."""
     return any(phase is None and _moves(run) for phase, run in zip(phases, runs, strict=True))
 
 
-def _moves(run: Run) -> bool:
+def _moves(run: LoggedRun) -> bool:
     return bool(np.ptp(run.q_rad, axis=0).max() > 0.0)
 
 
-def _phase(run: Run, factor: int, differences: int) -> int | None:
+def _phase(run: LoggedRun, factor: int, differences: int) -> int | None:
     """The first sample of those that were measured, if one in `factor` was; None if not."""
     if len(run) < 8 * factor:
         return None
@@ -110,7 +110,7 @@ def _phase(run: Run, factor: int, differences: int) -> int | None:
     return (top + 1) % factor
 
 
-def averaged(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str, int]:
+def averaged(runs: Sequence[LoggedRun]) -> tuple[tuple[LoggedRun, ...], str, int]:
     """Fast runs without voltages as means of a few samples, a sentence about it, and how many: what an arm does is far slower.
 
     Runs with voltages stay as they are: what was held between the samples cannot be averaged.
@@ -127,7 +127,7 @@ def averaged(runs: Sequence[Run]) -> tuple[tuple[Run, ...], str, int]:
     )
 
 
-def _averaged(run: Run, factor: int) -> Run:
+def _averaged(run: LoggedRun, factor: int) -> LoggedRun:
     """Means about every `factor`-th sample, those on which most camera frames fall."""
     frames = np.flatnonzero(np.isfinite(run.tip_m[:, 0])) % factor
     middle = int(np.bincount(frames, minlength=factor).argmax()) if len(frames) else factor // 2

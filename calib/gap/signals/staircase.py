@@ -37,7 +37,7 @@ class Windings:
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class StaircaseResponse:
     """At frequencies (f,), (f, n, n): of each joint to a volt on each: sampled current, and sampled angle times j omega (a
     smooth curve's speed); `later` (f,) is one period.
     """
@@ -48,7 +48,7 @@ class Response:
     later: Spectrum
 
 
-def response(windings: Windings, period_s: float, delay_s: float, frequencies_Hz: Array) -> Response:
+def response(windings: Windings, period_s: float, delay_s: float, frequencies_Hz: Array) -> StaircaseResponse:
     """The response at the end of each period to voltages that take effect `delay_s` after its beginning."""
     whole, within = divmod(delay_s, period_s)
     lag = np.maximum(windings.lag_s, SHORTEST_LAG_s)
@@ -70,7 +70,7 @@ def response(windings: Windings, period_s: float, delay_s: float, frequencies_Hz
     states[moving] = np.linalg.solve(matrices, drive[moving] * (z[moving, None, None] ** -whole))
     smooth = 1j * omega[:, None, None] * states[:, angle]
     smooth[~moving] = np.diag(1.0 / K)  # what keeps still in voltage turns without current
-    return Response(omega, states[:, current], smooth, 1.0 / z)
+    return StaircaseResponse(omega, states[:, current], smooth, 1.0 / z)
 
 
 class Staircase:
@@ -83,7 +83,7 @@ class Staircase:
         self._spectra: list[Spectrum] = [_spectrum(run) for run in voltages]
         self._kept: dict[tuple[str, float], list[Array]] = {}
         # of one delay: its differences are asked for one after another
-        self._latest: tuple[float, dict[Kind, Response]] = np.nan, {}
+        self._latest: tuple[float, dict[Kind, StaircaseResponse]] = np.nan, {}
 
     def of_sampled_current(self, delay_s: float) -> list[Array]:
         """Sampled current less (settled voltage - K (speed - L/R acceleration)) / R, [A] (m, n) of each run."""
@@ -119,7 +119,9 @@ class Staircase:
         return self._kept[key]
 
 
-def _gain(what: str, windings: Windings, period_s: float, delay_s: float, found: Response) -> Spectrum:
+def _gain(
+    what: str, windings: Windings, period_s: float, delay_s: float, found: StaircaseResponse
+) -> Spectrum:
     """(f, n, n): of each joint to a volt on each."""
     K, R, lag = windings.torque_per_A, windings.resistance_ohm, windings.lag_s
     turned = 1j * found.omega[:, None]

@@ -73,7 +73,7 @@ class Form:
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class Law:
     """An effect, or something that is in no list, in one of the forms that it may have."""
 
     name: EffectName
@@ -86,11 +86,11 @@ class Term:
         """0-based joint or link; -1 where it has none."""
         return -1 if self.name.joint is None else self.name.joint - 1
 
-    def at(self, values: Values) -> Term:
+    def at(self, values: Values) -> Law:
         """The same with other values."""
         return replace(self, values=values)
 
-    def neighbours(self) -> Iterator[tuple[Term, float]]:
+    def neighbours(self) -> Iterator[tuple[Law, float]]:
         """The term with one value after the other a little larger, and by how much: for slopes."""
         steps = self.form.steps or (PLAIN_STEP,) * len(self.values)
         for place, step in enumerate(steps[: len(self.values)]):
@@ -98,7 +98,7 @@ class Term:
             values[place] += step
             yield self.at(tuple(values)), step
 
-    def bounded(self) -> Term:
+    def bounded(self) -> Law:
         """With values where the effect means something."""
         count = len(self.values)
         lower, upper = (np.resize(own, count) for own in (self.form.lower, self.form.upper))

@@ -8,19 +8,19 @@ from calib.arm_problem.frames import seen_less_far_m
 from calib.arm_problem.link_bending import bending_m
 from calib.arrays import Array
 from calib.gap.signals.angles import joint_ahead
-from calib.gap.signals.parts import Parts
-from calib.gap.signals.recording import Motion, Recording
-from calib.gap.signals.terms import Term
+from calib.gap.signals.parts import ActingTerms
+from calib.gap.signals.recording import EvenRun, RunSet
+from calib.gap.signals.terms import Law
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm
 
 BENDS_KEPT = 16
 
 
-class Tips:
+class SeenTips:
     """The tips of one recording."""
 
-    def __init__(self, arm: Arm, recording: Recording) -> None:
+    def __init__(self, arm: Arm, recording: RunSet) -> None:
         self._arm, self._recording = arm, recording
         self._kinematics = Kinematics(arm)
         self._rigid = [
@@ -34,7 +34,7 @@ class Tips:
         self._dh: list[Array] | None = None
         self._bends: dict[tuple[int, float], list[Array]] = {}
 
-    def beside_camera(self, parts: Parts, run: Motion, k: int, offset: Array) -> Array:
+    def beside_camera(self, parts: ActingTerms, run: EvenRun, k: int, offset: Array) -> Array:
         """Expected less seen tips (frames, 3) of run k, whose links are `offset` (m, n) beyond their encoders."""
         if not self._recording.has_tip:
             return np.zeros((0, 3))
@@ -49,7 +49,7 @@ class Tips:
             expected = expected + self._shift(parts, term, k, run)
         return np.asarray(expected - run.tip_m)
 
-    def _shift(self, parts: Parts, term: Term, k: int, run: Motion) -> Array:
+    def _shift(self, parts: ActingTerms, term: Law, k: int, run: EvenRun) -> Array:
         if term.form.acts == "beam":
             return self._bent(term.name.joint or 1, parts.load.payload_kg)[k] * term.values[0]
         if term.form.acts == "geometry":
@@ -72,7 +72,7 @@ class Tips:
             self._bends[key] = [self._bent_along(link, extra_kg, run) for run in self._recording.runs]
         return self._bends[key]
 
-    def _bent_along(self, link: int, extra_kg: float, run: Motion) -> Array:
+    def _bent_along(self, link: int, extra_kg: float, run: EvenRun) -> Array:
         payload = np.maximum(run.payload_kg + extra_kg, 0.0)
 
         def accelerated(place_m: Array) -> Array:

@@ -14,19 +14,19 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.signals.filters import Filters
-from calib.gap.signals.recording import Motion, Recording
+from calib.gap.signals.recording import EvenRun, RunSet
 
 SMOOTHED_Hz = 2.0  # of the spectrum
 NOISE_FROM = 0.7  # of the highest frequency: no arm moves there, and what is there is the sensor's noise
 SURELY = 3.0  # times the noise: what is less may be noise
 
 
-def without_noise(recording: Recording) -> Recording:
+def without_noise(recording: RunSet) -> RunSet:
     """The same with motions, currents and voltages as far as they are surely no noise."""
     return replace(recording, runs=tuple(_smooth(run, recording.filters) for run in recording.runs))
 
 
-def _smooth(run: Motion, filters: Filters) -> Motion:
+def _smooth(run: EvenRun, filters: Filters) -> EvenRun:
     beside = (len(filters.state[0]) - 1) // 2  # samples at the end that the filter knows half
     of_angle, of_current = (_shares(own, filters.rate_Hz) for own in (run.q_raw, run.current_raw_A))
     speed, acceleration = (_passed(own, of_angle, beside) for own in (run.speed, run.acceleration))

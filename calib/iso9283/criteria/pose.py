@@ -20,7 +20,7 @@ SIGMAS = 3.0  # of the standard deviation, throughout the standard
 
 
 @dataclass(frozen=True, slots=True)
-class Accuracy:
+class PoseAccuracy:
     """A deviation of a mean: `total` [m] and its components along x, y, z (3,) [m]."""
 
     total_m: float
@@ -50,7 +50,7 @@ class Drift:
     barycentre_m: float
 
 
-def pose_accuracy(commanded_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> Accuracy:
+def pose_accuracy(commanded_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> PoseAccuracy:
     """AP (clause 7.2): from the commanded pose to the barycentre of the attained ones.
 
     AP_p = sqrt((x_bar - x_c)^2 + (y_bar - y_c)^2 + (z_bar - z_c)^2), and AP_x = x_bar - x_c and so on.
@@ -58,7 +58,7 @@ def pose_accuracy(commanded_m: npt.ArrayLike, attained_m: npt.ArrayLike) -> Accu
     """
     wanted = position(commanded_m, "pose accuracy, commanded")
     deviation = positions(attained_m, "pose accuracy").mean(axis=0) - wanted
-    return Accuracy(float(np.linalg.norm(deviation)), frozen(deviation))
+    return PoseAccuracy(float(np.linalg.norm(deviation)), frozen(deviation))
 
 
 def pose_repeatability(attained_m: npt.ArrayLike) -> Repeatability:
@@ -112,7 +112,7 @@ def distance_accuracy(
     commanded_2_m: npt.ArrayLike,
     attained_1_m: npt.ArrayLike,
     attained_2_m: npt.ArrayLike,
-) -> Accuracy:
+) -> PoseAccuracy:
     """AD (clause 7.3): mean attained distance minus commanded distance between two poses.
 
     AD = D_bar - D_c, D_c = |p_c1 - p_c2|, D_bar = 1/n sum |p_1j - p_2j|; total_m carries the sign. Along an axis
@@ -123,17 +123,17 @@ def distance_accuracy(
     )
     difference = _differences(attained_1_m, attained_2_m, "distance accuracy", 1)
     total = float(norms(difference).mean() - np.linalg.norm(wanted))
-    return Accuracy(total, frozen(np.abs(difference).mean(axis=0) - np.abs(wanted)))
+    return PoseAccuracy(total, frozen(np.abs(difference).mean(axis=0) - np.abs(wanted)))
 
 
-def distance_repeatability(attained_1_m: npt.ArrayLike, attained_2_m: npt.ArrayLike) -> Accuracy:
+def distance_repeatability(attained_1_m: npt.ArrayLike, attained_2_m: npt.ArrayLike) -> PoseAccuracy:
     """RD (clause 7.3): +-3 standard deviations of the attained distance, and of its components.
 
     RD = 3 sqrt(sum (D_j - D_bar)^2 / (n - 1)), D_j = |p_1j - p_2j|; n >= 2.
     """
     difference = _differences(attained_1_m, attained_2_m, "distance repeatability", 2)
     axes = SIGMAS * np.abs(difference).std(axis=0, ddof=1)
-    return Accuracy(float(SIGMAS * norms(difference).std(ddof=1)), frozen(axes))
+    return PoseAccuracy(float(SIGMAS * norms(difference).std(ddof=1)), frozen(axes))
 
 
 def drift(commanded_m: npt.ArrayLike, first_m: npt.ArrayLike, last_m: npt.ArrayLike) -> Drift:

@@ -13,8 +13,8 @@ from control.model.description import save_arm
 from procedures.bringup.findings import Diagnosis
 from procedures.bringup.journal import Journal, brought_up
 from procedures.bringup.opening import Setting, open_bench, opened
-from procedures.bringup.operator import Operator, Stopped
-from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
+from procedures.bringup.operator import BringupOperator, Stopped
+from procedures.bringup.procedure import BringupOptions, BringupOutcome, bring_up, caution_of
 from procedures.bringup.terminal import TerminalOperator
 from procedures.folders import require_writable
 
@@ -51,7 +51,7 @@ def run(given: argparse.Namespace) -> int:
             return _bring_up(setting, operator, journal, options, out)
 
 
-def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> Options:
+def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> BringupOptions:
     known = [drive.joint for drive in arm.drives]
     wanted = given.joint or [joint for joint in known if joint not in journal.passed()]
     for joint in wanted:
@@ -63,11 +63,11 @@ def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> Options:
             raise ArmError(
                 f"--current: expected 0.05 to {largest:g} A (the smallest current_limit_A), got {given.current:g}"
             )
-    return Options(tuple(wanted), given.current, given.speed, not given.no_stops)
+    return BringupOptions(tuple(wanted), given.current, given.speed, not given.no_stops)
 
 
 @contextlib.contextmanager
-def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[Operator]:
+def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[BringupOperator]:
     if setting.rig is not None:
         from procedures.bringup.mock_operator import MockOperator
 
@@ -77,7 +77,9 @@ def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[Operator]
         yield operator
 
 
-def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: Options, out: Path) -> int:
+def _bring_up(
+    setting: Setting, operator: BringupOperator, journal: Journal, options: BringupOptions, out: Path
+) -> int:
     operator.say(PREFACE.format(name=setting.draft.name))
     if journal.passed():
         operator.say(
@@ -88,7 +90,7 @@ def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: O
             drive.joint: caution_of(setting.arm, drive, options).current_A for drive in setting.arm.drives
         }
         with open_bench(setting.arm, setting.clock, operator, currents_A) as bench:
-            outcome = Outcome()
+            outcome = BringupOutcome()
             if options.joints:
                 outcome = bring_up(setting.arm, bench, operator, journal, options, operator.say)
             serials = bench.serials()
@@ -109,7 +111,7 @@ def _bring_up(setting: Setting, operator: Operator, journal: Journal, options: O
     return 0
 
 
-def _say_problems(outcome: Outcome, journal: Journal, out: Path) -> None:
+def _say_problems(outcome: BringupOutcome, journal: Journal, out: Path) -> None:
     sys.stderr.write(f"armwright: {len(outcome.problems)} to fix first, so {out} was not written:\n")
     for problem in outcome.problems:
         sys.stderr.write(f"  - {problem}\n")

@@ -11,7 +11,7 @@ from control.model.arm import Arm
 from control.model.description import save_arm
 from procedures.bringup.opening import opened
 from procedures.folders import require_writable
-from procedures.tuning.procedure import NotTuned, Options, Result, tunable, tune
+from procedures.tuning.procedure import NotTuned, TuningOptions, TuningResult, tunable, tune
 
 LOWEST_Hz, HIGHEST_Hz = 2.0, 40.0
 
@@ -41,7 +41,7 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
-def _options(given: argparse.Namespace, arm: Arm) -> Options:
+def _options(given: argparse.Namespace, arm: Arm) -> TuningOptions:
     known = [drive.joint for drive in arm.drives]
     for joint in given.joint or ():
         if joint not in known:
@@ -53,10 +53,10 @@ def _options(given: argparse.Namespace, arm: Arm) -> Options:
     if given.pose is not None and len(given.pose) != arm.joint_count:
         raise ArmError(f"--pose: expected {arm.joint_count} joint angles in rad, got {len(given.pose)}")
     pose = tuple(given.pose) if given.pose is not None else None
-    return Options(tuple(given.joint or tunable(arm)), given.bandwidth, given.amplitude, pose)
+    return TuningOptions(tuple(given.joint or tunable(arm)), given.bandwidth, given.amplitude, pose)
 
 
-def _allowed(arm: Arm, options: Options) -> bool:
+def _allowed(arm: Arm, options: TuningOptions) -> bool:
     joints = ", ".join(map(str, options.joints))
     sys.stdout.write(
         f"Arm {arm.name}: the drives turn on and the arm homes. Joints {joints} then swing by about 20 deg, excited"
@@ -69,7 +69,7 @@ def _allowed(arm: Arm, options: Options) -> bool:
     return bool(line) and not line.strip()
 
 
-def _write(result: Result, draft: Arm, out: Path, page: Path) -> None:
+def _write(result: TuningResult, draft: Arm, out: Path, page: Path) -> None:
     from dataclasses import replace
 
     from procedures.tuning.report import header, rows, worst_pose, write_report

@@ -18,7 +18,7 @@ from calib.vision.intrinsics import CORNERS_LEAST as CORNERS_OF_A_LENS
 from calib.vision.intrinsics import fit_lens
 from calib.vision.measured_points import poses_text, with_pictures
 from calib.vision.opencv import picture_files
-from calib.vision.poses import CORNERS_LEAST, Camera, PoseSet, measure_poses
+from calib.vision.poses import CORNERS_LEAST, CameraPictures, PoseSet, measure_poses
 from calib.vision.print_file import write_print
 from calib.vision.sightings import look_for
 from calib.vision.targets import BOARD_DICTIONARY, MARKER_SHARE, TAG_DICTIONARY, Charuco, Tags, read_tags
@@ -88,7 +88,7 @@ def _poses(given: argparse.Namespace, out: Path) -> int:
     _require_new(out, "markers.csv", "points.csv")
     with Bar("camera") as bar:
         cameras = [
-            Camera(
+            CameraPictures(
                 _name(path, folder), lens, look_for(target, picture_files(folder), CORNERS_LEAST, bar.advance)
             )
             for (path, lens), folder in zip(lenses, folders, strict=True)

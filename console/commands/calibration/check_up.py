@@ -7,7 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.checkup import POSES, Decision, checkup_plan, decide, decision_json, expectation_of, sentences
+from calib.checkup import (
+    POSES,
+    CheckupDecision,
+    checkup_plan,
+    decide,
+    decision_json,
+    expectation_of,
+    sentences,
+)
 from calib.errors import CalibrationError
 from calib.gap.plan.plan import RecordingPlan
 from calib.points.arm_points import points_for
@@ -105,5 +113,5 @@ def _signs(direction: tuple[int, ...]) -> str:
     return "".join("+" if one > 0 else "-" for one in direction)
 
 
-def _json(found: Decision) -> str:
+def _json(found: CheckupDecision) -> str:
     return json.dumps(decision_json(found), indent=2, allow_nan=False)

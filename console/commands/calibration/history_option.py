@@ -7,12 +7,20 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
-from calib.ageing import FORMAT, Entry, Geometry, Quantity, append_entry, measured_at, require_appendable
+from calib.ageing import (
+    FORMAT,
+    Entry,
+    GeometryRecord,
+    Quantity,
+    append_entry,
+    measured_at,
+    require_appendable,
+)
 from calib.errors import CalibrationError
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Record:
+class HistoryRecord:
     """Where and when; asked for and checked before anything is computed."""
 
     path: Path
@@ -23,7 +31,7 @@ class Record:
     def append(
         self,
         inputs: Mapping[str, str],
-        geometry: Geometry | None = None,
+        geometry: GeometryRecord | None = None,
         quantities: Mapping[str, Quantity] | None = None,
     ) -> None:
         """Write the line, after the command's own results."""
@@ -43,12 +51,12 @@ class Record:
         )
 
 
-def record_of(given: argparse.Namespace, by: str, arm: str) -> Record | None:
+def record_of(given: argparse.Namespace, by: str, arm: str) -> HistoryRecord | None:
     """None without --history; CalibrationError if the record cannot be continued."""
     if given.history is None:
         if given.measured is not None:
             raise CalibrationError("--measured: needs --history, the record that the date is for")
         return None
-    record = Record(Path(given.history), measured_at(given.measured), by, arm)
+    record = HistoryRecord(Path(given.history), measured_at(given.measured), by, arm)
     require_appendable(record.path, arm)
     return record

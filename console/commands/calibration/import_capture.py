@@ -12,9 +12,9 @@ from calib.boards import markers_text
 from calib.capture.alignment import Alignment, align
 from calib.capture.board_markers import board_markers
 from calib.capture.c3d import read_c3d
-from calib.capture.motion import Motion
+from calib.capture.motion import JointMotion
 from calib.capture.poses import Rested, believed, poses_at_rest
-from calib.capture.tracks import Body, Capture, CaptureError, placed_m, relative
+from calib.capture.tracks import BodyTrack, Capture, CaptureError, placed_m, relative
 from calib.capture.vicon_csv import read_vicon_csv
 from calib.gap.log import Log, read_log
 from calib.points.points import CAMERA_FRAME, STREAM_FRAME
@@ -60,9 +60,9 @@ def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
             "expected --log, the arm's log.csv, and --body, what is followed; or --board-markers"
         )
     log, _ = read_log(Path(given.log), arm.joint_count)
-    Motion.of(log, given.run)  # refuses what has no common clock
+    JointMotion.of(log, given.run)  # refuses what has no common clock
     log, of_clock = on_one_clock(arm, log, given.run)
-    motion, of_log = Motion.of(log, given.run)
+    motion, of_log = JointMotion.of(log, given.run)
     capture = _read(Path(given.file))
     body, said = _followed(capture, given.body, given.base_body)
     aligned = align(arm, motion, capture.t_s, body)
@@ -81,7 +81,7 @@ def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
 
 
 def _log_written(
-    arm: Arm, given: argparse.Namespace, log: Log, motion: Motion, seen_s: Array, body: Body
+    arm: Arm, given: argparse.Namespace, log: Log, motion: JointMotion, seen_s: Array, body: BodyTrack
 ) -> tuple[Path | None, str]:
     """Write log.csv with the measured tips, if the stream's frame is placed; the file and a sentence."""
     stream = arm.camera.stream if arm.camera is not None else None
@@ -105,7 +105,7 @@ def _read(path: Path) -> Capture:
     return readers[ending](path)
 
 
-def _followed(capture: Capture, name: str, base: str | None) -> tuple[Body, tuple[str, ...]]:
+def _followed(capture: Capture, name: str, base: str | None) -> tuple[BodyTrack, tuple[str, ...]]:
     """The body, relative to the one on the base if there is one; frames in which one of them had leapt are not used."""
     wanted = {one: capture.body(one) for one in (name, base) if one is not None}
     bodies, said = believed(
@@ -121,7 +121,7 @@ def _frame(arm: Arm, given: argparse.Namespace) -> str:
     return STREAM_FRAME if is_stream else CAMERA_FRAME
 
 
-def _text(aligned: Alignment, rested: Rested, body: Body) -> str:
+def _text(aligned: Alignment, rested: Rested, body: BodyTrack) -> str:
     turn = f", {1e3 * rested.noise_rad:.2f} mrad" if body.rotation is not None else ""
     words = aligned.in_words()
     return (

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
-from calib.design import Plan, Request, Uncertainty, View, in_words, plan_json, plan_poses, write_plan
+from calib.design import CameraBox, Plan, Request, Uncertainty, in_words, plan_json, plan_poses, write_plan
 from calib.design.information import NAMES
 from calib.design.planning import known_to
 from calib.errors import CalibrationError
@@ -70,14 +70,14 @@ def _setups(text: str | None) -> tuple[str, ...] | None:
     return names
 
 
-def _view(corners_m: list[float] | None) -> View | None:
+def _view(corners_m: list[float] | None) -> CameraBox | None:
     if corners_m is None:
         return None
     x, y, z = (tuple(corners_m[k : k + 2]) for k in (0, 2, 4))
     for axis, (lower, upper) in zip("xyz", (x, y, z), strict=True):
         if not lower < upper:
             raise CalibrationError(f"--view: expected {axis} from smaller to larger, got {lower:g} {upper:g}")
-    return View((x[0], y[0], z[0]), (x[1], y[1], z[1]))
+    return CameraBox((x[0], y[0], z[0]), (x[1], y[1], z[1]))
 
 
 def _points(given: argparse.Namespace, arm: Arm) -> Points | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from calib.errors import SessionError
 from calib.points.points import STREAM_FRAME
 from calib.session.boards_known import Boards
-from calib.session.conduct import Hand, Station, conduct
+from calib.session.conduct import AutomaticHand, Station, conduct
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, fingerprint
@@ -88,7 +88,7 @@ def _station(
     client: ArmClient,
     speed: float,
     offset_s: float,
-    hand: Hand | None,
+    hand: AutomaticHand | None,
 ) -> Station:
     is_unplaced = folder.plan.pose_frame == STREAM_FRAME
     port, geometry = RuntimePort(client, speed, in_own_frame=is_unplaced), ArmGeometry(arm)

@@ -16,7 +16,7 @@ from calib.studies.opening import executor
 from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.tolerances.report import tolerances_report
 from calib.tolerances.result import Made, as_text, made_json, made_of, warnings_about, write_json, write_map
-from calib.tolerances.study import Design, design_of, require_near, study_task
+from calib.tolerances.study import StudyDesign, design_of, require_near, study_task
 from console.commands.progress import Bar
 from console.quantities import tolerance_m
 from control.model.arm import Arm
@@ -75,7 +75,7 @@ def _require_ours(given: argparse.Namespace) -> None:
         raise CalibrationError(f"--seed: expected 0 or more, got {given.seed}")
 
 
-def _design(given: argparse.Namespace, arm: Arm, text: str) -> Design:
+def _design(given: argparse.Namespace, arm: Arm, text: str) -> StudyDesign:
     (payload_kg,) = given.payload or (0.0,)
     if payload_kg < 0.0:
         raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
@@ -84,7 +84,7 @@ def _design(given: argparse.Namespace, arm: Arm, text: str) -> Design:
     return design_of(arm, tolerances, given.arms or ARMS, payload_kg, recorded_q, given.seed or 0)
 
 
-def _about(design: Design, inputs: dict[str, str]) -> dict[str, object]:
+def _about(design: StudyDesign, inputs: dict[str, str]) -> dict[str, object]:
     """Everything that the results of the tasks depend on."""
     poses = [
         _hash(repr((at.q_rad.tolist(), at.payload_kg.tolist()))) for at in (design.calibration, design.map)

@@ -22,16 +22,16 @@ from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import free_folder, require_writable
 from procedures.ports import camera_said
-from procedures.verify.models import Model, Pair, active_model, nominal_of
+from procedures.verify.models import Model, ModelPair, active_model, nominal_of
 from procedures.verify.places import places, ways
-from procedures.verify.procedure import Drive, driven, on_recorded, write
+from procedures.verify.procedure import SurveyPair, driven, on_recorded, write
 from procedures.verify.survey import Programme, wait_until_recorded
 
 REAL_SPEED = 0.5  # of a real arm's joint limits
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class ArmAtHold:
     """A homed and holding arm: the model of its runtime, and the function that ends its use (returns the recording)."""
 
     client: ArmClient
@@ -43,7 +43,7 @@ class Bench:
 def run(given: argparse.Namespace) -> int:
     """Verify; exit status 1 if the calibrated arm is significantly worse, or the arm could not continue."""
     calibrated = load_arm(given.arm)
-    pair = Pair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
+    pair = ModelPair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     require_writable(Path(given.out))
     if given.points is not None:
         pair = _framed(pair, given)
@@ -57,7 +57,7 @@ def run(given: argparse.Namespace) -> int:
         raise ArmError("--free and --fix say where recorded tips were measured: give them with --points")
     programme = _programme(given, calibrated)
     out = free_folder(Path(given.out))
-    drive = Drive.planned(pair, programme, _near(calibrated), out)
+    drive = SurveyPair.planned(pair, programme, _near(calibrated), out)
     with ExitStack() as stack:
         bench = _mock(given, pair, out, stack) if given.mock else _real(given, pair)
         out.mkdir(parents=True, exist_ok=True)
@@ -75,12 +75,16 @@ def run(given: argparse.Namespace) -> int:
     return _finish(given, verification, out)
 
 
-def _framed(pair: Pair, given: argparse.Namespace) -> Pair:
+def _framed(pair: ModelPair, given: argparse.Namespace) -> ModelPair:
     """Both models as if their files said of the tips' frame what the options say."""
     if given.free and given.fix:
         raise ArmError("the base frame cannot be both fixed and free: omit one of the two")
     said = without_base if given.free else with_own_base if given.fix else None
-    return pair if said is None else Pair(*(Model(said(one.arm)) for one in (pair.nominal, pair.calibrated)))
+    return (
+        pair
+        if said is None
+        else ModelPair(*(Model(said(one.arm)) for one in (pair.nominal, pair.calibrated)))
+    )
 
 
 def _programme(given: argparse.Namespace, arm: Arm) -> Programme:
@@ -98,7 +102,7 @@ def _near(arm: Arm) -> tuple[float, ...]:
     return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
 
 
-def _real(given: argparse.Namespace, pair: Pair) -> Bench:
+def _real(given: argparse.Namespace, pair: ModelPair) -> ArmAtHold:
     """The bench of a running runtime. ArmError if it is not homed and holding; nothing moves."""
     client = in_control_of(given, pair.calibrated.arm, pair.nominal.arm)
     status = client.status()
@@ -122,10 +126,10 @@ def _real(given: argparse.Namespace, pair: Pair) -> Bench:
         wait_until_recorded(recording, float(client.status()["t_s"]), client.wait)
         return recording
 
-    return Bench(client, runtime_model, REAL_SPEED, end)
+    return ArmAtHold(client, runtime_model, REAL_SPEED, end)
 
 
-def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) -> Bench:
+def _mock(given: argparse.Namespace, pair: ModelPair, out: Path, stack: ExitStack) -> ArmAtHold:
     """A homed, stepped mock of the nominal arm with the scenario's hidden errors; its runtime uses the calibrated arm."""
     from procedures.mock import (
         SteppedBench,  # imports MuJoCo, which takes a second
@@ -142,7 +146,7 @@ def _mock(given: argparse.Namespace, pair: Pair, out: Path, stack: ExitStack) ->
     client = bench.start(pair.calibrated.arm)
     client.enable()
     client.home()
-    return Bench(client, pair.calibrated, bench.speed, bench.stop)
+    return ArmAtHold(client, pair.calibrated, bench.speed, bench.stop)
 
 
 def _finish(given: argparse.Namespace, verification: Verification, out: Path) -> int:

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from control.errors import MissingModel
 from control.hardware.interface import Feedback
 from control.hardware.opened import Opened, collect
-from control.hardware.roles import AskedEncoders
+from control.hardware.roles import AskedEncoders, Line
 from control.hardware.words import (
     FAULT,
     HOME_SWITCH,
@@ -24,15 +24,7 @@ from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
 from firmware_iface.link import FrameLink
 
-
-class CanBus(Protocol):
-    """A bus with boards: drained at the beginning of a cycle; at its end, commands that wait are sent."""
-
-    def update(self) -> None: ...
-    def flush(self) -> None: ...
-
-
-B = TypeVar("B", bound=CanBus)
+B = TypeVar("B", bound=Line)
 
 
 class CountingNode(Protocol):
@@ -66,7 +58,7 @@ class CanNode(CountingNode, Protocol):
 class BusLine:
     """The bus, as the loop drains it; meets `control.hardware.roles.Line`."""
 
-    def __init__(self, bus: CanBus) -> None:
+    def __init__(self, bus: Line) -> None:
         self.update = bus.update
         self.flush = bus.flush
 

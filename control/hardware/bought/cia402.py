@@ -31,7 +31,7 @@ from firmware_iface.canopen.drive import FAULT_REACTION, FOLLOWING_ERROR_WINDOW,
 from firmware_iface.clock import Clock
 from firmware_iface.errors import MisuseError, WrongIdentity
 from firmware_iface.link import FrameLink
-from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.cia402 import DriveState
 
 PROFILE = 402
 HEARTBEATS = 4  # within the drives' time-out
@@ -86,7 +86,7 @@ class Cia402Joint:
         feedback.current_A[joint] = self._sign * drive.torque_permille / self._permille_per_A
         supply_mV = drive.supply_mV
         feedback.supply_V[joint] = self._supply_V if supply_mV is None else supply_mV * 1e-3
-        is_faulted = drive.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        is_faulted = drive.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
         feedback.drive_faults[joint] = self._faults() if is_faulted else 0
         # Bit 7 of a drive's statusword is a warning of its own, not that its output is limited.
         feedback.statusword[joint] = FAULT if is_faulted else drive.statusword & STATE_MASK
@@ -105,26 +105,26 @@ class Cia402Joint:
         drive, joint = self._drive, self._joint
         drive.ask_supply()
         feedback.sent_V[joint] = math.nan
-        is_in_operation = drive.state is State.OPERATION_ENABLED
+        is_in_operation = drive.state is DriveState.OPERATION_ENABLED
         if not (wanted.is_on and is_in_operation) or self._is_stopped:
             self._held = None
         if wanted is Wanted.AS_FOUND:
             return  # SYNC alone asks for its values
-        is_driving = drive.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
+        is_driving = drive.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE)
         if self._is_stopped and is_driving and wanted is not Wanted.DISABLED:
             drive.quick_stop()  # and it stays there until the stop is acknowledged, or the arm goes off
         elif wanted is Wanted.DISABLED or self._is_stopped:
-            drive.step_towards(State.SWITCH_ON_DISABLED)
+            drive.step_towards(DriveState.SWITCH_ON_DISABLED)
         elif is_in_operation:
             self._command(modes[joint], output[joint])
-        elif drive.state is State.QUICK_STOP_ACTIVE:
+        elif drive.state is DriveState.QUICK_STOP_ACTIVE:
             if wanted is Wanted.ENABLING:
                 drive.resume()
             else:
                 drive.quick_stop()
         else:
             is_wanted = wanted is Wanted.ENABLING
-            drive.step_towards(State.OPERATION_ENABLED if is_wanted else State.SWITCH_ON_DISABLED)
+            drive.step_towards(DriveState.OPERATION_ENABLED if is_wanted else DriveState.SWITCH_ON_DISABLED)
 
     def _command(self, mode: OutputMode, output: float) -> None:
         drive = self._drive
@@ -141,11 +141,11 @@ class Cia402Joint:
 
     def is_any_enabled(self) -> bool:
         """Whether the drive was in OPERATION ENABLED at the last SYNC."""
-        return self._drive.state is State.OPERATION_ENABLED
+        return self._drive.state is DriveState.OPERATION_ENABLED
 
     def has_torque(self, joint: int) -> bool:
         """Whether the drive is in operation, or holds after a quick stop: without a host it does so."""
-        return self._drive.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
+        return self._drive.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE)
 
     def configure(self, fresh_count: Callable[[int], int]) -> None:
         """Map and start a drive that was not, or that has restarted."""

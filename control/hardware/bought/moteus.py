@@ -29,7 +29,7 @@ from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, WrongIdentity
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.controller import Moteus, MoteusBus
-from firmware_iface.moteus.wire import Mode
+from firmware_iface.moteus.wire import MoteusMode
 
 # Fault codes of the register reference, as the loop's faults; the rest concerns its encoder, its settings or itself.
 _FAULT_OF: Final = {
@@ -37,7 +37,7 @@ _FAULT_OF: Final = {
 }  # fmt: skip
 
 
-class Setting(NamedTuple):
+class RequiredSetting(NamedTuple):
     """A setting by its name in tview, and what is expected of it; `is_right` is given NaN where it is not set, or not known."""
 
     name: str
@@ -56,13 +56,13 @@ def _reaches(most_A: float, drive: Drive) -> bool:
 TOLD: Final = 1e-5  # it tells six decimals of a number of 32 bits
 _DIGITAL_INPUT: Final = 14
 SETTINGS: Final = (
-    Setting("servo.timeout_mode", lambda mode, _: mode in (10, 15), "10 (holds without the host) or 15 (brakes)"),
-    Setting("servo.voltage_mode_control", lambda is_on, _: not is_on > 0, "0"),
-    Setting("servo.fixed_voltage_mode", lambda is_on, _: not is_on > 0, "0"),
-    Setting("servo.default_velocity_limit", _goes_at_once, "nan"),
-    Setting("servo.default_accel_limit", _goes_at_once, "nan"),
-    Setting("servo.max_current_A", _reaches, "current_limit_A or more"),
-    Setting(
+    RequiredSetting("servo.timeout_mode", lambda mode, _: mode in (10, 15), "10 (holds without the host) or 15 (brakes)"),
+    RequiredSetting("servo.voltage_mode_control", lambda is_on, _: not is_on > 0, "0"),
+    RequiredSetting("servo.fixed_voltage_mode", lambda is_on, _: not is_on > 0, "0"),
+    RequiredSetting("servo.default_velocity_limit", _goes_at_once, "nan"),
+    RequiredSetting("servo.default_accel_limit", _goes_at_once, "nan"),
+    RequiredSetting("servo.max_current_A", _reaches, "current_limit_A or more"),
+    RequiredSetting(
         "aux1.pins.0.mode", lambda mode, drive: drive.home is None or mode == _DIGITAL_INPUT,
         f"{_DIGITAL_INPUT} (the home switch)",
     ),
@@ -109,9 +109,9 @@ class MoteusDrive(PositionLoopDrive):
 
     def _faults_now(self) -> int:
         board = self._board
-        if board.mode == Mode.FAULT:
+        if board.mode == MoteusMode.FAULT:
             return _FAULT_OF.get(board.fault, OWN_ENCODER)
-        return WATCHDOG if board.mode == Mode.TIMEOUT else 0
+        return WATCHDOG if board.mode == MoteusMode.TIMEOUT else 0
 
     def _is_driving(self) -> bool:
         return self._board.is_driving or self._is_in_operation()
@@ -122,7 +122,7 @@ class MoteusDrive(PositionLoopDrive):
 
     def has_torque(self, joint: int) -> bool:
         """Whether it drives its motor, or holds it after a time-out."""
-        return self._board.is_driving or self._board.mode == Mode.TIMEOUT
+        return self._board.is_driving or self._board.mode == MoteusMode.TIMEOUT
 
     def write(
         self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
@@ -130,7 +130,7 @@ class MoteusDrive(PositionLoopDrive):
     ) -> None:  # fmt: skip
         """Set the command of this cycle; a hold that its time-out began ends by a stop alone."""
         super().write(wanted, modes, output, feedforward_V, feedback)
-        if wanted is Wanted.DISABLED and self._board.mode == Mode.TIMEOUT:
+        if wanted is Wanted.DISABLED and self._board.mode == MoteusMode.TIMEOUT:
             self._board.wanted = wire.stop(self._board.number)
 
     def _look(self) -> None:

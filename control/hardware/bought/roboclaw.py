@@ -34,21 +34,27 @@ from firmware_iface.link import ByteLink
 from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.board import CHANNELS, RoboClaw
 from firmware_iface.roboclaw.line import PacketLine
-from firmware_iface.roboclaw.wire import Status
+from firmware_iface.roboclaw.wire import RoboclawStatus
 
 # What an error of the board is to the loop: of both motors, and by channel.
 _SHARED = (
-    (Status.E_STOP, EMERGENCY_STOP),
-    (Status.TEMPERATURE | Status.TEMPERATURE_2, OVER_TEMPERATURE),
-    (Status.MAIN_VOLTAGE_HIGH | Status.LOGIC_VOLTAGE_HIGH, SUPPLY_HIGH),
-    (Status.MAIN_VOLTAGE_LOW | Status.LOGIC_VOLTAGE_LOW, SUPPLY_LOW),
+    (RoboclawStatus.E_STOP, EMERGENCY_STOP),
+    (RoboclawStatus.TEMPERATURE | RoboclawStatus.TEMPERATURE_2, OVER_TEMPERATURE),
+    (RoboclawStatus.MAIN_VOLTAGE_HIGH | RoboclawStatus.LOGIC_VOLTAGE_HIGH, SUPPLY_HIGH),
+    (RoboclawStatus.MAIN_VOLTAGE_LOW | RoboclawStatus.LOGIC_VOLTAGE_LOW, SUPPLY_LOW),
 )
 _OWN = (
-    ((Status.DRIVER_1 | Status.CURRENT_1, OVER_CURRENT), (Status.SPEED_1 | Status.POSITION_1, OWN_ENCODER)),
-    ((Status.DRIVER_2 | Status.CURRENT_2, OVER_CURRENT), (Status.SPEED_2 | Status.POSITION_2, OWN_ENCODER)),
+    (
+        (RoboclawStatus.DRIVER_1 | RoboclawStatus.CURRENT_1, OVER_CURRENT),
+        (RoboclawStatus.SPEED_1 | RoboclawStatus.POSITION_1, OWN_ENCODER),
+    ),
+    (
+        (RoboclawStatus.DRIVER_2 | RoboclawStatus.CURRENT_2, OVER_CURRENT),
+        (RoboclawStatus.SPEED_2 | RoboclawStatus.POSITION_2, OWN_ENCODER),
+    ),
 )
-_LIMITS_CURRENT = (Status.OVER_CURRENT_WARNING_1, Status.OVER_CURRENT_WARNING_2)
-_SWITCH = (Status.S4_TRIGGERED, Status.S5_TRIGGERED)
+_LIMITS_CURRENT = (RoboclawStatus.OVER_CURRENT_WARNING_1, RoboclawStatus.OVER_CURRENT_WARNING_2)
+_SWITCH = (RoboclawStatus.S4_TRIGGERED, RoboclawStatus.S5_TRIGGERED)
 # Bytes of a cycle a board, there and back: duties 8 + 1, currents 2 + 6, status 2 + 6, encoders 2 + 10.
 CYCLE_BYTES = 37
 QUESTIONS = 4
@@ -82,7 +88,7 @@ class RoboClawEncoders(AskedEncoders):
             self._resets = board.resets
             self._are_zeros_set = dict.fromkeys(self.joints, False)
             self._latched.clear()
-        status = board.status or Status(0)
+        status = board.status or RoboclawStatus(0)
         for joint, channel in self._channels.items():
             feedback.count[joint] = board.counts[channel]
             feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
@@ -147,7 +153,7 @@ class RoboClawDrives:
             feedback.drive_faults[joint] = self._faults[channel]
             feedback.statusword[joint] = self._statusword(channel, status)
 
-    def _statusword(self, channel: int, status: Status) -> int:
+    def _statusword(self, channel: int, status: RoboclawStatus) -> int:
         if self._faults[channel]:
             return FAULT
         is_obeyed = math.isfinite(self._board.obeyed_at_s)
@@ -189,7 +195,9 @@ class RoboClawDrives:
         """Forget the errors that are gone. Raises BoardFaulted for those that are not."""
         status = self._board.read_status()
         if status & wire.ERRORS:
-            names = ", ".join(str(one.name).replace("_", " ").lower() for one in Status(status & wire.ERRORS))
+            names = ", ".join(
+                str(one.name).replace("_", " ").lower() for one in RoboclawStatus(status & wire.ERRORS)
+            )
             raise BoardFaulted(
                 f"{self._board.where}: its error ({names}) cannot be acknowledged: the cause persists"
             )
@@ -205,7 +213,7 @@ class RoboClawDrives:
         self._shout(self._board.stop_packet())
 
 
-def _faults(status: Status, channel: int) -> int:
+def _faults(status: RoboclawStatus, channel: int) -> int:
     """The loop's fault bits of one motor."""
     return sum(bit for errors, bit in (*_SHARED, *_OWN[channel]) if status & errors)
 

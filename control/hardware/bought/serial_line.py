@@ -23,7 +23,7 @@ class AskedBoard(Protocol):
 
 
 class PolledBoards:
-    """A line, as the loop drains it; meets `control.hardware.roles.Line` and `PolledLine`."""
+    """A line, as the loop drains it; meets `control.hardware.roles.Line` and `AskedLine`."""
 
     def __init__(
         self, line: PolledLine, boards: Iterable[AskedBoard], post_cycle: Callable[[], None]

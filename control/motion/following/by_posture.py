@@ -29,7 +29,7 @@ from control.kinematics.pose_solver import (
 from control.model.arm import Arm
 from control.motion import checks
 from control.motion.errors import PathError
-from control.motion.following.follower import LEAST_SAMPLES, SEED_STEP_M, Followed, Pose, Start
+from control.motion.following.follower import LEAST_SAMPLES, SEED_STEP_M, Followed, PathStart, Pose
 from control.motion.following.orientation import OrientationSpline
 from control.motion.following.posture_rule import PostureRule
 from control.motion.following.reference import ReferencePosture
@@ -51,13 +51,13 @@ class PostureFollower:
         self._kinematics = inverse.kinematics
         self._task = inverse.task(waypoints.orientations is not None)
         self._rule = PostureRule(self._kinematics, self._task, np.array(arm.limits_rad))
-        self._known: tuple[Start, list[float], list[Pose]] | None = None
+        self._known: tuple[PathStart, list[float], list[Pose]] | None = None
 
-    def starts(self, q_near: Sequence[float]) -> Iterator[Start]:
+    def starts(self, q_near: Sequence[float]) -> Iterator[PathStart]:
         """Solutions at the first way-point, the one from `q_near` first."""
         try:
             for q in self._inverse.solutions(self._wanted(0), q_near):
-                yield Start(q)
+                yield PathStart(q)
         except ArmError as problem:
             raise PathError(f"{self._waypoints.name(1)}: {problem}; nothing was moved", 1) from problem
 
@@ -65,11 +65,11 @@ class PostureFollower:
         turned = self._waypoints.orientations
         return TipPose.of(self._waypoints.points[index], None if turned is None else turned[index])
 
-    def check(self, start: Start) -> None:
+    def check(self, start: PathStart) -> None:
         """Nothing: following the path finds what cannot be reached."""
 
     def follow(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, start: Start, rate_Hz: float
+        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float
     ) -> Followed:
         """Every sample by Newton from the reference posture."""
         turn = self._turn(recipe, spline)
@@ -109,7 +109,11 @@ class PostureFollower:
         return np.interp(fractions, np.arange(len(spline.times_s)), spline.times_s).tolist()
 
     def _postures(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, turn: OrientationSpline | None, start: Start
+        self,
+        recipe: TimedWaypoints,
+        spline: CartesianSpline,
+        turn: OrientationSpline | None,
+        start: PathStart,
     ) -> tuple[list[float], list[Pose]]:
         """Fractions and poses, followed in small steps from the start."""
         turns = recipe.turns_rad or (0.0,) * len(recipe.lengths_m)

@@ -14,7 +14,7 @@ SEED_STEP_M = 0.02  # between poses that are solved one after the other
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class PathStart:
     """A pose in which the path can begin, and its branch where those have names."""
 
     q_rad: Pose
@@ -33,16 +33,16 @@ class Followed:
 class Follower(Protocol):
     """Follows one set of way-points with one arm; errors are PathError and name the way-point."""
 
-    def starts(self, q_near: Sequence[float]) -> Iterator[Start]:
+    def starts(self, q_near: Sequence[float]) -> Iterator[PathStart]:
         """Poses at the first way-point, nearest first."""
         ...
 
-    def check(self, start: Start) -> None:
+    def check(self, start: PathStart) -> None:
         """PathError if a way-point cannot be reached from this start."""
         ...
 
     def follow(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, start: Start, rate_Hz: float
+        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float
     ) -> Followed:
         """Sample the path at a rate, or at LEAST_SAMPLES a section."""
         ...

@@ -8,7 +8,7 @@ from control.kinematics.inverse import InverseKinematics, Solution
 from control.kinematics.kinematics import Kinematics
 from control.motion import checks
 from control.motion.errors import PathError
-from control.motion.following.follower import LEAST_SAMPLES, SEED_STEP_M, Followed, Pose, Start
+from control.motion.following.follower import LEAST_SAMPLES, SEED_STEP_M, Followed, PathStart, Pose
 from control.motion.samples import interpolated, sample_tip, solve_joints
 from control.motion.spline import CartesianSpline, TimedWaypoints
 from control.motion.waypoints import Waypoints
@@ -20,12 +20,12 @@ class BranchFollower:
     def __init__(self, inverse: InverseKinematics, kinematics: Kinematics, waypoints: Waypoints) -> None:
         self._inverse, self._kinematics, self._waypoints = inverse, kinematics, waypoints
 
-    def starts(self, q_near: Sequence[float]) -> Iterator[Start]:
+    def starts(self, q_near: Sequence[float]) -> Iterator[PathStart]:
         """Branches that reach the first way-point and their poses, within limits first, then nearest first."""
         first = self._waypoints.points[0]
         try:
             if not self._inverse.has_branches:
-                yield Start(self._inverse.nearest(first, q_near))
+                yield PathStart(self._inverse.nearest(first, q_near))
                 return
             solutions = self._inverse.branches(first)
         except ArmError as problem:
@@ -36,9 +36,9 @@ class BranchFollower:
                 abs(a - b) for a, b in zip(solution.q, q_near, strict=True)
             )
 
-        yield from (Start(solution.q, solution.branch) for solution in sorted(solutions, key=distance))
+        yield from (PathStart(solution.q, solution.branch) for solution in sorted(solutions, key=distance))
 
-    def check(self, start: Start) -> None:
+    def check(self, start: PathStart) -> None:
         """PathError for the first way-point that the branch does not reach."""
         if start.branch is None:
             return
@@ -51,7 +51,7 @@ class BranchFollower:
                 ) from problem
 
     def follow(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, start: Start, rate_Hz: float
+        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float
     ) -> Followed:
         """Newton from scalar solutions, at most SEED_STEP_M apart."""
         tip = sample_tip(spline, rate_Hz, LEAST_SAMPLES)

@@ -27,7 +27,7 @@ from control.motion.jog_limits import (
     TURN_SPEED_rad_s,
 )
 from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import Stop
+from control.motion.joint_move import StopMotion
 from control.motion.setpoint import SetPoint
 from control.motion.trajectory import calculated
 
@@ -78,7 +78,7 @@ class PoseJog:
         self._tip = TipRate(STILL, STILL, STILL)
         self._wanted: Twist = STILL
         self._goal: Twist | None = None
-        self._stop: Stop | None = None  # once the jog has met an obstacle
+        self._stop: StopMotion | None = None  # once the jog has met an obstacle
         self._stop_s = 0.0
         self.limited = ""
         self._aim_here()
@@ -137,7 +137,7 @@ class PoseJog:
                 self._joints = proposed
                 return proposed
             self.limited = f"the jog stopped: {obstacle}"
-            self._stop, self._stop_s = Stop(self._joints, self._limits), 0.0
+            self._stop, self._stop_s = StopMotion(self._joints, self._limits), 0.0
         self._stop_s += elapsed_s
         self._joints = self._stop.at(self._stop_s)
         return self._joints
@@ -150,7 +150,7 @@ class PoseJog:
         self._tip = TipRate(self._tip.way, _twist(rate * speed_share for rate in self._tip.rate), STILL)
         self._aim_here()
         if self._stop is not None:
-            self._stop, self._stop_s = Stop(self._joints, self._limits), 0.0
+            self._stop, self._stop_s = StopMotion(self._joints, self._limits), 0.0
         return self._joints
 
     # ---- one cycle

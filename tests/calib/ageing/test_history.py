@@ -11,7 +11,7 @@ from benchmarks.calibration.ageing import entry_of, measured
 from benchmarks.calibration.chains import REFERENCE_DH
 from calib.ageing import (
     Entry,
-    Geometry,
+    GeometryRecord,
     HistoryFileError,
     Quantity,
     append_entry,
@@ -25,7 +25,7 @@ from calib.points.writer import write_points
 from console.main import main
 
 DAY = datetime.datetime(2026, 3, 1, tzinfo=datetime.UTC)
-GEOMETRY = Geometry(("theta2",), (1.57,), (0.035,), ((1e4,),))
+GEOMETRY = GeometryRecord(("theta2",), (1.57,), (0.035,), ((1e4,),))
 
 
 def entry(day: int = 0, arm: str = "right") -> Entry:

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from calib.arm_import.lerobot import Motor, given_back, read_calibration, taken_over
+from calib.arm_import.lerobot import LeRobotMotor, given_back, read_calibration, taken_over
 from calib.errors import ImportedModelError
 from console.main import main
 from control.model.arm import Arm
@@ -28,12 +28,12 @@ MIDDLES = {
     "gripper": 2500,
 }
 MOTORS = {
-    name: Motor(number, 0, 37 * number, math.ceil(middle) - 1000, math.floor(middle) + 1000)
+    name: LeRobotMotor(number, 0, 37 * number, math.ceil(middle) - 1000, math.floor(middle) + 1000)
     for number, (name, middle) in enumerate(MIDDLES.items(), 1)
 }
 
 
-def degrees_by_lerobot(position: float, motor: Motor) -> float:
+def degrees_by_lerobot(position: float, motor: LeRobotMotor) -> float:
     """As the MotorsBus of LeRobot does it."""
     return (position - (motor.range_min + motor.range_max) / 2.0) * 360.0 / 4095.0
 
@@ -131,7 +131,7 @@ def test_the_commands_take_it_over_and_give_it_back(
     theirs.write_text(
         json.dumps(
             {
-                name: {key: getattr(motor, key) for key in Motor.__struct_fields__}
+                name: {key: getattr(motor, key) for key in LeRobotMotor.__struct_fields__}
                 for name, motor in MOTORS.items()
             }
         )

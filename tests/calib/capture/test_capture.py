@@ -15,9 +15,9 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.boards import read_markers
 from calib.capture.alignment import align
 from calib.capture.c3d import read_c3d
-from calib.capture.motion import Motion
+from calib.capture.motion import JointMotion
 from calib.capture.poses import believed, poses_at_rest
-from calib.capture.tracks import Body, Capture, CaptureError, fitted_body, relative
+from calib.capture.tracks import BodyTrack, Capture, CaptureError, fitted_body, relative
 from calib.capture.vicon_csv import read_vicon_csv
 from calib.gap.log import read_log
 from calib.identify.identification import identify
@@ -42,16 +42,16 @@ from tests.calib.capture.recordings import (
 )
 
 
-def motion_of(made: Both) -> Motion:
+def motion_of(made: Both) -> JointMotion:
     from calib.capture.motion import _speeds
 
-    return Motion(made.t_s, made.q_rad, _speeds(made.t_s, made.q_rad))
+    return JointMotion(made.t_s, made.q_rad, _speeds(made.t_s, made.q_rad))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_time_is_found_with_an_arm_that_is_not_calibrated_and_a_body_beside_the_tip(seed: int) -> None:
     made = both(seed)
-    found = align(RIGHT, motion_of(made), made.tau_s, Body(made.place_m))
+    found = align(RIGHT, motion_of(made), made.tau_s, BodyTrack(made.place_m))
     assert abs(found.offset_s - 2.3217) < max(4.0 * found.offset_sd_s, 2e-5)
     assert found.offset_sd_s < 1e-4
     assert (found.rate, found.rate_sd) == (0.0, 0.0)
@@ -61,7 +61,7 @@ def test_the_time_is_found_with_an_arm_that_is_not_calibrated_and_a_body_beside_
 
 def test_a_long_recording_tells_how_fast_the_clocks_run() -> None:
     made = both(3, span_s=90.0, rate=40e-6)
-    found = align(RIGHT, motion_of(made), made.tau_s, Body(made.place_m))
+    found = align(RIGHT, motion_of(made), made.tau_s, BodyTrack(made.place_m))
     assert found.rate == pytest.approx(40e-6, abs=max(4.0 * found.rate_sd, 1e-7))
     assert abs(found.offset_s - 2.3217) < max(4.0 * found.offset_sd_s, 5e-5)
 
@@ -69,14 +69,14 @@ def test_a_long_recording_tells_how_fast_the_clocks_run() -> None:
 def test_a_motion_that_repeats_itself_or_is_another_one_cannot_tell_the_time() -> None:
     made = both(4, span_s=24.0, poses=2)
     with pytest.raises(CaptureError, match="cannot tell the time: shifted by"):
-        align(RIGHT, motion_of(made), made.tau_s[:1200], Body(made.place_m[:1200]))
+        align(RIGHT, motion_of(made), made.tau_s[:1200], BodyTrack(made.place_m[:1200]))
     with pytest.raises(CaptureError, match=r"agree nowhere|cannot tell the time|disagree by"):
-        align(RIGHT, motion_of(both(5)), made.tau_s, Body(both(6, span_s=24.0).place_m))
+        align(RIGHT, motion_of(both(5)), made.tau_s, BodyTrack(both(6, span_s=24.0).place_m))
     still = np.tile(made.place_m[:1], (len(made.tau_s), 1))
     with pytest.raises(CaptureError, match="in which both tip and body move"):
-        align(RIGHT, motion_of(made), made.tau_s, Body(still))
+        align(RIGHT, motion_of(made), made.tau_s, BodyTrack(still))
     with pytest.raises(CaptureError, match="seen for less than 3 s"):
-        align(RIGHT, motion_of(made), made.tau_s[:200], Body(made.place_m[:200]))
+        align(RIGHT, motion_of(made), made.tau_s[:200], BodyTrack(made.place_m[:200]))
 
 
 def test_rests_become_poses_whose_covariances_are_right_and_hidden_ones_are_said() -> None:
@@ -84,7 +84,7 @@ def test_rests_become_poses_whose_covariances_are_right_and_hidden_ones_are_said
     place = np.array(made.place_m)
     place[600:800] = np.nan
     rotation = np.where(np.isnan(place)[:, :, None], np.nan, made.rotation)
-    motion, body = motion_of(made), Body(place, rotation)
+    motion, body = motion_of(made), BodyTrack(place, rotation)
     found = poses_at_rest(motion, made.tau_s, body, align(RIGHT, motion, made.tau_s, body))
     assert len(found.points) >= 12
     assert any("the body is hidden in" in said for said in found.left_out)
@@ -126,7 +126,7 @@ def test_bodies_that_exchange_their_names_are_not_believed_meanwhile() -> None:
     one, two = np.array(made.place_m), np.array(other)
     one[100:150], two[100:150] = other[100:150], made.place_m[100:150]
     capture = Capture(Path("x.csv"), made.tau_s, {}, {})
-    bodies, said = believed(capture, {"tool": Body(one), "wand": Body(two)})
+    bodies, said = believed(capture, {"tool": BodyTrack(one), "wand": BodyTrack(two)})
     assert np.flatnonzero(~bodies["tool"].is_seen).tolist() == list(range(100, 150))
     assert said == (
         "body tool and wand exchanged their names at frame 100",
@@ -137,7 +137,7 @@ def test_bodies_that_exchange_their_names_are_not_believed_meanwhile() -> None:
 def test_a_base_body_that_moves_is_refused() -> None:
     made = both(10, span_s=8.0)
     with pytest.raises(CaptureError, match="the base body moves by"):
-        relative(Body(made.place_m), Body(made.place_m, made.rotation))
+        relative(BodyTrack(made.place_m), BodyTrack(made.place_m, made.rotation))
 
 
 def test_vicons_csv_is_read_with_units_names_and_hidden_frames(tmp_path: Path) -> None:
@@ -353,8 +353,8 @@ def test_runs_with_clocks_of_their_own_are_not_joined(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text(text + text.replace("\n1,", "\n2,").partition("\n")[2])
     log, _ = read_log(tmp_path / "b.csv", 3)
     with pytest.raises(CaptureError, match=r"clocks of their own.*\(1, 2\)"):
-        Motion.of(log, None)
-    assert len(Motion.of(log, "2")[0].t_s) == 1000
+        JointMotion.of(log, None)
+    assert len(JointMotion.of(log, "2")[0].t_s) == 1000
 
 
 def test_runs_of_our_own_exports_are_put_on_one_clock_and_what_is_before_homing_is_left_out(
@@ -370,7 +370,7 @@ def test_runs_of_our_own_exports_are_put_on_one_clock_and_what_is_before_homing_
             f"{run},{made.t_s[k] - made.t_s[begin]:.4f},{row[0]:.6f},{row[1]:.6f},{row[2]:.6f},{50 + k}"
         )
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    motion, said = Motion.of(read_log(tmp_path / "log.csv", 3)[0], None)
+    motion, said = JointMotion.of(read_log(tmp_path / "log.csv", 3)[0], None)
     np.testing.assert_allclose(motion.t_s, made.t_s[200:], atol=1e-6)
     assert "before 1.00 s is not used: an angle leaps there" in said[0]
 

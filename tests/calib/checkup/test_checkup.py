@@ -11,7 +11,7 @@ from benchmarks.calibration.checkup import before, checked, visits_of
 from benchmarks.calibration.trust_coverage import session
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array
-from calib.checkup import BENT_m, Expectation, SLIP_rad, decide, decision_json, judged, sentences
+from calib.checkup import BENT_m, ExpectedTips, SLIP_rad, decide, decision_json, judged, sentences
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
 from calib.points.writer import write_points
@@ -27,7 +27,7 @@ SEED = 7100
 
 
 @cache
-def quiet(count: int = 16) -> Expectation:
+def quiet(count: int = 16) -> ExpectedTips:
     """Poses of an arm that is known to NOISE_m, at which nothing has changed."""
     model, q = ArmModel(ARM), workspace_poses(ARM, (), 8 * count)[:count]
     side = np.where(np.arange(count)[:, None] % 2 == 0, 1.0, -1.0) * np.ones(3)
@@ -35,7 +35,7 @@ def quiet(count: int = 16) -> Expectation:
     scatter = np.tile(NOISE_m**2 * np.eye(3), (count, 1, 1))
     left = np.random.default_rng(1).normal(0.0, NOISE_m, (count, 3))
     largest_Nm = np.maximum(1e-9, np.abs(state.gravity_Nm).max(axis=0))
-    return Expectation(
+    return ExpectedTips(
         left_m=left,
         covariance=NOISE_m**2 * np.eye(3 * count),
         scatter_m2=scatter,
@@ -52,7 +52,7 @@ def quiet(count: int = 16) -> Expectation:
     )
 
 
-def moved(shift_m: Array, at: Expectation | None = None) -> Expectation:
+def moved(shift_m: Array, at: ExpectedTips | None = None) -> ExpectedTips:
     at = at or quiet()
     return dataclasses.replace(at, left_m=at.left_m + shift_m)
 

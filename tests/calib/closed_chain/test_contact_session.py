@@ -12,12 +12,22 @@ import pytest
 from calib.closed_chain.candidates import Candidates, base_of, contact_candidates
 from calib.closed_chain.conduct import PairStation, conduct, contact_plan
 from calib.closed_chain.contacts import read_contacts
-from calib.closed_chain.room import Room
+from calib.closed_chain.room import SharedRoom
 from calib.closed_chain.watch import ContactWatch
 from calib.errors import SessionError
-from calib.session.conversation import GO, Ask, Command, Do, Jog, Message, Question, Recorded, Saying
+from calib.session.conversation import (
+    GO,
+    Ask,
+    Do,
+    Message,
+    Recorded,
+    Saying,
+    SessionCommand,
+    SessionQuestion,
+    SmallMove,
+)
 from calib.session.folder import SessionFolder
-from calib.session.moves import ArmGeometry, Sample
+from calib.session.moves import ArmGeometry, RestSample
 from calib.session.plan import Seating, Target
 from calib.session.state import Mark
 from control.model.cell import load_cell
@@ -25,7 +35,7 @@ from control.model.cell import load_cell
 PAIR = load_cell("pair")
 NAMES = ("left", "right")
 ARMS = (PAIR.arms[0].arm, PAIR.arms[1].arm)
-QUIT, REDO = Command(Do.QUIT), Command(Do.REDO)
+QUIT, REDO = SessionCommand(Do.QUIT), SessionCommand(Do.REDO)
 
 
 @cache
@@ -55,9 +65,9 @@ class Arm:
     def hold(self) -> None:
         self.log.append(f"hold {self.name}")
 
-    def average(self, duration_s: float) -> Sample:
+    def average(self, duration_s: float) -> RestSample:
         self.t_s += duration_s
-        return Sample(self.q_rad, (0.0,) * 3, (0.1,) * 3, (1, -1, 0), (25.0,) * 3)
+        return RestSample(self.q_rad, (0.0,) * 3, (0.1,) * 3, (1, -1, 0), (25.0,) * 3)
 
 
 class Bench:
@@ -67,7 +77,7 @@ class Bench:
         self.folder = folder
         self.log: list[str] = []
         self.said: list[Saying] = []
-        self.room = Room(PAIR, (PAIR.arms[0], PAIR.arms[1]))
+        self.room = SharedRoom(PAIR, (PAIR.arms[0], PAIR.arms[1]))
         left_rad, right_rad = self.room.rest_rad
         self.arms = (Arm("left", self.log, left_rad), Arm("right", self.log, right_rad))
         self.plan = contact_plan(NAMES, "00", planned().contacts, seat)
@@ -78,7 +88,7 @@ class Bench:
         for arm, q_rad in zip(self.arms, poses_rad, strict=True):
             arm.q_rad = tuple(q_rad)
 
-    def run(self, answers: Iterable[Command]) -> list[Saying]:
+    def run(self, answers: Iterable[SessionCommand]) -> list[Saying]:
         """What was said; every Ask is logged and answered in turn, then with QUIT."""
         answers, self.said = iter(answers), []
         geometry = (ArmGeometry(ARMS[0]), ArmGeometry(ARMS[1]))
@@ -91,7 +101,7 @@ class Bench:
                     self.said.append(saying)
                     if isinstance(saying, Ask):
                         self.log.append(f"{saying.question.name} {saying.arm}".strip())
-                        if saying.question is Question.SEATED and saying.arm:  # the hand does it
+                        if saying.question is SessionQuestion.SEATED and saying.arm:  # the hand does it
                             self.bring(saying.target)
                     saying = talk.send(next(answers, QUIT) if isinstance(saying, Ask) else GO)
             except StopIteration:
@@ -159,8 +169,13 @@ def test_a_record_is_redone_once_and_survives_the_next_start(tmp_path: Path) -> 
 
 def test_jogs_name_the_arm(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "s", seat="jog")
-    steps = [Jog("z", -0.005, "right"), Jog("z", -0.005), Jog("z", 0.005, "middle"), Jog("z", 0.9, "left")]
-    bench.run([GO, *(Command(Do.JOG, jog=jog) for jog in steps)])
+    steps = [
+        SmallMove("z", -0.005, "right"),
+        SmallMove("z", -0.005),
+        SmallMove("z", 0.005, "middle"),
+        SmallMove("z", 0.9, "left"),
+    ]
+    bench.run([GO, *(SessionCommand(Do.JOG, jog=jog) for jog in steps)])
     told = [saying.text for saying in bench.said if isinstance(saying, Message)]
     assert [entry for entry in bench.log if "creep" in entry] == ["creep right"]
     assert "expected one of left, right first" in told[0]

@@ -12,7 +12,7 @@ from calib.arm_problem.frames import Frame
 from calib.design.candidates import (
     FREE_HEIGHT_M,
     OTHER_TILTS,
-    View,
+    CameraBox,
     free_candidates,
     joint_box,
     named,
@@ -67,7 +67,7 @@ def test_no_two_free_poses_to_choose_from_are_nearly_the_same():
 
 
 def test_camera_sees_only_what_is_in_its_view():
-    view = View((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
+    view = CameraBox((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
     tips = free_candidates(ARM, [], view).tip_m
     assert len(tips)
     assert (tips >= view.lower_m).all()

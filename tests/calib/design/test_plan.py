@@ -19,7 +19,7 @@ from benchmarks.calibration.design_trial import (
 )
 from calib.arm_problem.assembly import Choice
 from calib.arm_problem.frames import Frame
-from calib.design import Request, View, in_words, plan_json, plan_poses, write_plan
+from calib.design import CameraBox, Request, in_words, plan_json, plan_poses, write_plan
 from calib.design.candidates import boards_in_the_way, free_candidates, workspace_poses
 from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError
@@ -125,7 +125,7 @@ def test_free_poses_keep_off_the_tilted_board_though_no_cavity_is_planned():
 
 
 def test_view_keeps_free_poses_where_the_camera_sees_them():
-    view = View((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
+    view = CameraBox((0.2, -0.3, 0.0), (0.6, 0.3, 0.5))
     plan = plan_poses(ARM, None, Request(count=4, only="free", view=view))
     tips = plan.points.tip_m
     assert ((tips >= view.lower_m) & (tips <= view.upper_m)).all()
@@ -156,7 +156,7 @@ def test_boards_at_unknown_places_are_planned_in_more_than_one_tilt():
 
 def test_where_all_frames_are_unknown_free_poses_are_still_found_to_be_best():
     """Each frame takes six unknowns: two tilts would cost twelve, and the camera's base frame alone six."""
-    loose, view = Choice(freed=("base", "table", "tool")), View((0.0, -1.0, 0.0), (1.0, 0.0, 1.0))
+    loose, view = Choice(freed=("base", "table", "tool")), CameraBox((0.0, -1.0, 0.0), (1.0, 0.0, 1.0))
     assert set(
         plan_poses(ARM, None, Request(count=6, setups=("roll", "pitch"), view=view), loose).points.setup
     ) == {"free"}
@@ -211,7 +211,11 @@ def test_files_are_read_back_as_they_were_meant(tmp_path):
             Request(noise_m=1e-4),
             r"neither a \[table\] nor a \[camera\]",
         ),
-        (ARM, Request(only="free", view=View((5.0, 5.0, 5.0), (6.0, 6.0, 6.0))), "no pose is left to plan"),
+        (
+            ARM,
+            Request(only="free", view=CameraBox((5.0, 5.0, 5.0), (6.0, 6.0, 6.0))),
+            "no pose is left to plan",
+        ),
     ],
 )
 def test_request_that_cannot_be_met_is_one_error(arm, request_, message):

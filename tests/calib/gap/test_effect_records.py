@@ -10,12 +10,12 @@ import pytest
 from calib.arrays import Array
 from calib.gap.effects.catalogue import RECORDS, known_laws, parameters
 from calib.gap.effects.electrical import SAMPLING
-from calib.gap.residuals.rows import Rows
+from calib.gap.residuals.rows import ResidualRows
 from calib.gap.signals.angles import angle_error
 from calib.gap.signals.friction import friction_Nm
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
-from calib.gap.signals.terms import Form, Term
+from calib.gap.signals.terms import Form, Law
 from control.dynamics.feedforward import torque_model
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
@@ -64,7 +64,7 @@ def _moving(*state: tuple[float, ...]) -> Sampled:
     return Sampled(q, speed, 0.0 * q, np.zeros(1))
 
 
-def law_of(effect: Effect) -> Term:
+def law_of(effect: Effect) -> Law:
     (law,) = known_laws(dataclasses.replace(RIGHT, effects=(effect,)))
     return law
 
@@ -130,7 +130,7 @@ def test_cogging_comes_round_with_the_motor_and_not_with_an_encoder_that_misread
     recording = prepare(RIGHT, log_of(RIGHT))
     cogging = law_of(Effect("cogging", 2, {"amplitude_Nm": 0.4, "order": 4.0, "phase_rad": 0.5}))
     scale = law_of(Effect("encoder_scale", 2, {"scale": 0.01}))
-    rows = Rows(Physics(RIGHT, recording), ())
+    rows = ResidualRows(Physics(RIGHT, recording), ())
     (current,) = (cell.rows for cell in rows.table.cells if str(cell) == "current of joint 2")
     added = (rows.residual((scale, cogging)) - rows.residual((scale,)))[current]
     np.testing.assert_allclose(

@@ -15,7 +15,7 @@ from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.departures import by_angle
 from calib.gap.effects.friction import friction, torque_of
 from calib.gap.effects.pose_columns import harmonics, term_on_joint
-from calib.gap.effects.pose_scene import Scene
+from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries
 from calib.gap.finding import EffectName
 from calib.gap.model_update import updated_arm
@@ -39,7 +39,7 @@ def drag(p: Mapping[str, float], f: Functions = math) -> Torque:
     return lambda angle, speed, load: coefficient * speed * abs(speed)
 
 
-def twice_a_turn(record: EffectRecord, scene: Scene) -> Iterator[Term]:
+def twice_a_turn(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     """An encoder disc that is no circle."""
     q = scene.points.q_rad
     for j in range(scene.points.joint_count):

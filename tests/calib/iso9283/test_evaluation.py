@@ -15,7 +15,7 @@ from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import summary_text, write_page
-from calib.iso9283.recorded import SET, Run, pose_groups, read_rectangle, read_runs
+from calib.iso9283.recorded import SET, RecordedRun, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import CRITERIA, Criterion, Evaluation, document
 from calib.iso9283.workspace import solver_of
 from calib.points.points import Points, make_points
@@ -52,19 +52,21 @@ def visits(
     return make_points(setup, point, repeat, q, tip, t_s=np.arange(float(len(q))), **keys)  # type: ignore[arg-type]
 
 
-def found(arm: Arm, points: Points, runs: Sequence[Run] = (), **keys: object) -> dict[int, Criterion]:
+def found(arm: Arm, points: Points, runs: Sequence[RecordedRun] = (), **keys: object) -> dict[int, Criterion]:
     groups, _ = pose_groups(points, arm, "points.csv")
     return {c.number: c for c in evaluate(groups, runs, **keys).criteria}  # type: ignore[arg-type]
 
 
-def line_run(arm: Arm, number: int, programme: str = "line", y_m: float = 0.0, noise_m: float = 0.0) -> Run:
+def line_run(
+    arm: Arm, number: int, programme: str = "line", y_m: float = 0.0, noise_m: float = 0.0
+) -> RecordedRun:
     """0.3 m along x in 3 s between two rests, attained at y_m."""
     t = np.arange(0.0, 4.0, 0.01)
     x = 0.1 * np.clip(t - 0.2, 0.0, 3.0)
     wanted = np.column_stack((0.25 + x, 0 * x, 0.3 + 0 * x))
     noise = np.random.default_rng(number).normal(scale=noise_m or 1e-12, size=wanted.shape)
     seen = wanted + np.array((0.0, y_m, 0.0)) + noise
-    return Run(number, programme, number, 0.1, t, wanted, wanted, t, seen)
+    return RecordedRun(number, programme, number, 0.1, t, wanted, wanted, t, seen)
 
 
 def test_accuracy_repeatability_and_distance_are_those_of_the_data(arm: Arm) -> None:
@@ -211,7 +213,7 @@ def test_runs_that_no_column_names_are_grouped_by_their_set_points(arm: Arm) -> 
     assert of[11].figures
 
 
-def weave_run() -> Run:
+def weave_run() -> RecordedRun:
     """Weaves along x for 6 s between two rests, at 95 % of its stroke; while it rests, somebody shakes the arm."""
     t = np.arange(0.0, 10.0, 0.01)
     moving = (t >= 2.0) & (t < 8.0)
@@ -221,7 +223,7 @@ def weave_run() -> Run:
         np.column_stack((0.25 + 0.05 * since, y_m, 0.3 + 0 * t))
         for y_m in (weave_m, np.where(moving, 0.95 * weave_m, 0.02 * np.sin(6 * np.pi * t)))
     )
-    return Run(1, "weave", 1, 0.05, t, wanted, wanted, t, seen)
+    return RecordedRun(1, "weave", 1, 0.05, t, wanted, wanted, t, seen)
 
 
 def test_weaving_is_that_of_the_motion_whatever_the_camera_sees_before_and_after(arm: Arm) -> None:

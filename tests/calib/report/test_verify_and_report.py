@@ -20,7 +20,7 @@ from calib.report.path_pictures import SAMPLES_DRAWN, thinned
 from calib.report.report import report_html, write_report
 from calib.report.report_data import ReportData
 from calib.report.report_sections import dh_section, parameters_section
-from calib.validation.statistics import Finding, difference, student_t
+from calib.validation.statistics import PairedFinding, difference, student_t
 from calib.validation.verify import (
     PARTS,
     Track,
@@ -75,23 +75,23 @@ def test_a_paired_difference_is_that_of_a_worked_example() -> None:
     found = difference(np.array([0.011, 0.012, 0.013]), np.array([0.010, 0.010, 0.010]))
     assert found.mean_m == pytest.approx(0.002)
     assert found.half_width_m == pytest.approx(0.00248414, rel=1e-5)
-    assert found.finding is Finding.NOTHING
+    assert found.finding is PairedFinding.NOTHING
     assert found.in_words() == "no significant difference: 2.0 mm [-0.5, 4.5] (95 %)"
 
 
 def test_a_finding_needs_the_whole_interval() -> None:
     before = np.array([0.0201, 0.0203, 0.0205, 0.0207])
     better = difference(before, before - 0.0123 + np.array([0.0, 1e-4, -1e-4, 0.0]))
-    assert better.finding is Finding.BETTER
+    assert better.finding is PairedFinding.BETTER
     assert better.in_words() == "better by 12.30 mm [12.17, 12.43] (95 %)"
     worse = difference(before, before + 0.0123 + np.array([0.0, 1e-4, -1e-4, 0.0]))
-    assert worse.finding is Finding.WORSE
+    assert worse.finding is PairedFinding.WORSE
     assert worse.in_words() == "worse by 12.30 mm [12.17, 12.43] (95 %)"
     alone = difference(before[:1], before[:1] - 0.01)
-    assert alone.finding is Finding.NOTHING
+    assert alone.finding is PairedFinding.NOTHING
     assert "too few for an interval" in alone.in_words()
     same = difference(before, before)
-    assert same.finding is Finding.NOTHING
+    assert same.finding is PairedFinding.NOTHING
     assert same.in_words().startswith("no significant difference")
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, board_points
-from calib.session import ArmGeometry, Sample, SeenTip, table
+from calib.session import ArmGeometry, RestSample, SeenTip, table
 from control.errors import ArmError
 from control.model.description import load_arm
 
@@ -67,11 +67,11 @@ class ScriptedArm:
     def let_go(self) -> None:
         self.log.append("let go")
 
-    def average(self, duration_s: float) -> Sample:
+    def average(self, duration_s: float) -> RestSample:
         self.t_s += duration_s
         shake = 1e-3 * math.cos(300.0 * self.t_s) if self.t_s - self.moved_s < self.settle_s else 0.0
         q_rad = tuple(q + shake for q in self.q_rad)
-        return Sample(q_rad, (1e-5,) * 3, (0.3, 1.5, 0.5), (1, -1, 1), (31.0, 40.5, 29.0))
+        return RestSample(q_rad, (1e-5,) * 3, (0.3, 1.5, 0.5), (1, -1, 1), (31.0, 40.5, 29.0))
 
     def measure(self, duration_s: float):
         """The camera: exactly where the tip is."""

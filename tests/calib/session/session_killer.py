@@ -15,7 +15,7 @@ from pathlib import Path
 from calib.points.writer import Key, Record
 from calib.session.folder import SessionFolder
 from calib.session.plan import SessionPlan, board_targets
-from calib.session.state import Event, Mark
+from calib.session.state import Mark, TargetEvent
 
 PLAN = SessionPlan("right", "00", 2, board_targets(["normal", "roll"], ["1", "2", "3"]))
 KEYS = [target.key for target in PLAN.targets]
@@ -44,15 +44,15 @@ def take_session(path: Path, acknowledge: Acknowledge) -> None:
             folder.skip(SKIPPED)
             acknowledge("skip", SKIPPED)
         if folder.state.marks[BAD] is Mark.DONE:  # killed between the two
-            folder.happen(Event.BAD, BAD)
+            folder.happen(TargetEvent.BAD, BAD)
         while (target := folder.state.next()) is not None:
             kept = folder.record(record(target.key))
             acknowledge("record", target.key)
             if target.key == REDONE and kept.take < 3:
-                folder.happen(Event.REDO, REDONE)
+                folder.happen(TargetEvent.REDO, REDONE)
                 acknowledge("redo", REDONE)
             if target.key == BAD:
-                folder.happen(Event.BAD, BAD)
+                folder.happen(TargetEvent.BAD, BAD)
                 acknowledge("bad", BAD)
 
 

@@ -9,7 +9,7 @@ from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles
 from calib.errors import SessionError, UnusablePointsError
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
-from calib.session import SessionSettings, Stage, step_through, table
+from calib.session import PointStage, SessionSettings, step_through, table
 from calib.session.take import StandstillWindow, wait_for_rest
 from tests.calib.session.session_arm import SEED, NumericGeometry, ScriptedArm, board
 
@@ -22,7 +22,12 @@ def run(path: Path, arm: ScriptedArm, points, geometry=None, **others):
 def test_a_point_is_approached_from_above_seated_held_recorded_and_left_upwards(tmp_path: Path) -> None:
     arm = ScriptedArm()
     events = run(tmp_path / "points.csv", arm, board("normal", 1))
-    assert [event.stage for event in events] == [Stage.SETUP, Stage.ABOVE, Stage.SEATED, Stage.RECORDED]
+    assert [event.stage for event in events] == [
+        PointStage.SETUP,
+        PointStage.ABOVE,
+        PointStage.SEATED,
+        PointStage.RECORDED,
+    ]
     assert arm.log == ["move", "grip", "release", "seat", "hold", "hold", "let go", "move", "move"]
     points, _ = read_points(tmp_path / "points.csv", 3)
     np.testing.assert_allclose(points.tip_m, [[0.59, 0.0, 0.0]], atol=1e-7)
@@ -83,20 +88,20 @@ def test_a_session_that_is_stopped_lets_go_holds_and_resumes(tmp_path: Path) -> 
     with PointsWriter(tmp_path / "points.csv", 3) as writer:
         steps = step_through(points, NumericGeometry(), arm, arm, writer)
         for event in steps:
-            if event.stage is Stage.SEATED and event.point == "3":
+            if event.stage is PointStage.SEATED and event.point == "3":
                 break
         steps.close()
     assert arm.log[-2:] == ["hold", "let go"]
     events = run(tmp_path / "points.csv", ScriptedArm(), points)
-    assert [e.point for e in events if e.stage is Stage.KEPT] == ["1", "2"]
-    assert [e.point for e in events if e.stage is Stage.RECORDED] == ["3", "4"]
+    assert [e.point for e in events if e.stage is PointStage.KEPT] == ["1", "2"]
+    assert [e.point for e in events if e.stage is PointStage.RECORDED] == ["3", "4"]
     assert [e.done_count for e in events][-1] == events[-1].total_count == 4
 
 
 def test_a_point_out_of_reach_is_reported_and_the_others_are_taken(tmp_path: Path) -> None:
     points = board("normal", 3)
     events = run(tmp_path / "points.csv", ScriptedArm(), points, NumericGeometry(far=points[1].tip_m))
-    missed = [event for event in events if event.stage is Stage.UNREACHABLE]
+    missed = [event for event in events if event.stage is PointStage.UNREACHABLE]
     assert [(event.point, event.reason) for event in missed] == [("2", "target is out of reach by 0.012 m")]
     assert read_points(tmp_path / "points.csv", 3)[0].point == ("1", "3")
 

@@ -14,7 +14,16 @@ from calib.boards import read_boards
 from calib.points.reading import read_points
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
-from calib.session.conversation import GO, Ask, Command, Do, Jog, Message, Question, Recorded
+from calib.session.conversation import (
+    GO,
+    Ask,
+    Do,
+    Message,
+    Recorded,
+    SessionCommand,
+    SessionQuestion,
+    SmallMove,
+)
 from calib.session.folder import SessionFolder
 from calib.session.plan import SessionPlan, Target, board_targets, free_targets
 from calib.session.residual_watch import ResidualWatch
@@ -24,13 +33,13 @@ from tests.calib.session.session_arm import GEOMETRY, RIGHT, NumericGeometry, Sc
 
 TABLE = table_of(RIGHT)
 ALL = list(cavities(TABLE))
-SKIP, REDO, BAD, QUIT = (Command(do) for do in (Do.SKIP, Do.REDO, Do.BAD, Do.QUIT))
+SKIP, REDO, BAD, QUIT = (SessionCommand(do) for do in (Do.SKIP, Do.REDO, Do.BAD, Do.QUIT))
 NAMES = {
-    Question.BOARD: "board",
-    Question.NEXT: "next",
-    Question.TAKE: "take",
-    Question.SEATED: "seated",
-    Question.DONE: "done",
+    SessionQuestion.BOARD: "board",
+    SessionQuestion.NEXT: "next",
+    SessionQuestion.TAKE: "take",
+    SessionQuestion.SEATED: "seated",
+    SessionQuestion.DONE: "done",
 }
 
 
@@ -61,7 +70,7 @@ class Bench:
     hand: CavityHand | None = None
     geometry: NumericGeometry = field(default_factory=NumericGeometry)
 
-    def run(self, answers: Iterable[Command]) -> list:
+    def run(self, answers: Iterable[SessionCommand]) -> list:
         """All that was said; questions are answered in turn, then with QUIT."""
         answers = iter(answers)
         self.said: list = []
@@ -150,12 +159,12 @@ def test_skip_redo_bad_and_note_do_what_they_say(tmp_path: Path) -> None:
         [
             GO, GO,  # board, 1
             REDO,  # of 1, asked about 7
-            GO, Command(Do.NOTE, text="windy"), GO,  # 1 again, 7
+            GO, SessionCommand(Do.NOTE, text="windy"), GO,  # 1 again, 7
             BAD,  # 7
             SKIP,  # 13
-            Command(Do.BAD, point="13"),  # refused: it is not recorded
-            Command(Do.SKIP, "normal", "19"),
-            Command(Do.REDO, point="13"),
+            SessionCommand(Do.BAD, point="13"),  # refused: it is not recorded
+            SessionCommand(Do.SKIP, "normal", "19"),
+            SessionCommand(Do.REDO, point="13"),
             GO,  # 13
             GO,  # nothing is left
         ]
@@ -174,7 +183,7 @@ def test_skip_redo_bad_and_note_do_what_they_say(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", [REDO, BAD])
 def test_a_record_that_is_withdrawn_is_no_longer_believed(
-    tmp_path: Path, monkeypatch, command: Command
+    tmp_path: Path, monkeypatch, command: SessionCommand
 ) -> None:
     forgotten: list = []
     monkeypatch.setattr(ResidualWatch, "forget", lambda watch, key: forgotten.append(key))
@@ -186,7 +195,9 @@ def test_a_record_that_is_withdrawn_is_no_longer_believed(
 def test_a_redo_after_everything_is_done_opens_the_session_again(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1",))
     session.run([GO, GO, REDO, GO, GO])
-    session.run([Command(Do.REDO, point="1")])  # resumed: the setup is that in which the board stood last
+    session.run(
+        [SessionCommand(Do.REDO, point="1")]
+    )  # resumed: the setup is that in which the board stood last
     assert session.marks == {("normal", "1"): Mark.LEFT}
     session.run([GO] * 3)
     assert session.arm.log.count("done") == 4
@@ -205,13 +216,13 @@ def test_a_point_out_of_reach_is_skipped_with_the_reason(tmp_path: Path) -> None
 def test_jogging_takes_the_tip_down_with_the_drives_on(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1",), has_hand=False, seat="jog")
     session.arm.settle_s = 0.0
-    down = Command(Do.JOG, jog=Jog("z", -0.02))
+    down = SessionCommand(Do.JOG, jog=SmallMove("z", -0.02))
     too_far = [
-        Command(Do.JOG, jog=Jog("z", -0.2)),
-        Command(Do.JOG, jog=Jog("j2", 0.5)),
-        Command(Do.JOG, jog=Jog("j4", 0.01)),
+        SessionCommand(Do.JOG, jog=SmallMove("z", -0.2)),
+        SessionCommand(Do.JOG, jog=SmallMove("j2", 0.5)),
+        SessionCommand(Do.JOG, jog=SmallMove("j4", 0.01)),
     ]
-    turns = [Command(Do.JOG, jog=Jog("j1", step)) for step in (0.01, -0.01)]
+    turns = [SessionCommand(Do.JOG, jog=SmallMove("j1", step)) for step in (0.01, -0.01)]
     session.run([GO, GO, down, *too_far, down, down, *turns, GO, GO])
     assert "release" not in session.arm.log
     assert session.arm.log.count("creep") == 5
@@ -222,7 +233,7 @@ def test_jogging_takes_the_tip_down_with_the_drives_on(tmp_path: Path) -> None:
 
 def test_jog_is_refused_while_the_drives_are_off(tmp_path: Path) -> None:
     session = bench(tmp_path, points=("1",), has_hand=False)
-    session.run([GO, GO, GO, Command(Do.JOG, jog=Jog("z", 0.01)), GO])
+    session.run([GO, GO, GO, SessionCommand(Do.JOG, jog=SmallMove("z", 0.01)), GO])
     assert "the drives are off: move the arm by hand; jog needs the drives on" in session.told
     assert "creep" not in session.arm.log
 

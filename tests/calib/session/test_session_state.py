@@ -24,7 +24,7 @@ from calib.session.plan import (
     from_json,
     to_json,
 )
-from calib.session.state import AFTER, Event, Mark, SessionState
+from calib.session.state import AFTER, Mark, SessionState, TargetEvent
 from control.files import NotWritten
 from control.model.arm import Camera
 from control.model.description import save_arm
@@ -37,8 +37,10 @@ def in_state(mark: Mark) -> SessionState:
     return SessionState.begun(PLAN.targets).marked(KEYS[0], mark)
 
 
-@pytest.mark.parametrize(("mark", "event"), [*itertools.product(Mark, Event)])
-def test_every_event_in_every_state_does_what_the_table_says_or_is_refused(mark: Mark, event: Event) -> None:
+@pytest.mark.parametrize(("mark", "event"), [*itertools.product(Mark, TargetEvent)])
+def test_every_event_in_every_state_does_what_the_table_says_or_is_refused(
+    mark: Mark, event: TargetEvent
+) -> None:
     state = in_state(mark)
     if (mark, event) in AFTER:
         assert state.after(event, KEYS[0]).marks[KEYS[0]] is AFTER[mark, event]
@@ -53,19 +55,19 @@ def test_the_next_target_is_the_first_left_of_the_setup_that_stands() -> None:
     assert state.next().key == KEYS[0]
     assert state.next("roll").key == KEYS[3]
     for key in KEYS[3:]:
-        state = state.after(Event.RECORDED, key)
+        state = state.after(TargetEvent.RECORDED, key)
     assert state.next("roll").key == KEYS[0]
-    assert state.after(Event.REDO, KEYS[4]).next("roll").key == KEYS[4]
+    assert state.after(TargetEvent.REDO, KEYS[4]).next("roll").key == KEYS[4]
     for key in KEYS[:3]:
-        state = state.after(Event.SKIP, key)
+        state = state.after(TargetEvent.SKIP, key)
     assert state.next() is None
 
 
 def test_last_is_the_record_taken_last_and_nothing_once_it_is_withdrawn() -> None:
-    state = SessionState.begun(PLAN.targets).after(Event.RECORDED, KEYS[1])
+    state = SessionState.begun(PLAN.targets).after(TargetEvent.RECORDED, KEYS[1])
     assert state.last == KEYS[1]
-    assert state.after(Event.SKIP, KEYS[0]).last == KEYS[1]
-    assert state.after(Event.BAD, KEYS[1]).last is None
+    assert state.after(TargetEvent.SKIP, KEYS[0]).last == KEYS[1]
+    assert state.after(TargetEvent.BAD, KEYS[1]).last is None
 
 
 def test_a_point_is_named_with_all_its_repeats_or_one() -> None:
@@ -134,7 +136,7 @@ def test_a_session_is_resumed_as_it_was(tmp_path: Path) -> None:
         folder.record(record(KEYS[0]))
         folder.record(record(KEYS[1]))
         folder.skip(KEYS[2], "out of reach")
-        folder.happen(Event.BAD, KEYS[1])
+        folder.happen(TargetEvent.BAD, KEYS[1])
         folder.note("windy", KEYS[3])
         folder.at_point(KEYS[3])
         before = folder.state.marks
@@ -156,7 +158,7 @@ def test_a_redone_point_is_once_in_points_csv_and_every_take_of_it_is_kept(tmp_p
             assert kept.take == take
             assert folder.points().q_rad[0, 0] == pytest.approx(q)
             if take < 3:
-                folder.happen(Event.REDO, KEYS[0])
+                folder.happen(TargetEvent.REDO, KEYS[0])
                 assert folder.points() is None
     points, warnings = read_points(tmp_path / "points.csv", 2)
     assert warnings == ()
@@ -226,7 +228,7 @@ def test_what_is_acknowledged_was_forced_to_the_disk(tmp_path: Path, monkeypatch
     with SessionFolder(tmp_path, PLAN) as folder:
         for step in (
             lambda: folder.record(record(KEYS[0])),
-            lambda: folder.happen(Event.REDO, KEYS[0]),
+            lambda: folder.happen(TargetEvent.REDO, KEYS[0]),
             lambda: folder.record(record(KEYS[0])),
             lambda: folder.note("remark"),
         ):
@@ -254,7 +256,7 @@ def test_a_disk_that_fills_anywhere_loses_no_acknowledged_record_and_the_session
                 with contextlib.suppress(NotWritten):
                     folder.note("a remark of the operator " * 4, key)
             with contextlib.suppress(NotWritten):
-                folder.happen(Event.REDO, KEYS[0])
+                folder.happen(TargetEvent.REDO, KEYS[0])
         folder.record(record(KEYS[4]))  # there is room again
         accepted.add(KEYS[4])
     with SessionFolder(tmp_path) as again:

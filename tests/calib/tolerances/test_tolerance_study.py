@@ -16,14 +16,14 @@ from calib.studies.executor import InProcess
 from calib.tolerances.making import (
     MadeArms,
     MadePoses,
-    Term,
+    MakingTerm,
     Tolerances,
     TolerancesFileError,
     parse_tolerances,
     tolerances_text,
 )
 from calib.tolerances.result import Made, costliest, made_of, sentences, warnings_about
-from calib.tolerances.study import Design, Identification, design_of, require_near, study_task
+from calib.tolerances.study import StudyDesign, StudyIdentification, design_of, require_near, study_task
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 
@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("studies")
 
 
-def poses_of(design: Design) -> tuple[MadeArms, MadePoses]:
+def poses_of(design: StudyDesign) -> tuple[MadeArms, MadePoses]:
     made = MadeArms(design.arm, design.tolerances)
     return made, MadePoses(design.arm, made.terms, design.calibration)
 
@@ -63,7 +63,7 @@ def test_tips_of_made_arms_are_those_of_an_independent_chain() -> None:
     made, poses = poses_of(design)
     z = made.drawn(np.random.default_rng(1), 5)
     tips = poses.tips(z)
-    scale, sine, cosine = (made.terms.index(Term(kind, 2)) + 19 for kind in ("scale", "sine", "cosine"))
+    scale, sine, cosine = (made.terms.index(MakingTerm(kind, 2)) + 19 for kind in ("scale", "sine", "cosine"))
     for one, mine in zip(z, tips.transpose(1, 2, 0), strict=True):
         q = design.calibration.q_rad.copy()
         ahead = one[scale] * q[:, 1] + one[sine] * np.sin(q[:, 1]) + one[cosine] * np.cos(q[:, 1])
@@ -88,7 +88,7 @@ def test_many_arms_are_calibrated_as_calibrate_does_it_with_one() -> None:
     rng = np.random.default_rng(3)
     z = made.drawn(rng, 2)
     seen = poses.tips(z) + rng.normal(0.0, 1e-4, (3, 2, len(design.calibration)))
-    found = Identification(made, poses, list(range(16)), 1e-4).found(seen)
+    found = StudyIdentification(made, poses, list(range(16)), 1e-4).found(seen)
     elsewhere = MadePoses(ARM, made.terms, design.map)
     true = elsewhere.tips(z)
     for k in range(2):

@@ -17,7 +17,7 @@ from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.flanks import SHARES, Gears, even_odds
 from calib.trust.held_out import ELLIPSOID_95
 from calib.trust.iso9283 import pose_figures
-from calib.trust.posterior import SIZE_SPREAD, SIZES, Evidence, linearised, posterior_of
+from calib.trust.posterior import SIZE_SPREAD, SIZES, SizeEvidence, linearised, posterior_of
 from calib.trust.prediction import TipError
 from calib.trust.task import planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in, within_95_m
@@ -127,7 +127,7 @@ def test_the_slope_of_the_evidence_is_its_slope() -> None:
     points = recorded().points
     problem = problem_of(ARM, points, Choice())
     at = Conditions(points.q_rad, points.direction, points.payload_kg, points.current_A)
-    evidence = Evidence(
+    evidence = SizeEvidence(
         *linearised(problem, at, Discrepancy(ARM), np.zeros(16)), np.full(16, 0.3), Discrepancy(ARM)
     )
     logs = np.log(np.array([2e-4, *(0.7 * one.usual for one in Discrepancy(ARM).sources)]))
@@ -252,7 +252,7 @@ def test_draws_of_a_gear_scatter_about_the_place_that_is_expected_of_it() -> Non
 def test_what_no_pose_shows_is_as_wide_as_its_size_may_be_and_not_as_its_most_probable_one() -> None:
     discrepancy = Discrepancy(ARM)
     count = sum(source.count for source in discrepancy.sources)
-    evidence = Evidence(np.zeros((5, 3, 2 + count)), np.zeros((5, 3)), np.full(2, 0.3), discrepancy)
+    evidence = SizeEvidence(np.zeros((5, 3, 2 + count)), np.zeros((5, 3)), np.full(2, 0.3), discrepancy)
     usual = np.array([1e-4, *(source.usual for source in discrepancy.sources)])
     single = evidence.posterior(np.log(usual))
     wider = evidence.over_sizes(single)
@@ -267,7 +267,9 @@ def test_averaging_over_sizes_makes_no_direction_more_certain() -> None:
     points = recorded(PLAY).points
     problem, discrepancy = problem_of(ARM, points, Choice()), Discrepancy(ARM)
     at = Conditions(points.q_rad, points.direction, points.payload_kg, points.current_A)
-    evidence = Evidence(*linearised(problem, at, discrepancy, np.zeros(16)), np.full(16, 0.3), discrepancy)
+    evidence = SizeEvidence(
+        *linearised(problem, at, discrepancy, np.zeros(16)), np.full(16, 0.3), discrepancy
+    )
     single = evidence.posterior(np.log(np.array([2e-4, *(one.usual for one in discrepancy.sources)])))
     more = evidence.over_sizes(single).covariance - single.covariance
     assert np.linalg.eigvalsh(more).min() > -1e-9 * np.abs(more).max()

@@ -9,8 +9,8 @@ from calib.arrays import frozen
 from calib.vision.lens import Lens
 from calib.vision.placed import HERE, Pose
 from calib.vision.sightings import Sighting, Sightings
-from calib.vision.targets import Charuco, Corners, Tags, Target
-from hil_mocks.webcam import Sheet, Webcam
+from calib.vision.targets import Charuco, PrintedTarget, SeenCorners, Tags
+from hil_mocks.webcam import PrintedSheet, Webcam
 
 BOARD = Charuco(5, 7, 0.03, 0.0225)
 TAG = Tags.single(7, 0.06)
@@ -26,7 +26,7 @@ def lens_of(webcam: Webcam = WEBCAM) -> Lens:
     return Lens(frozen(values), webcam.width_px, webcam.height_px)
 
 
-def corners_of(target: Target) -> np.ndarray:
+def corners_of(target: PrintedTarget) -> np.ndarray:
     """All corners (k, 3) of a target."""
     if isinstance(target, Tags):
         return np.concatenate(list(target.corners_m.values()))
@@ -49,7 +49,7 @@ def drawn_pose(rng: np.random.Generator, tilt: float = 0.6, near: float = 0.3, f
 
 def sighting(
     name: str,
-    target: Target,
+    target: PrintedTarget,
     pose: Pose,
     rng: np.random.Generator,
     stand: Pose = HERE,
@@ -61,11 +61,15 @@ def sighting(
     pixels = lens.project(stand.after(pose).of(corners))
     inside = ((pixels > 4.0) & (pixels < [lens.width_px - 4, lens.height_px - 4])).all(axis=1)
     seen = pixels[inside] + rng.normal(0.0, noise_px, (inside.sum(), 2))
-    return Sighting(name, Corners(frozen(corners[inside]), frozen(seen)), 0.8, 200.0)
+    return Sighting(name, SeenCorners(frozen(corners[inside]), frozen(seen)), 0.8, 200.0)
 
 
 def sightings(
-    target: Target, poses: list[Pose], rng: np.random.Generator, stand: Pose = HERE, lens: Lens | None = None
+    target: PrintedTarget,
+    poses: list[Pose],
+    rng: np.random.Generator,
+    stand: Pose = HERE,
+    lens: Lens | None = None,
 ) -> Sightings:
     """One picture a pose, called p00, p01, ..."""
     seen = [sighting(f"p{k:02d}", target, pose, rng, stand, lens=lens) for k, pose in enumerate(poses)]
@@ -77,4 +81,6 @@ def picture(
 ) -> np.ndarray:
     """A rendered picture of a print."""
     grey = target.drawn(DOTS_A_METRE, MARGIN_m)
-    return webcam.picture([Sheet(grey, grey.shape[1] / DOTS_A_METRE, pose.rotation, pose.position_m)], rng)
+    return webcam.picture(
+        [PrintedSheet(grey, grey.shape[1] / DOTS_A_METRE, pose.rotation, pose.position_m)], rng
+    )

@@ -12,20 +12,22 @@ from calib.errors import VisionError
 from calib.points.points import make_points
 from calib.vision.intrinsics import fit_lens
 from calib.vision.measured_points import with_pictures
-from calib.vision.placed import Pose, View, misfit
-from calib.vision.poses import Camera, Measured, measure_poses, motion_covariance
-from calib.vision.targets import Tags, Target
+from calib.vision.placed import CameraView, Pose, misfit
+from calib.vision.poses import CameraPictures, MeasuredPose, measure_poses, motion_covariance
+from calib.vision.targets import PrintedTarget, Tags
 from tests.calib.vision.scenes import BOARD, TAG, drawn_pose, lens_of, sighting, sightings
 
 STAND = Pose(Rotation.from_rotvec([0.1, 0.6, -0.05]).as_matrix(), np.array([-0.25, 0.02, 0.1]))
 
 
-def error_of(one: Measured, true: Pose) -> np.ndarray:
+def error_of(one: MeasuredPose, true: Pose) -> np.ndarray:
     turn = Rotation.from_matrix(one.pose.rotation @ true.rotation.T).as_rotvec()
     return np.array([*(one.pose.position_m - true.position_m), *turn])
 
 
-def seen_by(target: Target, seed: int, cameras: int, count: int = 14) -> tuple[list[Camera], list[Pose]]:
+def seen_by(
+    target: PrintedTarget, seed: int, cameras: int, count: int = 14
+) -> tuple[list[CameraPictures], list[Pose]]:
     """Cameras whose pictures all show the whole target, and the true poses."""
     rng, poses = np.random.default_rng(seed), []
     while len(poses) < count:
@@ -33,12 +35,12 @@ def seen_by(target: Target, seed: int, cameras: int, count: int = 14) -> tuple[l
         whole = [sighting("", target, pose, rng, stand) for stand in (Pose(np.eye(3), np.zeros(3)), STAND)]
         if all(len(one.corners) == target.count for one in whole):
             poses.append(pose)
-    first = Camera("first", lens_of(), sightings(target, poses, rng))
-    return [first, Camera("second", lens_of(), sightings(target, poses, rng, STAND))][:cameras], poses
+    first = CameraPictures("first", lens_of(), sightings(target, poses, rng))
+    return [first, CameraPictures("second", lens_of(), sightings(target, poses, rng, STAND))][:cameras], poses
 
 
 @pytest.mark.parametrize(("target", "cameras"), [(BOARD, 1), (BOARD, 2), (TAG, 1)])
-def test_the_covariance_is_that_of_the_errors(target: Target, cameras: int) -> None:
+def test_the_covariance_is_that_of_the_errors(target: PrintedTarget, cameras: int) -> None:
     squares = []
     for seed in range(1):
         seen, poses = seen_by(target, seed, cameras)
@@ -55,7 +57,7 @@ def test_the_lens_leaves_an_error_that_all_pictures_share() -> None:
     for _ in range(2):
         lens = fit_lens(BOARD, sightings(BOARD, [drawn_pose(rng) for _ in range(8)], rng)).lens
         poses = [drawn_pose(rng, tilt=0.4, near=0.45, far=0.5) for _ in range(6)]
-        found = measure_poses(BOARD, [Camera("one", lens, sightings(BOARD, poses, rng))])
+        found = measure_poses(BOARD, [CameraPictures("one", lens, sightings(BOARD, poses, rng))])
         error = np.array([error_of(one, poses[int(one.name[1:])]) for one in found.measured])
         common = found.measured[0].common
         squares += [np.mean(error, axis=0)[k] ** 2 / common[k, k] for k in range(3)]
@@ -81,7 +83,7 @@ def test_two_cameras_know_where_they_stand_and_see_better_than_one() -> None:
 def test_derivatives_of_the_reprojection_are_exact() -> None:
     rng = np.random.default_rng(4)
     pose = drawn_pose(rng)
-    view = View(lens_of(), sighting("a", BOARD, pose, rng).corners, STAND)
+    view = CameraView(lens_of(), sighting("a", BOARD, pose, rng).corners, STAND)
     part, h = misfit(view, pose), 1e-7
     for k, step in enumerate(h * np.eye(6)):
         slope = (misfit(view, pose.moved(step)).error_px - misfit(view, pose.moved(-step)).error_px) / (2 * h)
@@ -95,7 +97,7 @@ def test_a_small_tag_seen_head_on_is_rejected_as_ambiguous() -> None:
     rng, tag = np.random.default_rng(5), Tags.single(7, 0.02)
     head_on = [drawn_pose(rng, tilt=0.05, near=0.6, far=0.7) for _ in range(6)]
     tilted = [drawn_pose(rng, tilt=0.8, near=0.2, far=0.21) for _ in range(6)]
-    found = measure_poses(tag, [Camera("one", lens_of(), sightings(tag, [*head_on, *tilted], rng))])
+    found = measure_poses(tag, [CameraPictures("one", lens_of(), sightings(tag, [*head_on, *tilted], rng))])
     assert sum("fits two poses" in one.reason for one in found.rejected) >= 2
     assert all(int(one.name[1:]) < 6 for one in found.rejected)
 
@@ -114,7 +116,7 @@ def test_a_picture_unlike_the_others_is_rejected() -> None:
 def test_a_rolling_shutter_costs_accuracy_only_while_the_target_moves() -> None:
     rng = np.random.default_rng(7)
     lens = dataclasses.replace(lens_of(), readout_s=0.03)
-    views = [View(lens, sighting("a", BOARD, drawn_pose(rng), rng).corners)]
+    views = [CameraView(lens, sighting("a", BOARD, drawn_pose(rng), rng).corners)]
     assert not motion_covariance(views, 0.0).any()
     spread = np.sqrt(np.diag(motion_covariance(views, 0.01)))
     assert spread[0] == pytest.approx(0.01 * 0.03 / np.sqrt(12.0))

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from benchmarks.arms import ARMS
-from console.lines import Grammar, Outcome, parse_lines, replay
+from console.lines import Grammar, LineOutcome, parse_lines, replay
 from console.specs.table import COMMANDS
 from control.model.description import save_arm
 from tests.cell import Cell, holding_cell, scenario
 from tests.thirds import third_of
 
 
-def played(cell: Cell, grammar: Grammar, *lines: str) -> list[Outcome]:
+def played(cell: Cell, grammar: Grammar, *lines: str) -> list[LineOutcome]:
     """Replay lines on a stepped mock arm."""
-    outcomes: list[Outcome] = []
+    outcomes: list[LineOutcome] = []
     replay(parse_lines(lines, grammar), lambda: cell.client, outcomes.append)
     return outcomes
 

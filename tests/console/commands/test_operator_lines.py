@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.arms import SIX
 from console.commands import script
-from console.lines import NOT_HERE, Grammar, LineError, Outcome, parse_lines, replay
+from console.lines import NOT_HERE, Grammar, LineError, LineOutcome, parse_lines, replay
 from console.main import main
 from console.places import PlacesError, find_place, read_places, save_place
 from console.specs.table import COMMANDS
@@ -24,9 +24,9 @@ from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, scenario, 
 GRAMMAR = Grammar(COMMANDS, {"arm": "right", "socket": None})
 
 
-def played(cell: Cell, *lines: str, grammar: Grammar = GRAMMAR) -> list[Outcome]:
+def played(cell: Cell, *lines: str, grammar: Grammar = GRAMMAR) -> list[LineOutcome]:
     """Replay lines on a stepped mock arm."""
-    outcomes: list[Outcome] = []
+    outcomes: list[LineOutcome] = []
     replay(parse_lines(lines, grammar), lambda: cell.client, outcomes.append)
     return outcomes
 
@@ -343,7 +343,7 @@ def test_a_script_runs_a_whole_small_calibration(tmp_path: Path) -> None:
         f"calibrate --points {out / 'points.csv'} --out {tmp_path / 'c'}",
         f"arm {tmp_path / 'c' / 'arm.toml'}",
     ]
-    outcomes: list[Outcome] = []
+    outcomes: list[LineOutcome] = []
 
     def none() -> None:
         raise AssertionError("no line needs a runtime")

@@ -18,7 +18,7 @@ from textual import events
 from textual.pilot import Pilot
 from textual.widget import Widget
 
-from console.screen.app import ConsoleApp, Files, Station
+from console.screen.app import ArmAtDesk, ConsoleApp, Files
 from console.screen.drawing import EventLog, Panel
 from control.model.arm import Arm
 from control.server.server import Server
@@ -95,7 +95,7 @@ async def console_on(
     """The console, connected."""
     served = Served(cell, folder)
     shared = {"--arm": "right", "--socket": str(served.path)}
-    async with console_of([Station(arm, served.path, files_in(folder), shared)], served, size) as (
+    async with console_of([ArmAtDesk(arm, served.path, files_in(folder), shared)], served, size) as (
         app,
         pilot,
     ):
@@ -109,7 +109,7 @@ def files_in(folder: Path) -> Files:
 
 @contextlib.asynccontextmanager
 async def console_of(
-    stations: Sequence[Station], served: Served, size: tuple[int, int]
+    stations: Sequence[ArmAtDesk], served: Served, size: tuple[int, int]
 ) -> AsyncIterator[tuple[ConsoleApp, Pilot[Any]]]:
     """The console of some arms, connected. They share its event loop: neither it nor its processes lose them by waiting."""
     app = ConsoleApp(stations)

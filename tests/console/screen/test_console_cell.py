@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from console.commands.console import _of_cell
-from console.screen.app import Station
+from console.screen.app import ArmAtDesk
 from control.errors import ArmError
 from control.safety.table import Mode
 from tests.cell import scenario
@@ -20,7 +20,7 @@ from tests.pair import APART, FREE, PAIR, Pair, holding_pair
 async def operated(pair: Pair, folder: Path) -> None:
     served = Served(pair, folder, PAIR.names)
     stations = [
-        Station(placed.arm, served.paths[placed.name], files_in(folder), {"--arm": placed.name})
+        ArmAtDesk(placed.arm, served.paths[placed.name], files_in(folder), {"--arm": placed.name})
         for placed in PAIR.arms
     ]
     async with console_of(stations, served, (80, 24)) as (app, pilot):

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from console.screen.app import ConsoleApp, Files, Station
+from console.screen.app import ArmAtDesk, ConsoleApp, Files
 from console.screen.drawing import (
     BINS,
     THEME,
@@ -184,7 +184,7 @@ def test_a_terminal_without_braille_is_plain() -> None:
 
 async def _laid_out(arm: Arm, size: tuple[int, int], status: Mapping[str, Any]) -> dict[str, tuple[Any, str]]:
     """Regions and texts of the panels that are shown, by name."""
-    app = ConsoleApp([Station(arm, Path("/nowhere"), Files(Path("p.toml"), Path("t.csv")), {})])
+    app = ConsoleApp([ArmAtDesk(arm, Path("/nowhere"), Files(Path("p.toml"), Path("t.csv")), {})])
     app.link.run = lambda: asyncio.sleep(0)  # type: ignore[method-assign] # no runtime: statuses are given
     async with app.run_test(size=size) as pilot:
         for _ in range(3):  # sizes follow from texts, and texts from sizes
@@ -220,7 +220,7 @@ def test_nothing_is_clipped_at_any_size(size: tuple[int, int], joint_count: int)
 
 def test_a_panel_follows_a_change_of_its_style_sheet() -> None:
     async def colours() -> list[Any]:
-        app = ConsoleApp([Station(RIGHT, Path("/nowhere"), Files(Path("p.toml"), Path("t.csv")), {})])
+        app = ConsoleApp([ArmAtDesk(RIGHT, Path("/nowhere"), Files(Path("p.toml"), Path("t.csv")), {})])
         app.link.run = lambda: asyncio.sleep(0)  # type: ignore[method-assign] # no runtime
         async with app.run_test(size=(80, 24)) as pilot:
             found = []

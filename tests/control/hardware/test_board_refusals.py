@@ -42,7 +42,8 @@ def test_a_roboclaw_whose_pins_tell_of_no_switch_is_refused_where_the_joint_has_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(
-        "hil_mocks.devices.roboclaw.Settings.copy", lambda settings: replace(settings, pin_modes=(0,) * 5)
+        "hil_mocks.devices.roboclaw.StoredSettings.copy",
+        lambda settings: replace(settings, pin_modes=(0,) * 5),
     )
     with (
         pytest.raises(ConnectionFailed, match='expected S4 as "Home'),
@@ -53,7 +54,8 @@ def test_a_roboclaw_whose_pins_tell_of_no_switch_is_refused_where_the_joint_has_
 
 def test_a_roboclaw_that_lets_its_motor_go_at_duty_0_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "hil_mocks.devices.roboclaw.Settings.copy", lambda settings: replace(settings, pwm_idle=b"\0\x8f")
+        "hil_mocks.devices.roboclaw.StoredSettings.copy",
+        lambda settings: replace(settings, pwm_idle=b"\0\x8f"),
     )
     with (
         pytest.raises(ConnectionFailed, match=r"PWM idle of motor 2 off, it is on after 1.5 s at"),

@@ -14,7 +14,7 @@ import pytest
 
 from console.commands.status import described
 from control.errors import ArmError
-from control.hardware.averaging import Target
+from control.hardware.averaging import MeanPose
 from control.hardware.tip_camera import BodyCamera, open_camera
 from control.kinematics.rotation import matrices, quaternion_of
 from control.model.camera import Camera, CameraStream
@@ -43,7 +43,7 @@ def seen_by(system: str, **stream: Any) -> Iterator[Cell]:
         yield cell
 
 
-def target(cell: Cell) -> Target | None:
+def target(cell: Cell) -> MeanPose | None:
     return cell.client.average(0.03).target
 
 

@@ -16,7 +16,7 @@ from control.loop.cross_checks import (
     SwitchPlace,
     SwitchWatch,
 )
-from control.loop.watch import Expectation, JointLimits, Watch, WatchLimits
+from control.loop.watch import Expectation, MeasuredLimits, Watch, WatchLimits
 from control.safety.fault import LOSES_ZERO, Fault, Reaction
 from control.servo.servo import Motor
 
@@ -54,7 +54,7 @@ def good(now_s: float = 8.0) -> Feedback:
 
 
 def limits_of_watch() -> WatchLimits:
-    limit = JointLimits(-1.0, 2.0, 0.0625, 4.0, 0.0625, 0.125)
+    limit = MeasuredLimits(-1.0, 2.0, 0.0625, 4.0, 0.0625, 0.125)
     return WatchLimits((limit, limit), stale_s=0.03125, silent_s=0.25, missed_in_row=10)
 
 

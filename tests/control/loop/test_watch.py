@@ -19,7 +19,7 @@ from control.loop.watch import (
     SIGNAL_LOST,
     ZERO_SET,
     Expectation,
-    JointLimits,
+    MeasuredLimits,
     Watch,
     WatchLimits,
 )
@@ -27,7 +27,7 @@ from control.safety.fault import Fault, Reaction
 from control.safety.limits import NotFinite
 
 # Powers of two, so that values at a limit are at the limit and not a rounding beside it.
-LIMIT = JointLimits(
+LIMIT = MeasuredLimits(
     lower_rad=-1.0,
     upper_rad=2.0,
     range_margin_rad=0.0625,

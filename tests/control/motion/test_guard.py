@@ -15,14 +15,14 @@ from control.kinematics.kinematics import Kinematics
 from control.motion.errors import MotionError
 from control.motion.guard import Guard, stopping_distance
 from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import JointMove, Stop
+from control.motion.joint_move import JointMove, StopMotion
 from control.motion.joint_path import JointPath
 from control.motion.setpoint import SetPoint, at_rest
-from control.safety.workspace import Body, Workspace
+from control.safety.workspace import LinkThickness, Workspace
 from tests.cell import RIGHT
 
 LIMITS = JointLimits.of(RIGHT)
-THIN = Body((0.0, 0.0))  # of two corners
+THIN = LinkThickness((0.0, 0.0))  # of two corners
 LOW = (0.0, -1.0, -0.35)  # the tip over the board, 0.1 m above it
 
 
@@ -123,7 +123,7 @@ def test_the_distance_from_the_base_is_that_of_two_segments() -> None:
 def test_arrays_and_floats_say_the_same(radius_m: float) -> None:
     guard = Guard(thick(radius_m, with_limits(base_radius_m=0.1)), LIMITS)
     batch = guard._corners.batch(poses(300))
-    body = Body(guard._corners.radii_m, guard._corners.first_free)
+    body = LinkThickness(guard._corners.radii_m, guard._corners.first_free)
     least = np.min([distances for distances, _ in guard._workspace.clearances(batch, body)], axis=0)
     near = 0
     for q, expected in zip(poses(300), least, strict=True):
@@ -144,7 +144,7 @@ def thick(radius_m: float, arm: Any = RIGHT) -> Any:
 
 
 def test_a_link_is_as_thick_as_its_radius_says_and_the_tip_is_a_point() -> None:
-    where, body = workspace(tolerance_m=0.0, base_radius_m=0.06, board=None), Body((0.0, 0.02, 0.04))
+    where, body = workspace(tolerance_m=0.0, base_radius_m=0.06, board=None), LinkThickness((0.0, 0.02, 0.04))
     upright = [(0.4, 0.0, 0.9), (0.4, 0.0, 0.5), (0.4, 0.0, -0.01)]
     assert where.clearance(upright, body).distance_m == pytest.approx(
         -0.01
@@ -230,7 +230,7 @@ def test_a_stop_takes_as_far_as_its_closed_form_says() -> None:
         speed, acceleration = source.uniform(-2.0, 2.0), source.uniform(-10.0, 10.0)
         if speed * acceleration < 0.0 and abs(speed) < acceleration**2 / 400.0:
             continue  # it would turn back: the closed form says where it stands still first
-        stop = Stop(SetPoint((0.0,), (speed,), (acceleration,)), endless)
+        stop = StopMotion(SetPoint((0.0,), (speed,), (acceleration,)), endless)
         assert stopping_distance(speed, acceleration, 10.0, 200.0) == pytest.approx(
             stop.at(9.0).q_rad[0], abs=1e-9
         )
@@ -260,7 +260,7 @@ def dipping_states(seed: int) -> Any:
         move = JointMove(start, end, LIMITS)
         state = move.at(move.duration_s * source.uniform(0.2, 0.8))
         floor_m = lowest_m(guard, move) - 1e-5
-        if (depth_m := floor_m - lowest_m(guard, Stop(state, LIMITS))) > 1e-3:
+        if (depth_m := floor_m - lowest_m(guard, StopMotion(state, LIMITS))) > 1e-3:
             yield guard, state, floor_m, depth_m
 
 
@@ -276,15 +276,17 @@ def test_where_no_stop_is_free_the_least_deep_one_is_taken() -> None:
     guard, state, floor_m, depth_m = next(dipping_states(3))
     deep = with_floor_at(guard, floor_m + 0.3)
     stop = deep.stop_from(state._replace(speed_rad_s=(0.0, -1.0, -1.0), acceleration_rad_s2=(0.0, 0.0, 0.0)))
-    plain = Stop(state._replace(speed_rad_s=(0.0, -1.0, -1.0), acceleration_rad_s2=(0.0, 0.0, 0.0)), LIMITS)
+    plain = StopMotion(
+        state._replace(speed_rad_s=(0.0, -1.0, -1.0), acceleration_rad_s2=(0.0, 0.0, 0.0)), LIMITS
+    )
     assert depth_m > 0.0
     assert lowest_m(guard, stop) > lowest_m(guard, plain)
 
 
 def test_a_stop_with_room_below_is_each_joints_own_and_so_is_one_at_rest() -> None:
     guard, state, floor_m, depth_m = next(dipping_states(4))
-    assert isinstance(with_floor_at(guard, floor_m - depth_m - 1e-4).stop_from(state), Stop)
-    assert isinstance(with_floor_at(guard, floor_m + 0.5).stop_from(at_rest(state.q_rad)), Stop)
+    assert isinstance(with_floor_at(guard, floor_m - depth_m - 1e-4).stop_from(state), StopMotion)
+    assert isinstance(with_floor_at(guard, floor_m + 0.5).stop_from(at_rest(state.q_rad)), StopMotion)
 
 
 def test_a_jog_is_refused_for_what_its_stop_meets_on_the_way_though_its_end_is_free() -> None:
@@ -293,7 +295,7 @@ def test_a_jog_is_refused_for_what_its_stop_meets_on_the_way_though_its_end_is_f
     for _ in range(60):
         q = (0.0, source.uniform(-1.0, 0.0), source.uniform(-0.5, 0.5))
         state = SetPoint(q, (0.0, source.uniform(-0.5, -0.2), source.uniform(0.2, 2.0)), (0.0, 0.0, 0.0))
-        stop = Stop(state, LIMITS)
+        stop = StopMotion(state, LIMITS)
         ends_m = min(lowest_m(guard, JointMove(q, q, LIMITS)) for q in (state.q_rad, stop.at(9.0).q_rad))
         if ends_m - (way_m := lowest_m(guard, stop)) > 2e-4:
             found += 1

@@ -10,7 +10,7 @@ from control.model.arm import Arm, Drive, Link
 from control.model.description import load_arm
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import HARDEST, JointMove, Stop, StraightStop
+from control.motion.joint_move import HARDEST, JointMove, StopMotion, StraightStop
 from control.motion.setpoint import SetPoint, at_rest
 
 LIMITS = JointLimits.of(load_arm("right"))
@@ -156,7 +156,7 @@ def test_numbers_that_are_not_finite_are_refused(bad):
     with pytest.raises(MotionError, match="finite"):
         JointMove((bad, 0.0, 0.0), END, LIMITS)
     with pytest.raises(MotionError, match="finite"):
-        Stop(SetPoint(START, (bad, 0.0, 0.0), (0.0,) * 3), LIMITS)
+        StopMotion(SetPoint(START, (bad, 0.0, 0.0), (0.0,) * 3), LIMITS)
 
 
 def test_a_wrong_number_of_joints_is_refused():
@@ -166,7 +166,7 @@ def test_a_wrong_number_of_joints_is_refused():
 
 def test_a_stop_continues_the_motion_and_ends_at_rest_within_all_limits():
     state = SetPoint((0.0, 0.0, 0.0), (1.8, -0.7, 0.2), (5.0, -10.0, 0.0))
-    stop = Stop(state, LIMITS)
+    stop = StopMotion(state, LIMITS)
     _same(stop.at(0.0), state)
     _within(stop, LIMITS)
     assert stop.at(stop.duration_s).speed_rad_s == (0.0, 0.0, 0.0)
@@ -175,31 +175,31 @@ def test_a_stop_continues_the_motion_and_ends_at_rest_within_all_limits():
 
 
 def test_a_stop_at_rest_takes_no_time_and_stays():
-    stop = Stop(at_rest(START), LIMITS)
+    stop = StopMotion(at_rest(START), LIMITS)
     assert stop.duration_s == 0.0
     assert stop.at(0.0) == stop.at(5.0) == at_rest(START)
 
 
 def test_the_stop_takes_as_long_as_its_slowest_joint_and_the_others_rest_meanwhile():
-    stop = Stop(SetPoint((0.0,) * 3, (2.0, 0.1, 0.0), (0.0,) * 3), LIMITS)
+    stop = StopMotion(SetPoint((0.0,) * 3, (2.0, 0.1, 0.0), (0.0,) * 3), LIMITS)
     assert stop.duration_s == pytest.approx(0.25)
     assert stop.at(0.2).speed_rad_s[1:] == pytest.approx((0.0, 0.0), abs=1e-12)
     assert stop.at(0.2).q_rad[1:] == pytest.approx(stop.at(9.0).q_rad[1:])
 
 
 def test_near_the_end_of_its_range_a_joint_brakes_harder_and_does_not_overshoot():
-    normal = Stop(SetPoint((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0,) * 3), LIMITS).at(9.0).q_rad[0]
+    normal = StopMotion(SetPoint((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0,) * 3), LIMITS).at(9.0).q_rad[0]
     for room in (normal * 0.95, normal * 0.85, normal * 0.6, normal * 0.3):
-        stop = Stop(SetPoint((2.6 - room, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0,) * 3), LIMITS)
+        stop = StopMotion(SetPoint((2.6 - room, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0,) * 3), LIMITS)
         assert max(point.q_rad[0] for point in _samples(stop)) <= 2.6 + 1e-9
         assert stop.overshoot_rad == (0.0, 0.0, 0.0)
 
 
 def test_what_cannot_stop_in_time_stops_as_hard_as_it_may_and_says_how_far_it_goes():
-    stop = Stop(SetPoint((2.59, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0,) * 3), LIMITS)
+    stop = StopMotion(SetPoint((2.59, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0,) * 3), LIMITS)
     assert stop.overshoot_rad[0] == pytest.approx(stop.at(9.0).q_rad[0] - 2.6)
     assert 0.0 < stop.overshoot_rad[0] < 0.07
-    low = Stop(SetPoint((-2.59, 0.0, 0.0), (-2.0, 0.0, 0.0), (0.0,) * 3), LIMITS)
+    low = StopMotion(SetPoint((-2.59, 0.0, 0.0), (-2.0, 0.0, 0.0), (0.0,) * 3), LIMITS)
     assert low.overshoot_rad == pytest.approx(stop.overshoot_rad)
 
 
@@ -211,7 +211,7 @@ def test_any_move_interrupted_anywhere_stops_inside_the_range():
             for _ in "ab"
         ]
         move = JointMove(ends[0], ends[1], LIMITS)
-        stop = Stop(move.at(numbers.uniform(0.0, move.duration_s)), LIMITS)
+        stop = StopMotion(move.at(numbers.uniform(0.0, move.duration_s)), LIMITS)
         assert stop.overshoot_rad == (0.0, 0.0, 0.0)
         for point in _samples(stop, 40):
             for q, low, high in zip(point.q_rad, LIMITS.lower_rad, LIMITS.upper_rad, strict=True):

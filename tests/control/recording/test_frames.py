@@ -17,7 +17,7 @@ from control.recording.frame_decoder import FrameDecoder
 from control.recording.frames import HEAD, ROWS_MOST, STREAM_ROWS, FrameEncoder, frames_in, in_frames
 from control.recording.reading import RecordError, Recording, RowReader
 from control.recording.record import MAGIC_OF_FRAMES, Layout
-from control.recording.rotation import PartFile, Parts, Policy, begin
+from control.recording.rotation import PartFile, Policy, RecordingParts, begin
 from tests.recordings import PERIOD_s, row_of
 
 LAYOUT = Layout.of(3)
@@ -165,7 +165,7 @@ def test_a_full_disk_keeps_whole_frames_and_recording_resumes_in_the_same_file(t
         return done
 
     path, size = begun(tmp_path), LAYOUT.packing.size
-    parts = Parts(path, Policy(1 << 30), lambda text: None, pwrite, lambda: now_s[0])
+    parts = RecordingParts(path, Policy(1 << 30), lambda text: None, pwrite, lambda: now_s[0])
     parts.append(packed(0, 10))
     left[0] = 150  # less than a frame
     parts.append(packed(10, 10))

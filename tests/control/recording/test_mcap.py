@@ -18,7 +18,7 @@ from control.model.description import arm_text, load_arm
 from control.recording import mcap_scene as scene
 from control.recording.export import to_mcap
 from control.recording.layout import END_FIELDS
-from control.recording.mcap_events import Events
+from control.recording.mcap_events import CycleChanges
 from control.recording.mcap_schemas import FOXGLOVE, TOPICS, columns_of
 from control.recording.reading import Recording
 from control.recording.record import Layout
@@ -218,7 +218,7 @@ def test_the_log_says_what_changed_and_warns_of_missed_deadlines_once_a_second(t
 
 
 def test_a_mode_of_a_later_version_is_its_number() -> None:
-    assert list(Events(("OFF",)).look(0.0, 7, 0, 0, (0.0,))) == [(2, "mode mode 7")]
+    assert list(CycleChanges(("OFF",)).look(0.0, 7, 0, 0, (0.0,))) == [(2, "mode mode 7")]
 
 
 def test_the_arm_is_attached_and_the_origin_is_said(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from control.recording.parts import next_part, parts_from
 from control.recording.reading import Recording
 from control.recording.record import Layout
 from control.recording.recorder_state import RecorderState
-from control.recording.rotation import PartFile, Parts, Policy, RETRY_s, begin, remove_oldest
+from control.recording.rotation import PartFile, Policy, RecordingParts, RETRY_s, begin, remove_oldest
 
 LAYOUT = Layout.of(2)
 ROW = LAYOUT.packing.size
@@ -54,9 +54,9 @@ class Disk:
 
     def parts(
         self, folder: Path, policy: Policy = LARGE, name: str = "right-20260101-120000.armlog"
-    ) -> Parts:
+    ) -> RecordingParts:
         begin(folder / name, LAYOUT.about(arm="right", period_s=0.002))
-        return Parts(folder / name, policy, self.said.append, self.pwrite, lambda: self.now_s)
+        return RecordingParts(folder / name, policy, self.said.append, self.pwrite, lambda: self.now_s)
 
 
 @pytest.fixture
@@ -158,7 +158,7 @@ def test_a_recording_that_another_program_empties_or_cuts_says_so_and_goes_on_in
     about = {"arm": "right", "period_s": 0.002, **(LAYOUT.framed([1e-5] * 2) if is_framed else {})}
     first = tmp_path / "right-20260101-120000.armlog"
     begin(first, LAYOUT.about(**about))
-    parts = Parts(first, LARGE, disk.said.append)
+    parts = RecordingParts(first, LARGE, disk.said.append)
     parts.append(rows(0, 1000))
     os.truncate(first, math.ceil(left * first.stat().st_size))  # 1.5: with a hole
     parts.append(rows(1000, 5))

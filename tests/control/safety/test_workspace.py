@@ -10,14 +10,14 @@ import pytest
 
 from control.errors import ArmError
 from control.model.table import board_cavities
-from control.safety.workspace import Board, Body, Workspace
+from control.safety.workspace import LinkThickness, TiltedBoard, Workspace
 from tests.cell import RIGHT
 
 BARE = Workspace(floor_z_m=0.0, tolerance_m=0.01, board=None, base_top_m=0.4, base_radius_m=0.0)
 TIP = "the tip would be below the floor or table"
 BODY = "the arm would be below the floor or table"
 BASE = "the arm would meet its own base"
-LEVEL = Board(origin_m=(0.5, 0.0, -0.02), radius_m=0.2, roll_slope=0.0, pitch_slope=0.0)
+LEVEL = TiltedBoard(origin_m=(0.5, 0.0, -0.02), radius_m=0.2, roll_slope=0.0, pitch_slope=0.0)
 
 
 def arm_with_tip(x: float, y: float, z: float) -> list[tuple[float, float, float]]:
@@ -44,7 +44,7 @@ def test_a_floor_just_at_its_tolerance_is_free_and_what_is_below_is_not() -> Non
 def test_the_last_link_is_held_above_the_floor_between_its_ends_too(share: float) -> None:
     """A tilted board reaches up under the middle of a link whose ends are beside it."""
     middle = (0.5, 0.2)
-    narrow = Workspace(0.0, 0.0, Board((*middle, -0.2), 0.01, 0.0, 0.0), 0.4, 0.0)
+    narrow = Workspace(0.0, 0.0, TiltedBoard((*middle, -0.2), 0.01, 0.0, 0.0), 0.4, 0.0)
     along = np.array((0.8, -0.6, 0.0))
     elbow = np.array((*middle, -0.1)) - share * along
     corners = np.array([(0.0, 0.0, 0.3), elbow, elbow + along])
@@ -59,19 +59,22 @@ def test_the_last_link_is_held_above_the_floor_between_its_ends_too(share: float
 
 def test_a_body_is_nearer_to_the_floor_by_its_thickness_and_the_tip_is_a_point() -> None:
     """Where two parts meet the thicker one counts."""
-    body = Body((0.03, 0.05, 0.02))
+    body = LinkThickness((0.03, 0.05, 0.02))
     elbow_down = [(0.3, 0.0, 0.5), (0.4, 0.0, 0.03), (0.9, 0.0, 0.5)]
     assert BARE.clearance(elbow_down, body) == (pytest.approx(0.03 - 0.05 + 0.01), BODY)
     tip_down = [(0.3, 0.0, 0.5), (0.9, 0.0, 0.5), (0.9, 0.0, 0.0)]
-    assert BARE.clearance(tip_down, Body((0.03, 0.02, 0.005))) == (pytest.approx(0.01), TIP)
+    assert BARE.clearance(tip_down, LinkThickness((0.03, 0.02, 0.005))) == (pytest.approx(0.01), TIP)
     forearm = [(0.3, 0.2, 0.5), (0.3, 0.2, 0.2), (0.7, -0.2, 0.0)]
-    for corners, body in ((forearm, Body((0.0, 0.0, 0.1))), (forearm[1:], Body((0.0, 0.1)))):
+    for corners, body in (
+        (forearm, LinkThickness((0.0, 0.0, 0.1))),
+        (forearm[1:], LinkThickness((0.0, 0.1))),
+    ):
         assert BARE.clearance(corners, body) == (pytest.approx(0.05 - 0.1 + 0.01), BODY)
 
 
 def test_a_body_is_nearer_to_the_base_by_its_thickness() -> None:
     workspace = replace(BARE, base_radius_m=0.1)
-    assert workspace.clearance([(0.3, 0.0, 0.2), (0.3, 0.3, 0.2)], Body((0.0, 0.05))) == (
+    assert workspace.clearance([(0.3, 0.0, 0.2), (0.3, 0.3, 0.2)], LinkThickness((0.0, 0.05))) == (
         pytest.approx(0.15),
         BASE,
     )
@@ -136,7 +139,7 @@ def test_the_body_that_hangs_on_the_base_does_not_count() -> None:
     corners = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.4), (0.5, 0.0, 0.3)]
     assert workspace.clearance(corners).distance_m == pytest.approx(-0.1)
     assert workspace.clearance(
-        [*corners, (0.6, 0.0, 0.3)], Body((0.0,) * 4, first_free=2)
+        [*corners, (0.6, 0.0, 0.3)], LinkThickness((0.0,) * 4, first_free=2)
     ).distance_m == pytest.approx(0.4)
 
 
@@ -154,7 +157,7 @@ def test_arrays_say_what_floats_say() -> None:
     workspace = replace(BARE, board=replace(LEVEL, roll_slope=0.3, pitch_slope=-0.2), base_radius_m=0.1)
     chance = np.random.default_rng(4)
     corners = chance.uniform((-0.6, -0.6, -0.2), (0.7, 0.6, 0.5), (200, 4, 3))
-    of_arrays, body = {}, Body((0.0, 0.05, 0.02, 0.04), first_free=1)
+    of_arrays, body = {}, LinkThickness((0.0, 0.05, 0.02, 0.04), first_free=1)
     for distance, what in workspace.clearances(corners.transpose(1, 2, 0), body):
         of_arrays[what] = np.minimum(of_arrays.get(what, math.inf), distance)
     for k, pose in enumerate(corners.tolist()):
@@ -192,21 +195,21 @@ def test_the_board_covers_its_outermost_cavity_and_a_margin_and_tilts_as_its_tab
 
 
 def test_an_arm_is_far_from_all_where_no_way_of_that_length_leads_to_floor_or_base() -> None:
-    workspace, body = replace(BARE, base_radius_m=0.06), Body((0.02, 0.0))
+    workspace, body = replace(BARE, base_radius_m=0.06), LinkThickness((0.02, 0.0))
     corners = [(-0.3, 0.0, 0.9), (0.5, 0.0, 0.53)]  # over the base
     assert workspace.is_far(corners, body, 0.04)  # 0.53 - 0.02 - 0.04 > 0.4 + 0.06
     assert not workspace.is_far(corners, body, 0.0501)
     assert not workspace.is_far([(0.5, 0.0, 0.48), (-0.3, 0.0, 0.9)], body, 0.0)  # 0.46: at the base's reach
     exact = replace(BARE, base_top_m=0.5, base_radius_m=0.25)
-    assert not exact.is_far([(0.5, 0.0, 0.75), (-0.3, 0.0, 0.9)], Body((0.0, 0.0)), 0.0)
-    assert exact.is_far([(0.5, 0.0, 0.7501), (-0.3, 0.0, 0.9)], Body((0.0, 0.0)), 0.0)
+    assert not exact.is_far([(0.5, 0.0, 0.75), (-0.3, 0.0, 0.9)], LinkThickness((0.0, 0.0)), 0.0)
+    assert exact.is_far([(0.5, 0.0, 0.7501), (-0.3, 0.0, 0.9)], LinkThickness((0.0, 0.0)), 0.0)
     low = [(0.3, 0.0, 0.9), (0.5, 0.0, 0.01)]
-    assert BARE.is_far(low, Body((0.0, 0.0)), 0.02)  # exactly to the tolerance below the floor
-    assert not BARE.is_far(low, Body((0.0, 0.0)), 0.0201)
+    assert BARE.is_far(low, LinkThickness((0.0, 0.0)), 0.02)  # exactly to the tolerance below the floor
+    assert not BARE.is_far(low, LinkThickness((0.0, 0.0)), 0.0201)
 
 
 def test_an_arm_is_far_from_the_base_beyond_a_plane_before_it() -> None:
-    workspace, body = replace(BARE, base_radius_m=0.06), Body((0.0, 0.02, 0.01), first_free=1)
+    workspace, body = replace(BARE, base_radius_m=0.06), LinkThickness((0.0, 0.02, 0.01), first_free=1)
     corners = [(0.0, 0.0, 0.4), (0.0, 0.2, 0.3), (0.0, 0.6, 0.3)]  # the first hangs on the base
     assert workspace.is_far(corners, body, 0.11)
     assert not workspace.is_far(corners, body, 0.1201)
@@ -220,13 +223,13 @@ def test_an_arm_is_far_from_the_base_beyond_a_plane_before_it() -> None:
 def test_an_arm_without_a_position_is_not_far(bad: float, axis: int) -> None:
     corner = [0.6, 0.0, 0.9]
     corner[axis] = bad
-    assert not BARE.is_far([(0.3, 0.0, 0.9), corner], Body((0.0, 0.0)), 0.0)
+    assert not BARE.is_far([(0.3, 0.0, 0.9), corner], LinkThickness((0.0, 0.0)), 0.0)
 
 
 def test_what_is_far_is_clear_however_it_moves_by_that_way() -> None:
     chance = np.random.default_rng(7)
     workspace = replace(BARE, board=replace(LEVEL, roll_slope=0.3, pitch_slope=-0.2), base_radius_m=0.1)
-    body = Body((0.0, 0.05, 0.02, 0.04), first_free=1)
+    body = LinkThickness((0.0, 0.05, 0.02, 0.04), first_free=1)
     far = 0
     for corners in chance.uniform((-0.6, -0.6, -0.1), (0.7, 0.6, 0.7), (2000, 4, 3)):
         if workspace.is_far(corners.tolist(), body, 0.05):

@@ -9,11 +9,11 @@ import pytest
 from firmware_iface.canopen import wire
 from firmware_iface.canopen.bus import CanOpenBus
 from firmware_iface.canopen.drive import STATUSWORD, Cia402Drive
-from firmware_iface.canopen.wire import Entry
-from firmware_iface.errors import BoardFaulted, BoardReset, BoardSilent, MisuseError, RequestRefused
-from firmware_iface.motor.cia402 import State
+from firmware_iface.canopen.wire import DictionaryObject
+from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, MisuseError
+from firmware_iface.motor.cia402 import DriveState
 from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup
-from hil_mocks.devices.motor_states import State as MockState
+from hil_mocks.devices.motor_states import MotorState as MockState
 
 NODE = 5
 GOLDEN = Path(__file__).parents[2] / "golden" / "canopen.txt"
@@ -94,7 +94,7 @@ class Cell:
             self.wired.put(*frame)
         self.mock.outgoing.clear()
 
-    def cycle(self, wanted: State) -> None:
+    def cycle(self, wanted: DriveState) -> None:
         self.drive.step_towards(wanted)
         self.bus.sync()
         self.wired.wait_until_s(self.wired.now_s() + 0.002)
@@ -113,11 +113,13 @@ def test_frames_are_those_of_the_standard() -> None:
     wired = Wire(lambda can_id, payload: [])
     bus = CanOpenBus(wired, wired)
     assert wire.read_request(STATUSWORD) == golden("SDO read 0x6041:00")[1]
-    assert wire.write_request(Entry(0x6060, 0, "i8"), 8) == golden("SDO write 0x6060:00 = 8")[1]
-    assert wire.write_request(Entry(0x1017, 0, "u16"), 200) == golden("SDO write 0x1017:00 = 200")[1]
-    consumer = wire.write_request(Entry(0x1016, 1, "u32"), 127 << 16 | 200)
+    assert wire.write_request(DictionaryObject(0x6060, 0, "i8"), 8) == golden("SDO write 0x6060:00 = 8")[1]
+    assert (
+        wire.write_request(DictionaryObject(0x1017, 0, "u16"), 200) == golden("SDO write 0x1017:00 = 200")[1]
+    )
+    consumer = wire.write_request(DictionaryObject(0x1016, 1, "u32"), 127 << 16 | 200)
     assert consumer == golden("SDO write 0x1016:01 = node 127, 200 ms")[1]
-    mapped = wire.write_request(Entry(0x1A00, 1, "u32"), STATUSWORD.mapping)
+    mapped = wire.write_request(DictionaryObject(0x1A00, 1, "u32"), STATUSWORD.mapping)
     assert mapped == golden("SDO write 0x1A00:01 = 0x60410010")[1]
     bus.nmt(wire.NmtCommand.START, NODE)
     bus.sync()
@@ -126,8 +128,8 @@ def test_frames_are_those_of_the_standard() -> None:
 
 def test_the_drive_is_brought_to_operation_at_its_present_position(cell: Cell) -> None:
     for _ in range(6):
-        cell.cycle(State.OPERATION_ENABLED)
-    assert cell.drive.state is State.OPERATION_ENABLED
+        cell.cycle(DriveState.OPERATION_ENABLED)
+    assert cell.drive.state is DriveState.OPERATION_ENABLED
     assert cell.mock.objects[0x6060, 0] == ("i8", 8)
     assert cell.mock.objects[0x607A, 0] == ("i32", cell.mock.position)
     sent = {frame for frame in cell.wired.sent if frame[0] == 0x205}
@@ -150,12 +152,12 @@ def test_each_drive_is_asked_for_what_it_has(
     assert cell.drive.rated_current_A == pytest.approx(10.0)
     for _ in range(6):
         cell.drive.ask_supply()
-        cell.cycle(State.OPERATION_ENABLED)
+        cell.cycle(DriveState.OPERATION_ENABLED)
     assert cell.drive.supply_mV == 24_000
     cell.mock.is_home = True
     cell.drive.limit_current(8.0, 100.0)
     for _ in range(2):
-        cell.cycle(State.OPERATION_ENABLED)
+        cell.cycle(DriveState.OPERATION_ENABLED)
     assert cell.drive.is_switch_on
     assert cell.mock.objects[limit[0]][1] == limit[1]
     assert cell.mock.limit_A == pytest.approx(8.0)
@@ -163,18 +165,18 @@ def test_each_drive_is_asked_for_what_it_has(
 
 def test_a_fault_reset_never_leads_into_operation(cell: Cell) -> None:
     for _ in range(6):
-        cell.cycle(State.OPERATION_ENABLED)
+        cell.cycle(DriveState.OPERATION_ENABLED)
     cell.mock.forced_error = 0x2310
     for _ in range(4):
-        cell.cycle(State.OPERATION_ENABLED)
-    assert cell.drive.state is State.FAULT
+        cell.cycle(DriveState.OPERATION_ENABLED)
+    assert cell.drive.state is DriveState.FAULT
     assert cell.drive.error_text() == "0x2310"
     with pytest.raises(BoardFaulted, match="cause persists"):
         cell.drive.acknowledge_fault(0.05)
     cell.mock.forced_error = 0
     cell.states.clear()
     cell.drive.acknowledge_fault()
-    assert cell.drive.state is State.SWITCH_ON_DISABLED
+    assert cell.drive.state is DriveState.SWITCH_ON_DISABLED
     assert MockState.ENABLED not in cell.states
 
 
@@ -196,7 +198,7 @@ def test_a_restart_that_nobody_saw_is_found_by_what_the_drive_has_forgotten(cell
 
 def test_a_drive_that_hears_no_heartbeat_stops_by_itself(cell: Cell) -> None:
     for _ in range(6):
-        cell.cycle(State.OPERATION_ENABLED)
+        cell.cycle(DriveState.OPERATION_ENABLED)
     for _ in range(150):
         cell.wired.wait_until_s(cell.wired.now_s() + 0.002)
     assert cell.mock.state is MockState.QUICK_STOP
@@ -243,9 +245,9 @@ def test_sdo_agrees_with_the_server_of_the_canopen_library() -> None:
     server = Server(pytest.importorskip("canopen"))
     drive = on(Wire(server.answer))
     for index, kind, value in ((0x1000, "u32", 0x0002_0192), (0x6060, "i8", -3), (0x607A, "i32", -123456)):
-        entry = Entry(index, 0, kind)
+        entry = DictionaryObject(index, 0, kind)
         drive.write(entry, value)
         assert server.node.sdo[index].raw == value
         assert drive.read(entry) == value
-    with pytest.raises(RequestRefused, match=r"refused object 0x60FF:00: no such object \(0x06020000\)"):
-        drive.write(Entry(0x60FF, 0, "i32"), 0)
+    with pytest.raises(BoardRefused, match=r"refused object 0x60FF:00: no such object \(0x06020000\)"):
+        drive.write(DictionaryObject(0x60FF, 0, "i32"), 0)

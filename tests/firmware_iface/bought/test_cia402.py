@@ -8,7 +8,7 @@ from firmware_iface.motor.cia402 import (
     STATE_OF_STATUSWORD,
     TRANSITIONS,
     DriveCommand,
-    State,
+    DriveState,
     after,
     next_command,
 )
@@ -27,7 +27,7 @@ QS  .  .  .  SD .  .
 FR  .  .  .  .  .  .
 FT  .  .  .  .  .  SD
 """
-SHORT = dict(zip(("NR", "SD", "RS", "SO", "OE", "QS", "FR", "FT"), State, strict=True))
+SHORT = dict(zip(("NR", "SD", "RS", "SO", "OE", "QS", "FR", "FT"), DriveState, strict=True))
 ROWS = {cells[0]: cells[1:] for cells in (line.split() for line in TABLE.strip().splitlines())}
 
 
@@ -47,12 +47,12 @@ def test_the_document_has_the_same_table() -> None:
         for origin in origins.split(", "):
             for column, target in zip(COLUMNS, targets, strict=True):
                 if target:
-                    found[State(origin), DriveCommand[column]] = State(target.split(" (")[0])
+                    found[DriveState(origin), DriveCommand[column]] = DriveState(target.split(" (")[0])
     assert found == dict(TRANSITIONS)
 
 
-@pytest.mark.parametrize("state", State)
-def test_free_bits_of_the_statusword_do_not_change_the_state(state: State) -> None:
+@pytest.mark.parametrize("state", DriveState)
+def test_free_bits_of_the_statusword_do_not_change_the_state(state: DriveState) -> None:
     words = [word for word in range(256) if STATE_OF_STATUSWORD[word] is state]
     for word in words:
         assert STATE_OF_STATUSWORD[word ^ 0x10] is state  # voltage enabled
@@ -63,18 +63,18 @@ def test_free_bits_of_the_statusword_do_not_change_the_state(state: State) -> No
 @pytest.mark.parametrize(
     ("statusword", "state"),
     [
-        (0x00, State.NOT_READY_TO_SWITCH_ON),
-        (0x20, State.NOT_READY_TO_SWITCH_ON),
-        (0x40, State.SWITCH_ON_DISABLED),
-        (0x60, State.SWITCH_ON_DISABLED),
-        (0x21, State.READY_TO_SWITCH_ON),
-        (0x23, State.SWITCHED_ON),
-        (0x27, State.OPERATION_ENABLED),
-        (0x07, State.QUICK_STOP_ACTIVE),
-        (0x0F, State.FAULT_REACTION_ACTIVE),
-        (0x2F, State.FAULT_REACTION_ACTIVE),
-        (0x08, State.FAULT),
-        (0x28, State.FAULT),
+        (0x00, DriveState.NOT_READY_TO_SWITCH_ON),
+        (0x20, DriveState.NOT_READY_TO_SWITCH_ON),
+        (0x40, DriveState.SWITCH_ON_DISABLED),
+        (0x60, DriveState.SWITCH_ON_DISABLED),
+        (0x21, DriveState.READY_TO_SWITCH_ON),
+        (0x23, DriveState.SWITCHED_ON),
+        (0x27, DriveState.OPERATION_ENABLED),
+        (0x07, DriveState.QUICK_STOP_ACTIVE),
+        (0x0F, DriveState.FAULT_REACTION_ACTIVE),
+        (0x2F, DriveState.FAULT_REACTION_ACTIVE),
+        (0x08, DriveState.FAULT),
+        (0x28, DriveState.FAULT),
         (0x01, None),
         (0x03, None),
         (0x41, None),
@@ -82,13 +82,13 @@ def test_free_bits_of_the_statusword_do_not_change_the_state(state: State) -> No
         (0x48, None),
     ],
 )
-def test_statuswords_are_those_of_the_standard(statusword: int, state: State | None) -> None:
+def test_statuswords_are_those_of_the_standard(statusword: int, state: DriveState | None) -> None:
     assert STATE_OF_STATUSWORD[statusword] is state
 
 
-@pytest.mark.parametrize(("origin", "target"), [*product(State, State)])
+@pytest.mark.parametrize(("origin", "target"), [*product(DriveState, DriveState)])
 def test_a_way_is_followed_to_its_end_and_never_through_enabled_or_a_fault(
-    origin: State, target: State
+    origin: DriveState, target: DriveState
 ) -> None:
     at, visited = origin, [origin]
     while at is not target and (command := next_command(at, target)) is not None:
@@ -97,19 +97,19 @@ def test_a_way_is_followed_to_its_end_and_never_through_enabled_or_a_fault(
         visited.append(at)
         assert len(visited) < 6
     between = visited[1:-1]
-    assert State.OPERATION_ENABLED not in between
+    assert DriveState.OPERATION_ENABLED not in between
     reachable = {
-        State.SWITCH_ON_DISABLED,
-        State.READY_TO_SWITCH_ON,
-        State.SWITCHED_ON,
-        State.OPERATION_ENABLED,
+        DriveState.SWITCH_ON_DISABLED,
+        DriveState.READY_TO_SWITCH_ON,
+        DriveState.SWITCHED_ON,
+        DriveState.OPERATION_ENABLED,
     }
-    if origin in reachable | {State.QUICK_STOP_ACTIVE} and target in reachable:
+    if origin in reachable | {DriveState.QUICK_STOP_ACTIVE} and target in reachable:
         assert at is target
-    if target is State.QUICK_STOP_ACTIVE and origin is not target:
-        assert (at is target) == (origin is State.OPERATION_ENABLED)
+    if target is DriveState.QUICK_STOP_ACTIVE and origin is not target:
+        assert (at is target) == (origin is DriveState.OPERATION_ENABLED)
 
 
 def test_nothing_leads_out_of_a_fault_but_a_reset() -> None:
-    for target in set(State) - {State.FAULT}:
-        assert next_command(State.FAULT, target) is None
+    for target in set(DriveState) - {DriveState.FAULT}:
+        assert next_command(DriveState.FAULT, target) is None

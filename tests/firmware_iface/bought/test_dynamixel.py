@@ -9,8 +9,9 @@ import pytest
 
 from firmware_iface.dynamixel import wire
 from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
-from firmware_iface.errors import BoardSilent, MisuseError, RequestRefused, WrongIdentity
+from firmware_iface.errors import BoardRefused, BoardSilent, MisuseError, WrongIdentity
 from firmware_iface.memory_link import byte_pair
+from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 
 GOLDEN = {
@@ -21,7 +22,7 @@ GOLDEN = {
 
 
 def test_packets_are_those_of_the_manual() -> None:
-    assert wire.packet(1, wire.Instruction.PING) == GOLDEN["PING id 1"]
+    assert wire.packet(1, Instruction.PING) == GOLDEN["PING id 1"]
     assert wire.read(1, 132, 4) == GOLDEN["READ id 1 present position"]
     assert wire.write(1, 116, struct.pack("<i", 512)) == GOLDEN["WRITE id 1 goal position 512"]
     assert wire.sync_read((1, 2), 132, 4) == GOLDEN["SYNC READ ids 1 and 2 present position"]
@@ -193,9 +194,9 @@ def test_what_a_servo_refuses_is_said_in_and_outside_of_the_cycle() -> None:
     servo.limit_force(1.0, 1.0)
     cycles(cable, line, 3)
     (refused, *_) = servo.problems
-    assert isinstance(refused, RequestRefused)
+    assert isinstance(refused, BoardRefused)
     assert re.search(r'"grip" \(id 3\).*refused WRITE 102 of 74 01: .*beyond the limit', str(refused))
     cable.servo.table[98] = 0xFF
     cable.servo.table[64] = 1
-    with pytest.raises(RequestRefused, match=r"WRITE 116: the value is out of range \(error 4\)"):
+    with pytest.raises(BoardRefused, match=r"WRITE 116: the value is out of range \(error 4\)"):
         servo._write(116, struct.pack("<i", 9))

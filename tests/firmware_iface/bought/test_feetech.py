@@ -8,6 +8,7 @@ from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIde
 from firmware_iface.feetech import wire
 from firmware_iface.feetech.servo import CURRENT_UNIT_A, FeetechLine, FeetechServo
 from firmware_iface.memory_link import byte_pair
+from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 
 GOLDEN = {
@@ -18,7 +19,7 @@ GOLDEN = {
 
 
 def test_packets_are_those_of_the_manual() -> None:
-    assert wire.packet(1, wire.Instruction.PING) == GOLDEN["PING id 1"]
+    assert wire.packet(1, Instruction.PING) == GOLDEN["PING id 1"]
     assert wire.read(1, 56, 2) == GOLDEN["READ id 1 position"]
     assert wire.write(1, 40, b"\x01") == GOLDEN["WRITE id 1 torque on"]
     goals = {1: wire.raw(2048), 2: wire.raw(-2)}

@@ -8,7 +8,7 @@ import pytest
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, ProtocolViolation
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.controller import Moteus, MoteusBus
-from firmware_iface.moteus.wire import Mode, Position, Register
+from firmware_iface.moteus.wire import MoteusMode, Position, Register
 from hil_mocks.devices.moteus import OVER_HEATED, MoteusMock, MoteusSetup
 from tests.firmware_iface.mock_wire import BusRig, golden
 
@@ -52,7 +52,7 @@ def test_all_values_come_with_the_reply_to_a_command() -> None:
     cell.run(0.008)
     board = cell.board
     assert (board.count, board.supply_V, board.current_A) == (CPR // 4, pytest.approx(24.0), 0.5)
-    assert (board.temperature_degC, board.is_switch_on, board.mode) == (35.0, True, Mode.BRAKE)
+    assert (board.temperature_degC, board.is_switch_on, board.mode) == (35.0, True, MoteusMode.BRAKE)
 
 
 def test_a_count_that_waited_for_a_host_that_paused_is_of_before_the_pause() -> None:
@@ -89,7 +89,7 @@ def test_one_that_others_stop_or_brake_does_not_run(others: wire.Frame) -> None:
 def test_the_first_question_commands_nothing() -> None:
     cell = Cell()
     cell.board.identify(False)
-    assert cell.mock.mode == Mode.STOPPED
+    assert cell.mock.mode == MoteusMode.STOPPED
 
 
 def test_a_torque_is_position_mode_without_its_gains() -> None:
@@ -131,7 +131,7 @@ def test_a_restart_is_noticed_however_long_it_was_up_and_does_not_lead_back_into
     with pytest.raises(BoardReset, match="restarted by itself"):
         cell.run(0.3)
     cell.run(0.05)
-    assert (cell.board.resets, cell.mock.mode) == (1, Mode.BRAKE)
+    assert (cell.board.resets, cell.mock.mode) == (1, MoteusMode.BRAKE)
 
 
 def test_a_pause_of_the_host_is_no_restart() -> None:
@@ -157,12 +157,12 @@ def test_a_fault_and_a_time_out_end_by_a_stop_alone_and_a_persistent_cause_comes
     cell.run(0.008)
     cell.wired.run(0.2)
     cell.run(0.008)
-    assert cell.board.mode == Mode.TIMEOUT
+    assert cell.board.mode == MoteusMode.TIMEOUT
     assert cell.board.reset_fault()
-    assert cell.board.mode == Mode.BRAKE
+    assert cell.board.mode == MoteusMode.BRAKE
     cell.mock.forced_error = OVER_HEATED
     cell.run(0.02)
-    assert (cell.board.mode, cell.board.fault) == (Mode.FAULT, OVER_HEATED)
+    assert (cell.board.mode, cell.board.fault) == (MoteusMode.FAULT, OVER_HEATED)
     assert not cell.board.reset_fault()
     cell.mock.forced_error = 0
     assert cell.board.reset_fault()

@@ -6,16 +6,16 @@ import pytest
 
 from firmware_iface.errors import (
     BoardFaulted,
+    BoardRefused,
     BoardReset,
     BoardSilent,
     MisuseError,
     ProtocolViolation,
-    RequestRefused,
     WrongIdentity,
 )
 from firmware_iface.odrive import wire
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
-from firmware_iface.odrive.wire import AxisState, Command, Control, Error
+from firmware_iface.odrive.wire import AxisState, Error, OdriveCommand, OdriveControlMode
 from hil_mocks.devices.odrive import CLOSED_LOOP, ESTOP, IDLE, OdriveMock, OdriveSetup
 from tests.firmware_iface.mock_wire import BusRig, golden
 
@@ -34,7 +34,7 @@ class Cell(BusRig[OdriveBus]):
     ("name", "made"),
     [
         ("SET_AXIS_STATE closed loop", wire.axis_state(NODE, AxisState.CLOSED_LOOP_CONTROL)),
-        ("SET_CONTROLLER_MODE torque", wire.controller_mode(NODE, Control.TORQUE)),
+        ("SET_CONTROLLER_MODE torque", wire.controller_mode(NODE, OdriveControlMode.TORQUE)),
         ("SET_INPUT_POS -1.5 turns, 2.5 turns/s", wire.position(NODE, -1.5, 2.5)),
         ("SET_INPUT_TORQUE 0.25 Nm", wire.torque(NODE, 0.25)),
         ("SET_LIMITS 20 turns/s, 8 A", wire.limits(NODE, 20.0, 8.0)),
@@ -60,7 +60,7 @@ def test_firmware_0_5_is_told_by_its_answer_and_refused(periods_s: tuple[tuple[i
     cell = Cell(is_firmware_5=True, periods_s=periods_s)
     with pytest.raises(WrongIdentity, match=r"expected firmware 0.6, it is 0.5"):
         cell.axis.identify()
-    assert [can_id & 0x1F for can_id, payload in cell.wired.sent] == [Command.SENSORLESS_ERROR]
+    assert [can_id & 0x1F for can_id, payload in cell.wired.sent] == [OdriveCommand.SENSORLESS_ERROR]
 
 
 def test_answers_about_settings_that_another_program_asks_for_are_no_firmware_0_5() -> None:
@@ -77,8 +77,12 @@ def test_a_torque_begins_with_its_own_value_and_the_state_is_asked_for_once() ->
     cell.axis.want_torque(0.1)
     cell.run(0.08)
     asked = [can_id & 0x1F for can_id, _ in cell.wired.sent]
-    assert asked[:3] == [Command.SET_INPUT_TORQUE, Command.SET_CONTROLLER_MODE, Command.SET_AXIS_STATE]
-    assert asked.count(Command.SET_AXIS_STATE) == 1
+    assert asked[:3] == [
+        OdriveCommand.SET_INPUT_TORQUE,
+        OdriveCommand.SET_CONTROLLER_MODE,
+        OdriveCommand.SET_AXIS_STATE,
+    ]
+    assert asked.count(OdriveCommand.SET_AXIS_STATE) == 1
     assert (cell.axis.is_driving, cell.mock.output) == (True, ("current", pytest.approx(2.0)))
 
 
@@ -93,8 +97,8 @@ def test_from_torque_to_position_the_new_input_comes_before_the_new_mode() -> No
     cell.axis.want_count(3 * CPR)
     cell.run(0.02)
     assert [can_id & 0x1F for can_id, _ in cell.wired.sent[:2]] == [
-        Command.SET_INPUT_POS,
-        Command.SET_CONTROLLER_MODE,
+        OdriveCommand.SET_INPUT_POS,
+        OdriveCommand.SET_CONTROLLER_MODE,
     ]
     assert cell.mock.output == ("voltage", pytest.approx(0.0, abs=1e-6))
     assert cell.axis.count == 3 * CPR
@@ -110,7 +114,7 @@ def test_a_silent_axis_and_one_without_messages_say_what_to_do() -> None:
     without_iq = tuple(
         (command, period_s)
         for command, period_s in OdriveSetup(0, 1.0, 1.0).periods_s
-        if command != Command.IQ
+        if command != OdriveCommand.IQ
     )
     with pytest.raises(BoardSilent, match=r"set iq_msg_rate_ms in axis0\.config\.can"):
         Cell(periods_s=without_iq).axis.identify()
@@ -162,7 +166,7 @@ def test_an_axis_that_is_not_calibrated_says_so() -> None:
     cell = Cell(is_calibrated=False)
     cell.axis.identify()
     cell.axis.want_torque(0.0)
-    with pytest.raises(RequestRefused, match=r"procedure result 14\): calibrate it"):
+    with pytest.raises(BoardRefused, match=r"procedure result 14\): calibrate it"):
         cell.run(0.1)
 
 
@@ -177,7 +181,7 @@ def test_a_position_that_is_no_number_is_refused() -> None:
 def test_a_frame_of_another_length_is_a_violation_and_changes_nothing() -> None:
     cell = Cell()
     cell.axis.identify()
-    cell.wired.put(wire.frame_id(NODE, Command.BUS), b"\x00\x01")
+    cell.wired.put(wire.frame_id(NODE, OdriveCommand.BUS), b"\x00\x01")
     with pytest.raises(ProtocolViolation, match="command 0x17 with 2 bytes"):
         cell.bus.update()
     assert cell.axis.supply_V == 24.0

@@ -9,7 +9,7 @@ from firmware_iface.memory_link import MemoryByteLink, byte_pair
 from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.board import RoboClaw
 from firmware_iface.roboclaw.line import ANSWER_TIMEOUT_s, PacketLine
-from firmware_iface.roboclaw.wire import Command
+from firmware_iface.roboclaw.wire import RoboclawCommand
 from hil_mocks.devices.roboclaw import RoboClawLineMock, RoboClawMock
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "roboclaw.txt"
@@ -29,19 +29,21 @@ def test_packets_are_those_of_the_manual(row: list[str]) -> None:
 
 def test_any_single_flipped_bit_of_an_answer_is_rejected() -> None:
     mock = RoboClawMock(0x80, lambda channel: (12345, -67)[channel])
-    mock.obey(wire.command_packet(0x80, Command.SET_ENCODER_1, bytes(4)), 0.0)
-    answer = mock.obey(wire.read_packet(0x80, Command.READ_ENCODERS), 0.0)
-    assert wire.reply_data(0x80, Command.READ_ENCODERS, answer) is not None
+    mock.obey(wire.command_packet(0x80, RoboclawCommand.SET_ENCODER_1, bytes(4)), 0.0)
+    answer = mock.obey(wire.read_packet(0x80, RoboclawCommand.READ_ENCODERS), 0.0)
+    assert wire.reply_data(0x80, RoboclawCommand.READ_ENCODERS, answer) is not None
     for bit in range(8 * len(answer)):
         flipped = bytearray(answer)
         flipped[bit // 8] ^= 1 << bit % 8
-        assert wire.reply_data(0x80, Command.READ_ENCODERS, bytes(flipped)) is None
+        assert wire.reply_data(0x80, RoboclawCommand.READ_ENCODERS, bytes(flipped)) is None
 
 
 def test_an_answer_of_another_board_or_to_another_command_is_rejected() -> None:
-    answer = RoboClawMock(0x80, lambda channel: 0).obey(wire.read_packet(0x80, Command.READ_CURRENTS), 0.0)
-    assert wire.reply_data(0x81, Command.READ_CURRENTS, answer) is None
-    assert wire.reply_data(0x80, Command.READ_STATUS, answer) is None
+    answer = RoboClawMock(0x80, lambda channel: 0).obey(
+        wire.read_packet(0x80, RoboclawCommand.READ_CURRENTS), 0.0
+    )
+    assert wire.reply_data(0x81, RoboclawCommand.READ_CURRENTS, answer) is None
+    assert wire.reply_data(0x80, RoboclawCommand.READ_STATUS, answer) is None
 
 
 class Cable:

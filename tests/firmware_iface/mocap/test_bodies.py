@@ -12,9 +12,9 @@ from control.kinematics.rotation import matrices
 from firmware_iface.errors import PortMissing
 from firmware_iface.mocap import vicon
 from firmware_iface.mocap.bodies import (
-    Body,
     BodyFrame,
-    Pose,
+    RigidPose,
+    SeenBody,
     angle_rad,
     compose,
     inverse,
@@ -108,7 +108,7 @@ def test_the_stream_takes_the_packets_of_its_host_and_counts_the_others() -> Non
 def test_poses_compose_and_invert() -> None:
     source = random.Random(1)
     first, second = (
-        Pose(
+        RigidPose(
             tuple(source.uniform(-1, 1) for _ in range(3)), vicon.from_euler_xyz(*source.choices((0.3, -1.2), k=3))
         )
         for _ in range(2)
@@ -127,7 +127,7 @@ def frame(number: int, **at_m: tuple[float, float, float] | None) -> BodyFrame:
     return BodyFrame(
         number,
         tuple(
-            Body(name, Pose(place or (0.0, 0.0, 0.0), UPRIGHT), place is not None)
+            SeenBody(name, RigidPose(place or (0.0, 0.0, 0.0), UPRIGHT), place is not None)
             for name, place in at_m.items()
         ),
     )
@@ -169,8 +169,8 @@ def test_fast_motion_lost_frames_and_long_gaps_are_no_leaps() -> None:
 def test_a_turn_by_a_right_angle_in_one_frame_is_a_leap() -> None:
     watch = LeapWatch()
     watch.look(frame(1, tool=(0.0, 0.0, 0.0)))
-    quarter = Pose((0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)))
-    watch.look(BodyFrame(2, (Body("tool", quarter),)))
+    quarter = RigidPose((0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)))
+    watch.look(BodyFrame(2, (SeenBody("tool", quarter),)))
     assert watch.problem("tool")
 
 
@@ -178,8 +178,8 @@ def test_a_body_that_stands_still_is_averaged_and_one_that_was_moved_is_not() ->
     source, steady = random.Random(2), SteadyPose()
     for _ in range(400):
         noise = [source.gauss(0.0, 1e-3) for _ in range(3)]
-        mean = steady.after(Pose(tuple(noise), unit((1.0, *(0.5 * v for v in noise))) or UPRIGHT))
+        mean = steady.after(RigidPose(tuple(noise), unit((1.0, *(0.5 * v for v in noise))) or UPRIGHT))
     assert math.hypot(*mean.position_m) < 2e-4
     assert angle_rad(mean.quaternion, UPRIGHT) < 2e-4
-    moved = Pose((0.1, 0.0, 0.0), (-1.0, 0.0, 0.0, 0.0))  # the same orientation, written the other way
+    moved = RigidPose((0.1, 0.0, 0.0), (-1.0, 0.0, 0.0, 0.0))  # the same orientation, written the other way
     assert steady.after(moved).position_m == (0.1, 0.0, 0.0)

@@ -15,7 +15,7 @@ from firmware_iface.mocap.bodies import angle_rad
 from firmware_iface.mocap.fields import Malformed
 from firmware_iface.mocap.natnet import KEEP_ALIVE_s, NatNetStream
 from firmware_iface.mocap.qtm import QtmStream
-from hil_mocks.camera_wires import CameraWire, Commands, Connection, free_udp_port
+from hil_mocks.camera_wires import CameraWire, Commands, OneClientServer, free_udp_port
 from hil_mocks.devices.camera import CameraSetup
 from hil_mocks.devices.mocap import MocapMock, NatNetMock, QtmMock, SceneSetup
 from tests.firmware_iface.mocap.standing import Standing
@@ -213,7 +213,7 @@ def test_a_natnet_server_that_does_not_fit_is_one_message(
 
 
 def test_qtm_streams_after_its_names_are_known_and_is_said_to_be_gone() -> None:
-    wire = Connection()
+    wire = OneClientServer()
     clock = Served(wire, QtmMock(SETUP, SCENE))
     stream = QtmStream("127.0.0.1", wire.port, clock)
     clock.wait_until_s(clock.time_s + 0.1)
@@ -244,7 +244,7 @@ def test_qtm_streams_after_its_names_are_known_and_is_said_to_be_gone() -> None:
 def test_a_qtm_server_that_does_not_fit_is_one_message(
     change: Callable[[bytes], bytes], error: type[Exception], said: str
 ) -> None:
-    wire = Connection()
+    wire = OneClientServer()
     with pytest.raises(error, match=said):
         QtmStream("127.0.0.1", wire.port, Served(wire, QtmMock(SETUP, SCENE), change))
     wire.close()

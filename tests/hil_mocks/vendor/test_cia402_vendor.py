@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from hil_mocks.devices.cia402_drive import OPERATIONAL, Cia402Mock, Cia402Setup
-from hil_mocks.devices.motor_states import State
+from hil_mocks.devices.motor_states import MotorState
 
 canopen = pytest.importorskip("canopen")
 NODE = 5
@@ -83,14 +83,14 @@ def test_the_library_takes_the_mock_to_operation_and_out_of_a_fault(mock: Cia402
     assert mock.nmt_state == OPERATIONAL
     node.tpdo_values, node.rpdo_pointers = {}, {}  # control by SDO
     node.state = "OPERATION ENABLED"
-    assert mock.state is State.ENABLED
+    assert mock.state is MotorState.ENABLED
     mock.forced_error = 0x2310
     bus.tick()
     bus.tick()
     assert node.state == "FAULT"
     mock.forced_error = 0
     node.state = "SWITCH ON DISABLED"
-    assert mock.state is State.SWITCH_ON_DISABLED
+    assert mock.state is MotorState.SWITCH_ON_DISABLED
 
 
 def test_pdos_that_the_library_maps_carry_what_it_unpacks(mock: Cia402Mock) -> None:
@@ -105,5 +105,5 @@ def test_pdos_that_the_library_maps_carry_what_it_unpacks(mock: Cia402Mock) -> N
     node.tpdo[1].save()
     node.nmt.send_command(1)
     bus.network.sync.transmit()
-    assert node.tpdo[1][0x6041].raw & 0x6F == State.SWITCH_ON_DISABLED.value
+    assert node.tpdo[1][0x6041].raw & 0x6F == MotorState.SWITCH_ON_DISABLED.value
     assert node.tpdo[1][0x6064].raw == mock.position == 0

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from firmware_iface.dynamixel import wire
+from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 
 sdk = pytest.importorskip("dynamixel_sdk")
@@ -206,7 +207,7 @@ def test_our_packets_are_the_sdks_byte_for_byte(line: DynamixelLineMock, handler
         wire.read(2, 132, 4)
         + wire.write(1, 64, b"\x01")
         + wire.write(1, 116, struct.pack("<i", 123456))
-        + wire.packet(1, wire.Instruction.REBOOT)
+        + wire.packet(1, Instruction.REBOOT)
     )
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from firmware_iface.feetech import wire
+from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 
 sdk = pytest.importorskip("scservo_sdk")
@@ -133,7 +134,7 @@ def test_of_what_is_sent_to_all_only_a_ping_is_answered_by_all_at_once(port: Por
     port.writePort(list(wire.write(wire.BROADCAST, 40, b"\x01")))
     assert port._received == b""
     assert [servo.table[40] for servo in port.line.servos.values()] == [1, 1]
-    ping = wire.packet(wire.BROADCAST, wire.Instruction.PING)
+    ping = wire.packet(wire.BROADCAST, Instruction.PING)
     port.writePort(list(ping))
     with pytest.raises(ValueError, match="checksum"):
         wire.status_in(port._received)

@@ -9,7 +9,7 @@ import cantools
 import pytest
 
 from firmware_iface.odrive import wire
-from firmware_iface.odrive.wire import AxisState, Command, Control, Error
+from firmware_iface.odrive.wire import AxisState, Error, OdriveCommand, OdriveControlMode
 from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
 
 NODE = 5
@@ -36,7 +36,7 @@ def read(database: Any, frame: wire.Frame) -> tuple[str, dict[str, Any]]:
     [
         (wire.axis_state(NODE, AxisState.CLOSED_LOOP_CONTROL), "Set_Axis_State", {"Axis_Requested_State": 8}),
         (
-            wire.controller_mode(NODE, Control.POSITION),
+            wire.controller_mode(NODE, OdriveControlMode.POSITION),
             "Set_Controller_Mode",
             {"Control_Mode": 3, "Input_Mode": 1},
         ),
@@ -76,4 +76,4 @@ def test_names_of_commands_and_errors_are_the_vendors(database: Any) -> None:
         value: str(name) for value, name in choices.items() if value
     }
     known = {message.frame_id & 0x1F for message in database.messages if message.frame_id >> 5 == NODE}
-    assert set(Command) <= known
+    assert set(OdriveCommand) <= known

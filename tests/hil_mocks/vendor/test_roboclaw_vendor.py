@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from firmware_iface.roboclaw import wire
-from firmware_iface.roboclaw.wire import Command
+from firmware_iface.roboclaw.wire import RoboclawCommand
 from hil_mocks.devices.roboclaw import RoboClawLineMock, RoboClawMock
 
 basicmicro = pytest.importorskip("basicmicro")
@@ -84,15 +84,19 @@ def test_our_packets_are_the_vendors_byte_for_byte(claw: tuple[Any, Port, RoboCl
     client, port, _ = claw
     ours = b"".join(
         (
-            wire.command_packet(0x80, Command.DUTY_M1_M2, wire.duty_data(16384, -8192)),
-            wire.command_packet(0x80, Command.SET_SERIAL_TIMEOUT, b"\x02"),
-            wire.command_packet(0x80, Command.SET_ENCODER_2, (1000).to_bytes(4, "big")),
-            wire.command_packet(0x80, Command.SET_CURRENT_LIMIT_1, (1000).to_bytes(4, "big") + bytes(4)),
-            wire.command_packet(0x80, Command.SET_DUTY_ACCELERATION_2, (655_359).to_bytes(4, "big") * 2),
-            wire.read_packet(0x80, Command.READ_PIN_MODES),
-            wire.read_packet(0x80, Command.READ_ENCODERS),
-            wire.read_packet(0x80, Command.READ_STATUS),
-            wire.read_packet(0x80, Command.READ_TEMPERATURE),
+            wire.command_packet(0x80, RoboclawCommand.DUTY_M1_M2, wire.duty_data(16384, -8192)),
+            wire.command_packet(0x80, RoboclawCommand.SET_SERIAL_TIMEOUT, b"\x02"),
+            wire.command_packet(0x80, RoboclawCommand.SET_ENCODER_2, (1000).to_bytes(4, "big")),
+            wire.command_packet(
+                0x80, RoboclawCommand.SET_CURRENT_LIMIT_1, (1000).to_bytes(4, "big") + bytes(4)
+            ),
+            wire.command_packet(
+                0x80, RoboclawCommand.SET_DUTY_ACCELERATION_2, (655_359).to_bytes(4, "big") * 2
+            ),
+            wire.read_packet(0x80, RoboclawCommand.READ_PIN_MODES),
+            wire.read_packet(0x80, RoboclawCommand.READ_ENCODERS),
+            wire.read_packet(0x80, RoboclawCommand.READ_STATUS),
+            wire.read_packet(0x80, RoboclawCommand.READ_TEMPERATURE),
         )
     )
     client.DutyM1M2(0x80, 16384, -8192)

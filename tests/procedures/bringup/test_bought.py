@@ -14,19 +14,19 @@ from hil_mocks.scenario import FaultTable
 from procedures.bringup.journal import Journal, brought_up
 from procedures.bringup.mock_operator import MockOperator
 from procedures.bringup.opening import open_bench
-from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
+from procedures.bringup.procedure import BringupOptions, BringupOutcome, bring_up, caution_of
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 from tests.procedures.bringup.test_bringup import said_of, short
 from tests.procedures.bringup.test_bringup import short_ways as short_ways
 
-SURVEY = Options((), None, 0.3, False)
-LAST = Options((3,), None, 0.6, True)
+SURVEY = BringupOptions((), None, 0.3, False)
+LAST = BringupOptions((3,), None, 0.6, True)
 
 
 def brought(
-    tmp_path: Path, draft: Arm, options: Options, *faults: FaultTable, real: Arm | None = None
-) -> tuple[Outcome, Arm]:
+    tmp_path: Path, draft: Arm, options: BringupOptions, *faults: FaultTable, real: Arm | None = None
+) -> tuple[BringupOutcome, Arm]:
     """What was found, and the new arm."""
     with SteppedRig(real or draft, scenario(None, homed=False, base="demo", fault=faults)) as rig:
         arm, operator = wired_to(draft, rig), MockOperator(rig, is_silent=True)

@@ -21,26 +21,26 @@ from control.server.assemble import assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.errors import BoardFaulted
-from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.cia402 import DriveState
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
 from procedures.bringup import measuring
-from procedures.bringup.bench import Bench
+from procedures.bringup.bench import ReferenceBench
 from procedures.bringup.diagnosis import rewired
 from procedures.bringup.findings import Diagnosis
 from procedures.bringup.journal import Journal, brought_up
-from procedures.bringup.measuring import Measured
+from procedures.bringup.measuring import JointMeasurements
 from procedures.bringup.mock_operator import MockOperator
 from procedures.bringup.operator import Stopped
 from procedures.bringup.placing import place_limits
-from procedures.bringup.procedure import Options, Outcome, bring_up, caution_of
+from procedures.bringup.procedure import BringupOptions, BringupOutcome, bring_up, caution_of
 from procedures.bringup.workbench import DriveLimits, SafetyTrip
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 from tests.places import RIGHT_TOML
 
-QUICK = Options((1,), None, 0.3, False)
+QUICK = BringupOptions((1,), None, 0.3, False)
 TURN_rad = 0.0628  # of the motor, at the joint
-SURVEY = Options((), None, 0.3, False)
+SURVEY = BringupOptions((), None, 0.3, False)
 
 
 @pytest.fixture(autouse=True)
@@ -73,27 +73,27 @@ def brought(
     *faults: FaultTable,
     draft: Arm = RIGHT,
     real: Arm | None = None,
-    options: Options = QUICK,
+    options: BringupOptions = QUICK,
     operator_kind: type[MockOperator] = MockOperator,
-) -> tuple[Outcome, Journal]:
+) -> tuple[BringupOutcome, Journal]:
     """Run it; the operator's eyes are the rig's."""
     with SteppedRig(real or draft, hidden(*faults)) as rig:
         arm = wired_to(draft, rig)
         operator = operator_kind(rig, is_silent=True)
         journal = Journal(tmp_path / "journal.json", draft)
-        with Bench(arm, rig.clock, operator) as bench:
+        with ReferenceBench(arm, rig.clock, operator) as bench:
             outcome = bring_up(arm, bench, operator, journal, options, lambda text: None)
     return outcome, journal
 
 
-def said_of(outcome: Outcome) -> str:
+def said_of(outcome: BringupOutcome) -> str:
     lines = [*outcome.problems, *outcome.wiring.notes]
     for result in outcome.diagnoses.values():
         lines += result.changes + result.notes
     return "\n".join(lines)
 
 
-def new_arm(outcome: Outcome, journal: Journal, draft: Arm = RIGHT) -> Arm:
+def new_arm(outcome: BringupOutcome, journal: Journal, draft: Arm = RIGHT) -> Arm:
     assert not outcome.problems, outcome.problems
     return brought_up(draft, journal, {})
 
@@ -118,7 +118,7 @@ def homing(arm: Arm, *faults: FaultTable, real: Arm = RIGHT) -> Iterator[Stepped
 
 def test_a_good_arm_passes_and_its_keys_stay_as_they_are(tmp_path: Path) -> None:
     draft = short()
-    outcome, journal = brought(tmp_path, draft=draft, options=Options((3,), None, 0.6, True))
+    outcome, journal = brought(tmp_path, draft=draft, options=BringupOptions((3,), None, 0.6, True))
     assert not outcome.problems
     assert outcome.diagnoses[3].changes == []
     figures = outcome.diagnoses[3].figures
@@ -151,7 +151,7 @@ def test_a_weak_motor_whose_link_sinks_on_shorted_windings_is_measured_like_a_st
     ]
     assert main(["new", *options]) == 0
     draft = with_drive(load_arm(tmp_path / "w.toml"), 3, joint_lower_rad=0.3, joint_upper_rad=1.6)
-    outcome, journal = brought(tmp_path, draft=draft, options=Options((3,), None, 0.6, True))
+    outcome, journal = brought(tmp_path, draft=draft, options=BringupOptions((3,), None, 0.6, True))
     assert (outcome.problems, outcome.diagnoses[3].changes) == ([], [])
     figures = outcome.diagnoses[3].figures
     assert figures["index_spacing_counts"] == draft.drives[2].encoder_counts_per_rev
@@ -162,7 +162,7 @@ def test_a_weak_motor_whose_link_sinks_on_shorted_windings_is_measured_like_a_st
 
 def test_end_stops_that_leave_no_range_are_a_problem_and_no_limits() -> None:
     result = Diagnosis(RIGHT.drives[0])
-    place_limits(result, Measured(stops_rad=[[-1.0], [-1.0]]), 0.0, 1.0)
+    place_limits(result, JointMeasurements(stops_rad=[[-1.0], [-1.0]]), 0.0, 1.0)
     assert "END STOPS at -57.3 deg and -57.3 deg leave no range" in result.problems[0]
     assert result.drive == RIGHT.drives[0]
 
@@ -307,7 +307,9 @@ def test_the_draft_is_the_one_that_is_wrong_about_the_stops_and_the_index(tmp_pa
         3,
         home=replace(home, index_rad=home.index_rad + TURN_rad, switch_rad=home.switch_rad + TURN_rad),
     )
-    outcome, journal = brought(tmp_path, draft=draft, real=real, options=Options((3,), None, 0.6, True))
+    outcome, journal = brought(
+        tmp_path, draft=draft, real=real, options=BringupOptions((3,), None, 0.6, True)
+    )
     drive = new_arm(outcome, journal, draft).drive(3)
     said = said_of(outcome)
     assert "INDEX MOVED" in said
@@ -336,7 +338,7 @@ def test_no_motor_gets_more_than_what_was_announced(tmp_path: Path) -> None:
                     most["amperes"] = max(most["amperes"], abs(rig.robot.plant.current_A(joint)))
 
         rig.robot.tick = watched  # type: ignore[method-assign]
-        with Bench(arm, rig.clock, operator) as bench:
+        with ReferenceBench(arm, rig.clock, operator) as bench:
             bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), SURVEY, lambda text: None)
         assert all(board.state.name == "SWITCH_ON_DISABLED" for board in rig.robot.motor_boards)
     allowed_A = caution_of(RIGHT, RIGHT.drive(1), QUICK).current_A
@@ -366,10 +368,12 @@ def test_a_key_stops_at_once_and_the_drive_is_off(tmp_path: Path, how: dict[str,
     with SteppedRig(RIGHT, hidden()) as rig:
         arm = wired_to(RIGHT, rig)
         operator = Nervous(rig, **how)
-        with Bench(arm, rig.clock, operator) as bench:
+        with ReferenceBench(arm, rig.clock, operator) as bench:
             with pytest.raises(Stopped):
                 bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK, lambda text: None)
-            assert all(motor.state in (None, State.SWITCH_ON_DISABLED) for motor in bench.motors.values())
+            assert all(
+                motor.state in (None, DriveState.SWITCH_ON_DISABLED) for motor in bench.motors.values()
+            )
             before = rig.joint_rad()
             bench.observe(0.1)
             assert rig.joint_rad() == pytest.approx(before, abs=2e-3)  # it settles in its play
@@ -379,7 +383,10 @@ def test_a_board_that_goes_silent_ends_the_drive(tmp_path: Path) -> None:
     with SteppedRig(RIGHT, hidden(FaultTable("silent", "encoder", at_s=1.0))) as rig:
         arm = wired_to(RIGHT, rig)
         operator = MockOperator(rig, is_silent=True)
-        with Bench(arm, rig.clock, operator) as bench, pytest.raises(Exception, match="no report for"):
+        with (
+            ReferenceBench(arm, rig.clock, operator) as bench,
+            pytest.raises(Exception, match="no report for"),
+        ):
             bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK, lambda text: None)
         rig.clock.wait_until_s(rig.clock.now_s() + 0.1)
         assert all(board.state.name != "ENABLED" for board in rig.robot.motor_boards)
@@ -388,7 +395,7 @@ def test_a_board_that_goes_silent_ends_the_drive(tmp_path: Path) -> None:
 def test_a_joint_that_is_pushed_too_fast_is_let_go_of() -> None:
     with (
         SteppedRig(RIGHT, hidden()) as rig,
-        Bench(wired_to(RIGHT, rig), rig.clock, MockOperator(rig, is_silent=True)) as bench,
+        ReferenceBench(wired_to(RIGHT, rig), rig.clock, MockOperator(rig, is_silent=True)) as bench,
     ):
         rig.robot.plant.push(0, 20.0)
         with (
@@ -396,13 +403,13 @@ def test_a_joint_that_is_pushed_too_fast_is_let_go_of() -> None:
             bench.driving(1, DriveLimits(1.0, 1.0, 8000.0, 5000.0)),
         ):
             [bench.cycle(0.0) for _ in range(1000)]
-        assert bench.motors[1].state is State.SWITCH_ON_DISABLED
+        assert bench.motors[1].state is DriveState.SWITCH_ON_DISABLED
 
 
 def test_a_drive_that_hears_nothing_more_brakes_within_the_watchdog_of_the_arm() -> None:
     with (
         SteppedRig(RIGHT, hidden()) as rig,
-        Bench(wired_to(RIGHT, rig), rig.clock, MockOperator(rig, is_silent=True)) as bench,
+        ReferenceBench(wired_to(RIGHT, rig), rig.clock, MockOperator(rig, is_silent=True)) as bench,
         contextlib.suppress(BoardFaulted),
         bench.driving(1, DriveLimits(1.0, 1.0)),
     ):
@@ -428,7 +435,7 @@ class Sinking:
 
 
 def test_an_index_pulse_that_is_met_twice_is_no_turn() -> None:
-    found = Measured()
+    found = JointMeasurements()
     measuring.measure_index_spacing(Sinking(), found)  # type: ignore[arg-type]
     assert found.spacings_count == [2048, 2049]
 

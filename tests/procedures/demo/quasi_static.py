@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from control.dynamics.dynamics import Dynamics
-from control.hardware.averaging import Average, Target
+from control.hardware.averaging import Average, MeanPose
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
 
@@ -21,7 +21,7 @@ ENCODER_NOISE_rad, CURRENT_NOISE_A = 1e-5, 0.005
 
 
 class QuasiStaticBench:
-    """`procedures.mock.Bench`: DH deviations and play are hidden, nothing takes time."""
+    """`procedures.mock.MockBench`: DH deviations and play are hidden, nothing takes time."""
 
     speed = 1.0
 
@@ -104,7 +104,7 @@ class QuasiStaticBench:
         current = (gravity + self._held_Nm) / self._per_A + noise(0.0, CURRENT_NOISE_A, len(gravity))
         q = self._motor_rad + noise(0.0, ENCODER_NOISE_rad, len(gravity))
         tip = self._tip_m() + noise(0.0, self._camera_m / np.sqrt(100.0 * duration_s), 3)
-        seen = Target(10, (float(tip[0]), float(tip[1]), float(tip[2])), (self._camera_m,) * 3, None)
+        seen = MeanPose(10, (float(tip[0]), float(tip[1]), float(tip[2])), (self._camera_m,) * 3, None)
         return Average(
             duration_s, 50, tuple(q.tolist()), (ENCODER_NOISE_rad,) * len(gravity), tuple(current.tolist()),
             tuple(int(d) for d in self._last), seen.frames, seen.position_m, seen.std_m, 0.0, self._t_s, seen,

@@ -18,7 +18,7 @@ from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Table
 from control.model.description import load_arm
 from procedures.demo import gap
-from procedures.demo.job import Outcome, run
+from procedures.demo.job import JobOutcome, run
 from procedures.verify.places import places, ways
 from procedures.verify.survey import Programme
 from tests.places import RIGHT_TOML, ROOT
@@ -59,11 +59,11 @@ def small_programme(table: Table, has_paths: bool) -> Programme:
 
 
 @pytest.fixture
-def outcomes(monkeypatch: pytest.MonkeyPatch, nobody_below: None) -> list[Outcome]:
+def outcomes(monkeypatch: pytest.MonkeyPatch, nobody_below: None) -> list[JobOutcome]:
     """What demos come to; each measures two tilts, and tunes."""
-    seen: list[Outcome] = []
+    seen: list[JobOutcome] = []
 
-    def kept(*arguments: object) -> Outcome:
+    def kept(*arguments: object) -> JobOutcome:
         seen.append(run(*arguments))  # type: ignore[arg-type]  # as the command calls it
         return seen[-1]
 
@@ -72,7 +72,7 @@ def outcomes(monkeypatch: pytest.MonkeyPatch, nobody_below: None) -> list[Outcom
     return seen
 
 
-def is_corrected(outcome: Outcome) -> bool:
+def is_corrected(outcome: JobOutcome) -> bool:
     before_m = float(norms(outcome.verification.before_m).mean())
     after_m = float(norms(outcome.verification.after_m).mean())
     return before_m > 5e-3 and after_m < min(0.6e-3, 0.1 * before_m)
@@ -88,7 +88,7 @@ def test_what_is_hidden_is_found_and_corrected(
     seed: int,
     is_drawn: bool,
     monkeypatch: pytest.MonkeyPatch,
-    outcomes: list[Outcome],
+    outcomes: list[JobOutcome],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(demo_command.job, "programme_of", lambda table: small_programme(table, is_drawn))

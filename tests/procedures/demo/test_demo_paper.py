@@ -15,7 +15,7 @@ from control.kinematics.kinematics import Kinematics
 from control.model import table as tables
 from control.model.description import load_arm
 from procedures.demo import paper
-from procedures.demo.paper import Outcome
+from procedures.demo.paper import PaperOutcome
 from procedures.demo.paper_models import BACKLASH, FREE, TILTS, commands
 from procedures.demo.paper_poses import OTHER, SETUPS, free_poses, verification_targets
 from procedures.demo.paper_result import improvement, table_text
@@ -40,16 +40,16 @@ def steps() -> list[tuple[str, float]]:
 
 
 @pytest.fixture(scope="module")
-def outcome(folder: Path, steps: list[tuple[str, float]]) -> Outcome:
+def outcome(folder: Path, steps: list[tuple[str, float]]) -> PaperOutcome:
     bench = QuasiStaticBench(ARM, DEVIATION, WIDTH_rad)
     return paper.run(ARM, bench, folder, lambda what, done: steps.append((what, done)))
 
 
-def mean_mm(outcome: Outcome, name: str | None) -> float:
+def mean_mm(outcome: PaperOutcome, name: str | None) -> float:
     return 1e3 * float(norms(outcome.replay.error_m(name)).mean())
 
 
-def test_geometry_alone_leaves_the_play_and_backlash_in_the_model_takes_it(outcome: Outcome) -> None:
+def test_geometry_alone_leaves_the_play_and_backlash_in_the_model_takes_it(outcome: PaperOutcome) -> None:
     assert 15.0 < mean_mm(outcome, None) < 40.0
     for name in (*SETUPS, TILTS, FREE):
         assert mean_mm(outcome, name) > 0.5  # half of 5 mrad of play at half a metre is 1.25 mm
@@ -57,22 +57,22 @@ def test_geometry_alone_leaves_the_play_and_backlash_in_the_model_takes_it(outco
     assert mean_mm(outcome, BACKLASH) < 0.2  # the camera's noise, 0.1 s of it, is 0.07 mm
 
 
-def test_every_width_comes_back(outcome: Outcome) -> None:
+def test_every_width_comes_back(outcome: PaperOutcome) -> None:
     found = [e.parameters["width_rad"] for e in outcome.replay.models[-1].backlash]
     assert found == pytest.approx(WIDTH_rad, rel=0.1)
 
 
-def test_the_table_alone_is_said_not_to_show_the_play(outcome: Outcome) -> None:
+def test_the_table_alone_is_said_not_to_show_the_play(outcome: PaperOutcome) -> None:
     said = " ".join(outcome.replay.table_says)
     assert all(f"backlash of joint {joint}" in said for joint in (1, 2))
     assert "cannot be distinguished from the joint's zero" in said
 
 
-def test_no_model_but_that_with_backlash_knows_of_play(outcome: Outcome) -> None:
+def test_no_model_but_that_with_backlash_knows_of_play(outcome: PaperOutcome) -> None:
     assert [len(model.backlash) for model in outcome.replay.models] == [0, 0, 0, 0, 0, 3]
 
 
-def test_what_is_written_can_be_read_again(outcome: Outcome, folder: Path) -> None:
+def test_what_is_written_can_be_read_again(outcome: PaperOutcome, folder: Path) -> None:
     figures = json.loads(outcome.figures.read_text("utf-8"))
     assert figures["format"] == "paper-replay/1"
     assert figures["published"]["improved_percent"] == {"normal": 38.789, "roll": 28.866, "pitch": 17.292}
@@ -87,13 +87,13 @@ def test_what_is_written_can_be_read_again(outcome: Outcome, folder: Path) -> No
     assert not re.search(r"""(?:src|href)\s*=\s*["'](?!#|data:)""", html)
 
 
-def test_progress_rises_from_nothing_to_all(outcome: Outcome, steps: list[tuple[str, float]]) -> None:
+def test_progress_rises_from_nothing_to_all(outcome: PaperOutcome, steps: list[tuple[str, float]]) -> None:
     shares = [done for _, done in steps]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
 
 
-def test_the_table_has_a_row_for_every_identification_and_the_published_one(outcome: Outcome) -> None:
+def test_the_table_has_a_row_for_every_identification_and_the_published_one(outcome: PaperOutcome) -> None:
     text = table_text(outcome.replay)
     for name in (*SETUPS, TILTS, FREE, BACKLASH, "published", OTHER):
         assert name in text

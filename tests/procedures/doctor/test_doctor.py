@@ -16,13 +16,13 @@ import pytest
 from console.main import main
 from control.model.arm import Arm, CanBus
 from firmware_iface.clock import MonotonicClock
-from firmware_iface.motor.cia402 import State
+from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import ResetCause
 from firmware_iface.serial_link import PortHere
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
 from procedures.doctor import host
-from procedures.doctor.boards import Boards, open_boards
+from procedures.doctor.boards import AnsweringBoards, open_boards
 from procedures.doctor.finding import Finding, Level, as_text, graded, percentile, verdict, worst
 from procedures.doctor.host import judge_lateness, judge_strain, lateness, look_at_disk, look_at_kernel
 from procedures.doctor.judging import clock_drift, judge
@@ -74,12 +74,12 @@ def test_a_good_arm_is_well_and_every_quantity_was_looked_at() -> None:
 def test_nothing_is_energised_and_no_board_leaves_switch_on_disabled() -> None:
     with open_rig() as (rig, arm):
         before = rig.joint_rad()
-        seen: set[State] = set()
+        seen: set[DriveState] = set()
         boards = open_boards(arm, rig.clock, 0.002)
         sample(boards, rig.clock, 0.002, 0.1)
         seen = {motor.state for motor in boards.motors.values() if motor.state}
         boards.close()
-        assert seen == {State.SWITCH_ON_DISABLED}
+        assert seen == {DriveState.SWITCH_ON_DISABLED}
         assert rig.joint_rad() == pytest.approx(before, abs=1e-3)  # it settles in its play
 
 
@@ -144,7 +144,7 @@ def test_a_joint_that_moves_is_not_judged_for_noise_and_its_current_not_at_all()
 
 def test_a_bus_that_somebody_else_commands_is_only_listened_to() -> None:
     with open_rig() as (rig, arm):
-        first, second = open_boards(arm, rig.clock, 0.002), Boards()
+        first, second = open_boards(arm, rig.clock, 0.002), AnsweringBoards()
         try:
             sending = first.motors[1]
             original = rig.clock.wait_until_s

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from calib.capture.alignment import align
-from calib.capture.motion import Motion
-from calib.capture.tracks import Body
-from calib.gap.log import Log, Run
+from calib.capture.motion import JointMotion
+from calib.capture.tracks import BodyTrack
+from calib.gap.log import Log, LoggedRun
 from control.kinematics.kinematics import Kinematics
 from procedures.gap.captured import NO_STAMPS, on_one_clock, with_tips
 from tests.procedures.gap.test_gap_timing import ARM, RUNS, PERIOD_s, angle
@@ -27,7 +27,7 @@ def log_of(has_stamps: bool = True) -> Log:
         extra = {"cycle": tuple(f"{v:.0f}" for v in raw.t_s / PERIOD_s)}
         for j in range(3 if has_stamps else 0):
             extra[f"counted{j + 1}_s"] = tuple(f"{v:.12g}" for v in raw.counted_s[:, j])
-        run = Run(
+        run = LoggedRun(
             str(number), raw.t_s - raw.t_s[0], raw.q_rad, raw.q_set_rad, raw.current_A, raw.voltage_V,
             np.zeros(len(raw.t_s)), np.full((len(raw.t_s), 3), np.nan), MappingProxyType(extra), True,
         )  # fmt: skip
@@ -44,9 +44,9 @@ def captured() -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_age_of_the_angles_is_not_taken_for_a_time_of_the_capture() -> None:
     tau, tips = captured()
-    late = align(ARM, Motion.of(log_of(), None)[0], tau, Body(tips))
+    late = align(ARM, JointMotion.of(log_of(), None)[0], tau, BodyTrack(tips))
     log, said = on_one_clock(ARM, log_of(), None)
-    found = align(ARM, Motion.of(log, None)[0], tau, Body(tips))
+    found = align(ARM, JointMotion.of(log, None)[0], tau, BodyTrack(tips))
     true_s = CAPTURE_s - RUNS[0].t_s[0]
     assert late.offset_s - true_s > 1e-3  # half a cycle or more, and the way of the report
     assert found.offset_s - true_s == pytest.approx(0.0, abs=6e-5)
@@ -55,7 +55,7 @@ def test_the_age_of_the_angles_is_not_taken_for_a_time_of_the_capture() -> None:
 
 def test_tips_stand_at_the_rows_of_their_time() -> None:
     log, _ = on_one_clock(ARM, log_of(), None)
-    motion, _ = Motion.of(log, None)
+    motion, _ = JointMotion.of(log, None)
     tau, _ = captured()
     seen = KINEMATICS.tips(angle(CAPTURE_s + tau))
     seen[30:60] = np.nan

@@ -14,8 +14,8 @@ import pytest
 from calib.errors import CalibrationError
 from calib.gap.log import Log, read_log
 from calib.gap.plan.collision_free_box import collision_free_box
-from calib.gap.plan.motions import Limits, multisine
-from calib.gap.plan.plan import RecordingPlan, Run, Visit
+from calib.gap.plan.motions import MotionLimits, multisine
+from calib.gap.plan.plan import PlannedRun, PlannedVisit, RecordingPlan
 from calib.points.points import Points
 from calib.points.reading import read_points
 from console.main import main
@@ -63,13 +63,13 @@ def tiny() -> RecordingPlan:
     """Two poses from two sides, one of them loaded, a short swing with and without the load."""
     room = collision_free_box(RIGHT)
     near = dataclasses.replace(room, lower_rad=np.array([0.0, 0.1, 0.2]), upper_rad=np.array([0.2, 0.3, 0.4]))
-    swing = multisine(near, Limits.of(RIGHT), (1.0, 3.0), 1.0, 1.8, 1)
+    swing = multisine(near, MotionLimits.of(RIGHT), (1.0, 3.0), 1.0, 1.8, 1)
     steps = (
-        Visit("p1", 1, POSES[0], (1, 1, 1), 0.0),
-        Visit("p1", 2, POSES[0], (-1, -1, -1), 0.0),
-        Run("1", "swing", swing, 0.0),
-        Visit("p2", 1001, POSES[1], (1, -1, 1), 0.4),
-        Run("2", "swing", swing, 0.4),
+        PlannedVisit("p1", 1, POSES[0], (1, 1, 1), 0.0),
+        PlannedVisit("p1", 2, POSES[0], (-1, -1, -1), 0.0),
+        PlannedRun("1", "swing", swing, 0.0),
+        PlannedVisit("p2", 1001, POSES[1], (1, -1, 1), 0.4),
+        PlannedRun("2", "swing", swing, 0.4),
     )
     return RecordingPlan(room, steps, 12.0)
 

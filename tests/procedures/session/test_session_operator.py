@@ -13,11 +13,11 @@ import pytest
 from calib.errors import SessionError
 from calib.points.writer import Record
 from calib.session.boards_known import Boards
-from calib.session.conversation import Ask, Command, Do, Jog, Message, Question, Recorded
+from calib.session.conversation import Ask, Do, Message, Recorded, SessionCommand, SessionQuestion, SmallMove
 from calib.session.folder import SessionFolder
 from calib.session.moves import chosen_free_poses, read_free_poses
 from calib.session.plan import SessionPlan, board_targets, free_targets
-from calib.session.residual_watch import Verdict
+from calib.session.residual_watch import RecordVerdict
 from calib.session.state import Mark, SessionState
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Link
@@ -28,8 +28,8 @@ from procedures.session.operator import (
     Auto,
     BadCommand,
     BoardWords,
-    Operator,
-    View,
+    OperatorView,
+    SessionOperator,
     board_text,
     parse_command,
     status_text,
@@ -42,21 +42,21 @@ CAVITIES = board_cavities(table_of(RIGHT))
 @pytest.mark.parametrize(
     ("line", "meant"),
     [
-        ("", Command(Do.GO)),
-        ("  \n", Command(Do.GO)),
-        ("redo", Command(Do.REDO)),
-        ("Redo 7", Command(Do.REDO, point="7")),
-        ("bad roll 7", Command(Do.BAD, "roll", "7")),
-        ("skip roll 7 2", Command(Do.SKIP, "roll", "7", 2)),
-        ('redo "tilt a" "x 1"', Command(Do.REDO, "tilt a", "x 1")),
-        ("note tip wobbled at 7", Command(Do.NOTE, text="tip wobbled at 7")),
-        ("jog z -5", Command(Do.JOG, jog=Jog("z", -0.005))),
-        ("jog j2 +90", Command(Do.JOG, jog=Jog("j2", math.pi / 2))),
-        ("quit", Command(Do.QUIT)),
-        ("help", View.HELP),
-        ("?", View.HELP),
-        ("status", View.STATUS),
-        ("board", View.BOARD),
+        ("", SessionCommand(Do.GO)),
+        ("  \n", SessionCommand(Do.GO)),
+        ("redo", SessionCommand(Do.REDO)),
+        ("Redo 7", SessionCommand(Do.REDO, point="7")),
+        ("bad roll 7", SessionCommand(Do.BAD, "roll", "7")),
+        ("skip roll 7 2", SessionCommand(Do.SKIP, "roll", "7", 2)),
+        ('redo "tilt a" "x 1"', SessionCommand(Do.REDO, "tilt a", "x 1")),
+        ("note tip wobbled at 7", SessionCommand(Do.NOTE, text="tip wobbled at 7")),
+        ("jog z -5", SessionCommand(Do.JOG, jog=SmallMove("z", -0.005))),
+        ("jog j2 +90", SessionCommand(Do.JOG, jog=SmallMove("j2", math.pi / 2))),
+        ("quit", SessionCommand(Do.QUIT)),
+        ("help", OperatorView.HELP),
+        ("?", OperatorView.HELP),
+        ("status", OperatorView.STATUS),
+        ("board", OperatorView.BOARD),
         ("auto", Auto(None)),
         ("auto 3", Auto(3)),
     ],
@@ -88,7 +88,7 @@ def test_what_is_no_command_is_refused_and_does_nothing(line: str) -> None:
 
 def test_help_names_every_command() -> None:
     assert all(f"  {do.value}" in HELP for do in Do if do is not Do.GO)
-    assert all(view.value in HELP for view in View if view is not View.HELP)
+    assert all(view.value in HELP for view in OperatorView if view is not OperatorView.HELP)
 
 
 def test_the_board_is_drawn_with_what_became_of_every_cavity() -> None:
@@ -171,23 +171,25 @@ def test_free_poses_of_a_file_are_read_strictly(tmp_path: Path) -> None:
 
 def talked(
     tmp_path: Path, lines: list[str], may_auto: bool, surprise: float = 1.0
-) -> tuple[list[Command], list[str]]:
+) -> tuple[list[SessionCommand], list[str]]:
     """What an operator's lines answer to three points and the end, and what was said."""
     plan = SessionPlan("right", "00", 3, board_targets(["normal"], ["1", "2", "3"]))
-    answers: list[Command] = []
+    answers: list[SessionCommand] = []
     said: list[str] = []
 
     def talk():
         for target in plan.targets:
-            answers.append((yield Ask(Question.NEXT, target)))
+            answers.append((yield Ask(SessionQuestion.NEXT, target)))
             record = Record(*target.key, (0.1,) * 3, (0.0,) * 3, (0,) * 3, (0.0,) * 3, 0.0, 0.0, None)
-            yield Recorded(record, Verdict(np.full(3, 0.01), 0.004, surprise if target.point == "2" else 1.0))
+            yield Recorded(
+                record, RecordVerdict(np.full(3, 0.01), 0.004, surprise if target.point == "2" else 1.0)
+            )
         yield Message("all is well")
-        answers.append((yield Ask(Question.DONE, None)))
+        answers.append((yield Ask(SessionQuestion.DONE, None)))
 
     with SessionFolder(tmp_path, plan) as folder:
         words = BoardWords(plan, Boards(RIGHT, plan).cavities_m, None)
-        Operator(folder, words, iter(lines), said.append, may_auto=may_auto).run(talk())
+        SessionOperator(folder, words, iter(lines), said.append, may_auto=may_auto).run(talk())
     return answers, said
 
 

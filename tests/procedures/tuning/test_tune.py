@@ -18,8 +18,8 @@ from hil_mocks.scenario import FaultTable
 from procedures.on_boards import on_boards
 from procedures.tuning import multisine as signal
 from procedures.tuning import procedure, session
-from procedures.tuning.multisine import Measured, PoorResponse, evaluate, multisine, usable
-from procedures.tuning.procedure import NotTuned, Options, inertia_ratios, tune
+from procedures.tuning.multisine import MeasuredResponse, PoorResponse, evaluate, multisine, usable
+from procedures.tuning.procedure import NotTuned, TuningOptions, inertia_ratios, tune
 from procedures.tuning.report import write_report
 from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
 
@@ -29,7 +29,7 @@ WAVE = multisine(2.0, 500.0)
 MOTOR = MotorFit(40.0, 120.0, 0.003, 0.0)
 
 
-def answered(noise_rad: float = 0.0, bend: float = 0.0, passes: int = 4) -> Measured:
+def answered(noise_rad: float = 0.0, bend: float = 0.0, passes: int = 4) -> MeasuredResponse:
     """A linear motor's answer to the signal, in periods, with noise and a cubic part of the angle."""
     spectrum = np.fft.rfft(WAVE.samples)
     omega = 2.0 * np.pi * np.arange(len(spectrum)) / 2.0
@@ -50,7 +50,7 @@ def test_a_board_that_closes_the_position_loop_itself_is_not_tuned() -> None:
         SteppedRig(arm, scenario()) as rig,
         pytest.raises(NotTuned, match="joint 3 closes the position loop"),
     ):
-        tune(wired_to(arm, rig), rig.clock, Options((1, 3)), lambda what, share: None)
+        tune(wired_to(arm, rig), rig.clock, TuningOptions((1, 3)), lambda what, share: None)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ HOMED = scenario(None, base="demo")
 @pytest.mark.usefixtures("_two_passes")
 def test_a_joint_is_tuned_and_what_was_designed_is_what_is_there(tmp_path: Path) -> None:
     with SteppedRig(RIGHT, HOMED) as rig:
-        result = tune(wired_to(RIGHT, rig), rig.clock, Options((3,)), lambda what, done: None)
+        result = tune(wired_to(RIGHT, rig), rig.clock, TuningOptions((3,)), lambda what, done: None)
         assert all(board.state.name == "SWITCH_ON_DISABLED" for board in rig.robot.motor_boards)
     (tuned,) = result.joints
     assert tuned.design.worst.meet(8.0, 55.0)
@@ -146,7 +146,7 @@ def test_a_joint_without_room_is_refused_before_anything_moves() -> None:
     with SteppedRig(RIGHT, HOMED) as rig:
         before = rig.clock.now_s()
         with pytest.raises(NotTuned, match=r"joint 3: not enough range at 0\.75 rad"):
-            tune(wired_to(arm, rig), rig.clock, Options((3,)), lambda what, done: None)
+            tune(wired_to(arm, rig), rig.clock, TuningOptions((3,)), lambda what, done: None)
         assert rig.clock.now_s() == before
 
 
@@ -154,7 +154,7 @@ def test_a_fault_ends_it_and_the_drives_are_off() -> None:
     fault = FaultTable("silent", "encoder", at_s=1.5)
     with SteppedRig(RIGHT, scenario(None, base="demo", fault=(fault,))) as rig:
         with pytest.raises(ArmError):
-            tune(wired_to(RIGHT, rig), rig.clock, Options((3,)), lambda what, done: None)
+            tune(wired_to(RIGHT, rig), rig.clock, TuningOptions((3,)), lambda what, done: None)
         rig.clock.wait_until_s(rig.clock.now_s() + 0.3)
         assert all(board.state.name != "ENABLED" for board in rig.robot.motor_boards)
 

@@ -24,11 +24,11 @@ from control.model.fingerprint import fingerprint
 from control.recording.record import FileSink, Layout
 from procedures.verify import places as verify_places
 from procedures.verify import procedure
-from procedures.verify.models import Model, Pair, active_model, nominal_of
+from procedures.verify.models import Model, ModelPair, active_model, nominal_of
 from procedures.verify.places import places, ways
 from procedures.verify.survey import (
     MOVING,
-    Run,
+    SurveyedPath,
     handed_over,
     planned,
     planned_tips_m,
@@ -57,7 +57,7 @@ def true_arm() -> Arm:
 
 
 TRUE = true_arm()
-PAIR = Pair(Model(RIGHT), Model(TRUE))
+PAIR = ModelPair(Model(RIGHT), Model(TRUE))
 
 
 @pytest.fixture
@@ -296,7 +296,7 @@ def test_where_recorded_set_points_are_encoders_the_path_says_what_was_planned(t
     path = planned(ways(TABLE, ("normal",))[1], GEARED, 0.15, NEAR)
     rows = np.zeros(50, dtype=[("t_s", "f8")])
     rows["t_s"] = 3.0 + 0.002 * np.arange(50)
-    planned_m = planned_tips_m(rows, GEARED, Run(1, path, 0.5))
+    planned_m = planned_tips_m(rows, GEARED, SurveyedPath(1, path, 0.5))
     for k in (0, 20, 49):
         expected = GEARED.seen(np.array([path.spline.at(0.5 * 0.002 * (k + 1))[0]]))[0]
         assert planned_m[k] == pytest.approx(expected, abs=1e-12)
@@ -379,12 +379,12 @@ def recording(path: Path, delay_s: float, offset_m: float) -> np.ndarray:
 def test_a_cameras_delay_is_no_error_of_the_arm(tmp_path: Path) -> None:
     """30 ms late at some 0.3 m/s would be 9 mm; the delay is known to half a millisecond then, 0.15 mm."""
     recording(tmp_path / "a.armlog", 0.03, 0.004)
-    track = track_of(tmp_path / "a.armlog", Model(RIGHT), Run(2), "run")
+    track = track_of(tmp_path / "a.armlog", Model(RIGHT), SurveyedPath(2), "run")
     error = track.measured_m - track.planned_m
     np.testing.assert_allclose(error, 0.004, atol=0.0002)
     assert len(track.time_s) == 197  # three frames were taken before the run
     with pytest.raises(ArmError, match="contains no run 7"):
-        track_of(tmp_path / "a.armlog", Model(RIGHT), Run(7), "run")
+        track_of(tmp_path / "a.armlog", Model(RIGHT), SurveyedPath(7), "run")
 
 
 def test_a_growing_recording_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:

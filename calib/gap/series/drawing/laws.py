@@ -10,16 +10,16 @@ from calib.arrays import Array
 from calib.gap.drawn_law import DrawnLaw
 from calib.gap.effects.catalogue import series_of
 from calib.gap.finding import EffectName
-from calib.gap.residuals.scene import Beside
+from calib.gap.residuals.scene import RowConditions
 from calib.gap.residuals.term import SeriesTerm
-from calib.gap.series.fit import Fit, left
+from calib.gap.series.fit import SeriesFit, left
 from control.model.effects import followed_joint
 
 UNITS = {"current_A": ("mA", 1e3), "voltage_as_A": ("mA", 1e3), "tip_m": ("mm", 1e3)}
 ROWS_LEAST = 60
 
 
-def drawn_laws(fit: Fit, names: Collection[EffectName]) -> tuple[DrawnLaw, ...]:
+def drawn_laws(fit: SeriesFit, names: Collection[EffectName]) -> tuple[DrawnLaw, ...]:
     """Of the names, each in the channel where it does most."""
     size, _ = fit.evidence.estimate(fit.best.members, fit.best.kappa)
     rest, found, first = left(fit, fit.numbers), {}, 0
@@ -34,7 +34,7 @@ def drawn_laws(fit: Fit, names: Collection[EffectName]) -> tuple[DrawnLaw, ...]:
     return tuple(found[name] for name in names if name in found)
 
 
-def _drawn(fit: Fit, one: SeriesTerm, name: EffectName, size: Array, rest: Array) -> DrawnLaw | None:
+def _drawn(fit: SeriesFit, one: SeriesTerm, name: EffectName, size: Array, rest: Array) -> DrawnLaw | None:
     laws = size * (np.arange(one.count) < one.laws)
     scene = fit.around.scene
     done = {k: columns @ laws for k, columns in one.response.items() if len(columns) >= ROWS_LEAST}
@@ -48,7 +48,9 @@ def _drawn(fit: Fit, one: SeriesTerm, name: EffectName, size: Array, rest: Array
     return DrawnLaw(name, label, unit, at, scale * (whole + rest[cell.rows]), scale * done[k], scale * whole)
 
 
-def _variable(fit: Fit, one: SeriesTerm, name: EffectName, j: int, at: Beside) -> tuple[Array, str]:
+def _variable(
+    fit: SeriesFit, one: SeriesTerm, name: EffectName, j: int, at: RowConditions
+) -> tuple[Array, str]:
     """The law's own variable at the rows of a cell, and its label; j: the cell's joint (0-based), -1 for the tip."""
     joint = followed_joint(name.effect, name.joint) or max(j, 0) + 1
     own = min(joint, at.q.shape[1]) - 1

@@ -12,7 +12,7 @@ from calib.arrays import Array
 from calib.gap.drawn_law import law_picture
 from calib.gap.effects.catalogue import comes_round
 from calib.gap.finding import EffectName, NamedEffect
-from calib.gap.residuals.rows import Cell
+from calib.gap.residuals.rows import ChannelRows
 from calib.gap.series.outcome import DynamicOutcome
 from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
 from calib.report.page import Section, bullets, paragraph
@@ -70,7 +70,7 @@ def gap_picture(outcome: DynamicOutcome) -> str:
     return svg((10.4, 3.2), lambda figure: _draw_cells(figure, outcome))
 
 
-def time_picture(outcome: DynamicOutcome, run: int, cells: Sequence[Cell]) -> str:
+def time_picture(outcome: DynamicOutcome, run: int, cells: Sequence[ChannelRows]) -> str:
     """Residuals of a run in time, before and after, one row of axes a cell."""
     return svg((10.4, 1.7 * len(cells) + 0.4), lambda figure: _draw_time(figure, outcome, run, cells))
 
@@ -83,7 +83,7 @@ def along_picture(outcome: DynamicOutcome, effect: NamedEffect) -> str:
     return _along(outcome, cell, effect, str(effect.name))
 
 
-def _along(outcome: DynamicOutcome, cell: Cell, effect: NamedEffect | None, title: str) -> str:
+def _along(outcome: DynamicOutcome, cell: ChannelRows, effect: NamedEffect | None, title: str) -> str:
     if effect is not None and comes_round(effect.name.effect):
         return svg((10.4, 3.0), lambda figure: _draw_spectrum(figure, outcome, cell, effect))
     return svg((10.4, 3.0), lambda figure: _draw_clouds(figure, outcome, cell, title))
@@ -123,23 +123,23 @@ def _draw_cells(figure: Figure, outcome: DynamicOutcome) -> None:
     axes.set_title("by channel, held-out runs")
 
 
-def _short(cell: Cell) -> str:
+def _short(cell: ChannelRows) -> str:
     words = {"current_A": "current {}", "voltage_as_A": "voltage {}", "tip_m": "tip"}
     return words.get(cell.channel, cell.channel + " {}").format(cell.joint + 1)
 
 
-def _worst_cells(outcome: DynamicOutcome) -> list[Cell]:
+def _worst_cells(outcome: DynamicOutcome) -> list[ChannelRows]:
     """The cells with most before, those that agree with the model at the end."""
     found = [cell for cell in outcome.rows.cells if outcome.before[cell.rows].size]
     return sorted(found, key=lambda cell: -_rms(outcome.before[cell.rows]))[:MOST_CELLS]
 
 
-def _worst_run(outcome: DynamicOutcome, cell: Cell) -> int:
+def _worst_run(outcome: DynamicOutcome, cell: ChannelRows) -> int:
     run, residual = outcome.rows.run[cell.rows], outcome.before[cell.rows]
     return max((int(k) for k in np.unique(run)), key=lambda k: _rms(residual[run == k]))
 
 
-def _draw_time(figure: Figure, outcome: DynamicOutcome, run: int, cells: Sequence[Cell]) -> None:
+def _draw_time(figure: Figure, outcome: DynamicOutcome, run: int, cells: Sequence[ChannelRows]) -> None:
     all_axes = np.atleast_1d(figure.subplots(len(cells), 1, sharex=True))
     inch = 1.0 / figure.get_figheight()
     figure.subplots_adjust(left=0.07, right=0.99, top=1 - 0.25 * inch, bottom=0.45 * inch, hspace=0.38)
@@ -160,7 +160,7 @@ def _draw_time(figure: Figure, outcome: DynamicOutcome, run: int, cells: Sequenc
     all_axes[-1].set_xlabel("time [s]")
 
 
-def _draw_clouds(figure: Figure, outcome: DynamicOutcome, cell: Cell, title: str) -> None:
+def _draw_clouds(figure: Figure, outcome: DynamicOutcome, cell: ChannelRows, title: str) -> None:
     """The residual against speed, angle and transmitted torque."""
     table, factor_unit = outcome.rows, UNITS[cell.channel]
     joint = max(cell.joint, 0) + 1
@@ -184,7 +184,7 @@ def _draw_clouds(figure: Figure, outcome: DynamicOutcome, cell: Cell, title: str
     all_axes[0].set_title(f"{title}: {_short(cell)}, before and after")
 
 
-def _draw_spectrum(figure: Figure, outcome: DynamicOutcome, cell: Cell, effect: NamedEffect) -> None:
+def _draw_spectrum(figure: Figure, outcome: DynamicOutcome, cell: ChannelRows, effect: NamedEffect) -> None:
     """Amplitude over periods per motor turn: by angle, not by time."""
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     figure.subplots_adjust(left=0.07, right=0.99, top=0.88, bottom=0.16, wspace=0.16)
@@ -220,7 +220,7 @@ def _amplitudes(residual: Array, turn: Array, orders: Array) -> Array:
     return np.asarray(2.0 * np.abs(waves @ residual[keep]) / len(keep))
 
 
-def _cell_of(outcome: DynamicOutcome, name: EffectName) -> Cell | None:
+def _cell_of(outcome: DynamicOutcome, name: EffectName) -> ChannelRows | None:
     """Where an effect took most: its own joint's cells first."""
     taken = [
         (float(np.sum(outcome.before[cell.rows] ** 2) - np.sum(outcome.after[cell.rows] ** 2)), cell)

@@ -10,7 +10,7 @@ import pytest
 from calib.errors import CalibrationError
 from calib.gap.plan.collision_free_box import CLEARANCE_m, clear, collision_free_box
 from calib.gap.plan.foresight import as_recorded, in_words
-from calib.gap.plan.motions import Limits, demand, multisine, poses_of, ramps, shake
+from calib.gap.plan.motions import MotionLimits, demand, multisine, poses_of, ramps, shake
 from calib.gap.plan.plan import REFERENCE, PlanRequest, recording_plan
 from calib.gap.plan.poses import APPROACH_rad
 from calib.gap.poses.recordings import split
@@ -55,7 +55,7 @@ def test_an_arm_without_room_is_told_so() -> None:
 
 
 def test_motions_stay_in_the_room_below_every_limit_and_are_what_their_derivatives_say(room) -> None:
-    inner, limits = room.inset(0.02), Limits.of(RIGHT)
+    inner, limits = room.inset(0.02), MotionLimits.of(RIGHT)
     for path in (
         ramps(inner, limits, (0.06, 0.12, 0.25, 0.5), 0.6),
         ramps(inner, limits, (0.015, 0.03), 1.2),
@@ -79,7 +79,7 @@ def test_motions_stay_in_the_room_below_every_limit_and_are_what_their_derivativ
 
 def test_ramps_hold_each_speed_both_ways(room) -> None:
     shares = (0.06, 0.12, 0.25, 0.5)
-    path = ramps(room, Limits.of(RIGHT), shares, 0.6)
+    path = ramps(room, MotionLimits.of(RIGHT), shares, 0.6)
     speeds = np.array([knot.speed_rad_s for knot in path.knots])
     fastest = np.abs(speeds).max()
     for j in range(3):

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array
-from calib.gap.log import Log, Run
+from calib.gap.log import Log, LoggedRun
 from control.dynamics.dynamics import Dynamics
 from control.kinematics.kinematics import Kinematics
 from control.model.arm import Arm, Effect
@@ -113,7 +113,7 @@ def _run(
     delay: int,
     winding_share: float,
     turned: Callable[[Array, Array], Array] | None,
-) -> Run:
+) -> LoggedRun:
     arm, count = model.arm, int(SECONDS * RATE_Hz)
     T = 1.0 / RATE_Hz
     # One sample before the run, for the voltage that its first current comes from, and `delay` after it.
@@ -133,7 +133,7 @@ def _run(
     step = np.array([2 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in arm.drives])
     joints = q if turned is None else q + turned(q, model.dynamics.torques(q, 0 * q, 0 * q, load))
     tip = _seen(model, joints, rng)
-    return Run(
+    return LoggedRun(
         name, T * np.arange(count), np.round(q / step) * step, q, current + rng.normal(0.0, 0.01, current.shape),
         voltage, np.full(count, load), tip,
     )  # fmt: skip

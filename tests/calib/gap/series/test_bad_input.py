@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.log import Log, Run
+from calib.gap.log import Log, LoggedRun
 from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.series.plausible import plausible
-from calib.gap.signals.recording import Recording, UnusableLogError, prepare
+from calib.gap.signals.recording import RunSet, UnusableLogError, prepare
 from control.kinematics.kinematics import Kinematics
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
@@ -22,15 +22,15 @@ ARM = arm_with_friction()
 LOG = log_of(ARM)
 
 
-def changed(change: Callable[[Run], Run], log: Log = LOG) -> Log:
+def changed(change: Callable[[LoggedRun], LoggedRun], log: Log = LOG) -> Log:
     return Log(tuple(change(run) for run in log.runs))
 
 
-def checked(change: Callable[[Run], Run]) -> Recording:
+def checked(change: Callable[[LoggedRun], LoggedRun]) -> RunSet:
     return plausible(ARM, prepare(ARM, changed(change)))
 
 
-def said(recording: Recording) -> str:
+def said(recording: RunSet) -> str:
     return " ".join(recording.warnings)
 
 
@@ -116,7 +116,7 @@ def late_camera() -> DynamicOutcome:
     """A tip that is 6 ms late, beside viscous friction that the arm's file lacks."""
     kinematics = Kinematics(ARM)
 
-    def late(run: Run) -> Run:
+    def late(run: LoggedRun) -> LoggedRun:
         seen = np.isfinite(run.tip_m[:, 0])
         earlier = np.stack(
             [np.interp(run.t_s[seen] - 0.006, run.t_s, column) for column in run.q_rad.T], axis=1
@@ -142,7 +142,7 @@ def test_a_late_camera_is_said_and_the_answer_given_all_the_same() -> None:
 
 
 def test_runs_without_the_driver_end_in_an_answer_and_a_sentence() -> None:
-    def coasting(run: Run) -> Run:
+    def coasting(run: LoggedRun) -> LoggedRun:
         off = np.full_like(run.voltage_V, np.nan)
         return replace(run, voltage_V=off, current_A=np.zeros_like(run.current_A), is_commanded=True)
 

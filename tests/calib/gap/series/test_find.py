@@ -17,7 +17,7 @@ from calib.arm_problem.parameters import dh_names
 from calib.arrays import Array
 from calib.calibration.outcome import calibrated_arm
 from calib.gap.finding import EffectName, GapFinding
-from calib.gap.log import Log, Run
+from calib.gap.log import Log, LoggedRun
 from calib.gap.model_update import as_totals
 from calib.gap.series.find import examine, find
 from calib.gap.series.outcome import DynamicOutcome
@@ -158,7 +158,7 @@ def test_a_sag_that_the_file_has_in_part_comes_out_as_its_total_in_the_form_that
     sag_ohm = 1.0
     nominal_V = np.array([drive.supply_V for drive in ARM.drives])
 
-    def sagging(run: Run) -> Run:
+    def sagging(run: LoggedRun) -> LoggedRun:
         there = 1.0 - sag_ohm * np.abs(run.current_A).sum(axis=1, keepdims=True) / nominal_V
         return replace(run, voltage_V=run.voltage_V / there)
 
@@ -207,7 +207,7 @@ def test_another_arms_log_is_recognised() -> None:
 
 
 def test_a_gap_and_a_saturated_current_are_said_and_their_samples_not_used() -> None:
-    def cut(run: Run) -> Run:
+    def cut(run: LoggedRun) -> LoggedRun:
         if run.name != "5":
             return run
         keep = np.ones(len(run), dtype=bool)
@@ -233,7 +233,7 @@ def test_one_run_alone_is_said_and_judged_by_its_parts() -> None:
 
 
 def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:
-    def warm(run: Run) -> Run:
+    def warm(run: LoggedRun) -> LoggedRun:
         seen = np.isfinite(run.tip_m[:, 0])
         turned = np.array(run.q_rad[seen])
         turned[:, 1] += 0.004 * (1.0 - np.exp(-run.t_s[seen] / 1.5))

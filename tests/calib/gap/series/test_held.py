@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.log import Log, Run
+from calib.gap.log import Log, LoggedRun
 from calib.gap.signals.held import not_held
 from calib.gap.signals.recording import prepare
 from tests.calib.gap.series.prescribed import arm_with_friction
@@ -35,7 +35,7 @@ def rough(late_samples: float = 0.0, noise_A: float = 0.01) -> Log:
         current[k] = voltage[k - 1] / R + (early - voltage[k - 1] / R) * left
     current += rng.normal(0.0, noise_A, current.shape)
     tip = np.full((count, 3), np.nan)
-    return Log((Run("1", t, q, q, current, voltage, np.zeros(count), tip),))
+    return Log((LoggedRun("1", t, q, q, current, voltage, np.zeros(count), tip),))
 
 
 def thinned(log: Log, every: int) -> Log:

@@ -10,11 +10,11 @@ import pytest
 
 from calib.gap.finding import EffectName
 from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.rows import Cell
+from calib.gap.residuals.rows import ChannelRows
 from calib.gap.residuals.scene import Thin
 from calib.gap.residuals.term import SeriesTerm
-from calib.gap.series.linear import Linear
-from calib.gap.signals.terms import Term as Law
+from calib.gap.series.linear import SeriesLinear
+from calib.gap.signals.terms import Law
 
 ROWS = 6
 COULOMB = EffectName("coulomb_friction", 1)
@@ -22,7 +22,7 @@ COULOMB = EffectName("coulomb_friction", 1)
 
 def around(found: dict[Any, Law]) -> OperatingPoint:
     run, sample = np.zeros(ROWS, dtype=int), np.arange(ROWS)
-    cell = Cell("current_A", 0, slice(0, ROWS), 1.0)
+    cell = ChannelRows("current_A", 0, slice(0, ROWS), 1.0)
     scene: Any = SimpleNamespace(cells=(cell,), thinned=[Thin.each(run, sample, 1)])
     rows = np.linspace(-1.0, 1.0, ROWS)
     return OperatingPoint(scene, (), found, rows, rows)
@@ -36,8 +36,8 @@ def term() -> SeriesTerm:
 def test_only_what_the_model_has_is_added_to_what_it_leaves() -> None:
     law = Law(COULOMB, "coulomb_friction", (3.0,))
     has, has_not = around({COULOMB: law}), around({})
-    np.testing.assert_allclose(Linear.around(has, [term()]).y, 3.0 - has.residual)
-    np.testing.assert_allclose(Linear.around(has_not, [term()]).y, -has_not.residual)
+    np.testing.assert_allclose(SeriesLinear.around(has, [term()]).y, 3.0 - has.residual)
+    np.testing.assert_allclose(SeriesLinear.around(has_not, [term()]).y, -has_not.residual)
 
 
 def test_averaged_frames_keep_their_noise_and_do_not_reach_over_a_gap() -> None:

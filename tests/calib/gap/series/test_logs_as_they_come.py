@@ -10,16 +10,16 @@ import pytest
 
 from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws
-from calib.gap.log import Log, Run
-from calib.gap.residuals.rows import Rows, without_motion
+from calib.gap.log import Log, LoggedRun
+from calib.gap.residuals.rows import ResidualRows, without_motion
 from calib.gap.series.plausible import plausible
-from calib.gap.signals.body import Body, Load
+from calib.gap.signals.body import BodyTorques, Load
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.part import part_of
 from calib.gap.signals.physics import Physics
-from calib.gap.signals.recording import Recording, UnusableLogError, prepare
+from calib.gap.signals.recording import RunSet, UnusableLogError, prepare
 from calib.gap.signals.sampling import period_of
-from calib.gap.signals.terms import Term
+from calib.gap.signals.terms import Law
 from calib.gap.units import UNITS, amperes_per, log_in_amperes, with_ideal_drives, without_voltages
 from control.model.description import load_arm
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
@@ -30,11 +30,11 @@ RATE_Hz = 500.0
 SAMPLED = ("q_rad", "q_set_rad", "current_A", "voltage_V", "payload_kg", "tip_m")
 
 
-def changed(change: Callable[[Run], Run]) -> Log:
+def changed(change: Callable[[LoggedRun], LoggedRun]) -> Log:
     return Log(tuple(change(run) for run in LOG.runs))
 
 
-def at(run: Run, t_s: Array) -> Run:
+def at(run: LoggedRun, t_s: Array) -> LoggedRun:
     """A run brought to other times, on lines between its samples."""
 
     def brought(values: Array) -> Array:
@@ -47,11 +47,11 @@ def at(run: Run, t_s: Array) -> Run:
     return replace(run, t_s=t_s, tip_m=tip, **columns)
 
 
-def rows(run: Run, keep: Array) -> Run:
+def rows(run: LoggedRun, keep: Array) -> LoggedRun:
     return replace(run, t_s=run.t_s[keep], **{name: getattr(run, name)[keep] for name in SAMPLED})
 
 
-def said(recording: Recording) -> str:
+def said(recording: RunSet) -> str:
     return " ".join(recording.warnings)
 
 
@@ -68,7 +68,7 @@ def test_a_clock_that_counts_since_1970_gives_the_same_samples() -> None:
 def test_stamps_that_were_rounded_stand_for_even_samples() -> None:
     """333 samples a second, stamps in whole milliseconds: 3 ms, 3 ms, 3 ms, and now and then one more."""
 
-    def rounded(run: Run) -> Run:
+    def rounded(run: LoggedRun) -> LoggedRun:
         return replace(run, t_s=np.round(1.5 * run.t_s * 1.00123, 3))
 
     recording = prepare(ARM, changed(rounded))
@@ -97,7 +97,7 @@ def test_a_log_that_was_interpolated_is_taken_back_to_what_was_measured(factor: 
 
 
 def test_samples_that_are_written_twice_are_taken_once() -> None:
-    def doubled(run: Run) -> Run:
+    def doubled(run: LoggedRun) -> LoggedRun:
         twice = rows(run, np.repeat(np.arange(len(run)), 2))
         return replace(twice, t_s=np.arange(len(twice)) / (2.0 * RATE_Hz))
 
@@ -136,7 +136,7 @@ def test_torques_of_joints_without_drives_leave_voltages_aside() -> None:
     assert not prepare(with_ideal_drives(replace(ARM, drives=())), without_voltages(LOG)).has_voltage
 
 
-def irregular(run: Run) -> Run:
+def irregular(run: LoggedRun) -> LoggedRun:
     rng = np.random.default_rng(int(run.name))
     steps = 0.002 * (1.0 + 0.25 * rng.uniform(-1.0, 1.0, len(run)))
     t = np.cumsum(steps)
@@ -161,7 +161,7 @@ def test_gaps_of_all_runs_are_one_sentence() -> None:
 def test_samples_that_come_as_events_are_no_time_series() -> None:
     rng = np.random.default_rng(5)
 
-    def events(run: Run) -> Run:
+    def events(run: LoggedRun) -> LoggedRun:
         return rows(
             run,
             np.flatnonzero(np.repeat(rng.random(len(run) // 10) < 0.35, 10) & (rng.random(len(run)) < 0.5)),
@@ -202,11 +202,11 @@ def test_a_swing_with_the_driver_off_needs_no_currents_and_no_voltages() -> None
     )
     assert recording.has_voltage
     assert all(run.is_off.all() for run in recording.runs)
-    assert len(Rows(Physics(ARM, recording), known_laws(ARM)).table.run)
+    assert len(ResidualRows(Physics(ARM, recording), known_laws(ARM)).table.run)
 
 
 def test_five_thousand_samples_a_second_are_averaged_where_no_voltage_was_held_between_them() -> None:
-    def fast(run: Run) -> Run:
+    def fast(run: LoggedRun) -> LoggedRun:
         rng = np.random.default_rng(int(run.name))
         t_s = np.arange(0.0, 1.9, 1.0 / 5000.0)
         finer = at(run, t_s)
@@ -244,7 +244,7 @@ def test_a_long_run_is_used_in_blocks_over_its_whole_length() -> None:
     t_s = np.arange(0.0, 335.0, 0.002)
     q = np.stack([0.4 * np.sin(0.6 * t_s + joint) * (0.2 + t_s / 335.0) for joint in range(3)], axis=1)
     nothing = np.full((len(t_s), 3), np.nan)
-    run = Run("1", t_s, q, q, q, nothing, np.zeros(len(t_s)), nothing)
+    run = LoggedRun("1", t_s, q, q, q, nothing, np.zeros(len(t_s)), nothing)
     part, _ = part_of(Log((run,)))
     assert len(part.runs) > 6
     assert all(9.0 < one.t_s[-1] - one.t_s[0] < 11.0 for one in part.runs)
@@ -253,7 +253,7 @@ def test_a_long_run_is_used_in_blocks_over_its_whole_length() -> None:
     assert sum(float(one.t_s[-1] - one.t_s[0]) for one in part.runs) < 140.0
 
 
-def slow(run: Run) -> Run:
+def slow(run: LoggedRun) -> LoggedRun:
     """A two-thousandth of the angles, without camera and voltages: nothing is faster than 8 mrad/s."""
     first = run.q_rad[0]
     nothing = np.full_like(run.q_rad, np.nan)
@@ -263,7 +263,7 @@ def slow(run: Run) -> Run:
 def test_a_log_of_motions_that_are_too_slow_is_refused_in_words() -> None:
     recording = prepare(ARM, changed(slow))
     with pytest.raises(UnusableLogError, match="faster than 8 mrad/s"):
-        without_motion(Rows(Physics(ARM, recording), known_laws(ARM)).table)
+        without_motion(ResidualRows(Physics(ARM, recording), known_laws(ARM)).table)
 
 
 def test_a_link_without_inertia_divides_nothing_by_nought() -> None:
@@ -271,7 +271,7 @@ def test_a_link_without_inertia_divides_nothing_by_nought() -> None:
         link if link.inertia_kg_m2 is None else replace(link, inertia_kg_m2=(0.0, 0.0, 0.0), mass_kg=0.0)
         for link in load_arm("right").links
     )
-    body = Body(replace(ARM, links=links), prepare(ARM, LOG))
+    body = BodyTorques(replace(ARM, links=links), prepare(ARM, LOG))
     assert all((part > 0.0).all() for joint in range(3) for part in body.own_inertia(Load(), joint))
 
 
@@ -279,6 +279,6 @@ def test_a_model_that_runs_away_from_a_slow_log_gives_no_figure_and_no_failure()
     """Gains of a loop of 500 cycles a second, simulated at 50."""
     recording = prepare(ARM, changed(lambda run: rows(run, np.arange(0, len(run), 10))))
     physics = Physics(ARM, recording)
-    pushing: tuple[Term, ...] = known_laws(ARM)
+    pushing: tuple[Law, ...] = known_laws(ARM)
     found = motion_gaps(physics, pushing, pushing, [run.name for run in recording.runs])
     assert all(np.isfinite(one.after_rad) for one in found.values())

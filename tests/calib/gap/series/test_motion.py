@@ -12,11 +12,11 @@ from calib.gap.effects.catalogue import RECORDS, known_laws
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
 from calib.gap.series.find import find
-from calib.gap.signals.forward import Forward, State
+from calib.gap.signals.forward import Forward, ForwardState
 from calib.gap.signals.motion import CLOSED, OPEN, motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
-from calib.gap.signals.terms import Term
+from calib.gap.signals.terms import Law
 from control.dynamics.dynamics import Dynamics
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
@@ -26,13 +26,13 @@ PHYSICS = Physics(ARM, prepare(ARM, LOG))
 POSE = np.array([[0.3, -0.7, 0.4]])
 
 
-def resting() -> State:
+def resting() -> ForwardState:
     still = np.zeros((1, 3))
     current = Dynamics(ARM).torques(POSE, still, still) / PHYSICS.torque_per_A
-    return State(POSE.copy(), still, still.copy(), POSE.copy(), still.copy(), current, np.zeros(1))
+    return ForwardState(POSE.copy(), still, still.copy(), POSE.copy(), still.copy(), current, np.zeros(1))
 
 
-def run(model: list[Term], samples: int, push_V: float = 0.0) -> State:
+def run(model: list[Law], samples: int, push_V: float = 0.0) -> ForwardState:
     state = resting()
     held = state.current_A * PHYSICS.resistance_ohm + push_V
     forward = Forward(PHYSICS, model, np.zeros(1))
@@ -41,10 +41,10 @@ def run(model: list[Term], samples: int, push_V: float = 0.0) -> State:
     return state
 
 
-def gear(effect: str, *values: float) -> list[Term]:
+def gear(effect: str, *values: float) -> list[Law]:
     series = RECORDS[effect].series
     assert series is not None
-    return [Term(EffectName(effect, 2), series.form, values)]
+    return [Law(EffectName(effect, 2), series.form, values)]
 
 
 def test_voltages_that_hold_the_arm_keep_it_where_it_is() -> None:
@@ -65,7 +65,7 @@ def test_a_loose_link_lies_on_the_flank_that_gravity_presses_it_to() -> None:
 
 
 @pytest.mark.parametrize("model", [gear("joint_compliance", 1e-7, 1.0, 0.0), gear("backlash", 0.0, 0.0)])
-def test_a_gear_without_play_that_hardly_gives_moves_as_a_rigid_one(model: list[Term]) -> None:
+def test_a_gear_without_play_that_hardly_gives_moves_as_a_rigid_one(model: list[Law]) -> None:
     rigid, other = run([], 60, push_V=1.5), run(model, 60, push_V=1.5)
     assert np.abs(rigid.q - POSE).max() > 0.01
     np.testing.assert_allclose(other.q, rigid.q, atol=5e-4)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.signals.play import Follower, elastic, loose
+from calib.gap.signals.play import LinkDrive, elastic, loose
 
 PERIOD_s = 0.002
 
 
-def follower(torque: Array, inertia: float = 0.05) -> Follower:
+def follower(torque: Array, inertia: float = 0.05) -> LinkDrive:
     """One run with this torque over time, without gravity's slope."""
     column = torque[:, None]
-    return Follower(column, np.full_like(column, inertia), np.zeros_like(column), PERIOD_s)
+    return LinkDrive(column, np.full_like(column, inertia), np.zeros_like(column), PERIOD_s)
 
 
 def test_a_spring_at_rest_gives_way_by_torque_over_stiffness() -> None:
@@ -62,7 +62,7 @@ def test_an_impact_passes_on_the_momentum_of_the_link() -> None:
 def test_friction_behind_a_spring_is_transmitted_by_it() -> None:
     """A link that its motor turns steadily: what the spring carries is the torque and the link's own friction."""
     torque = np.full((2000, 1), 1.0)
-    drive = Follower(
+    drive = LinkDrive(
         torque, np.full_like(torque, 0.05), 0.0 * torque, PERIOD_s, np.full_like(torque, 0.5), 0.4, 0.2
     )
     found = elastic(drive, 600.0, 2.0, share=0.5)
@@ -73,7 +73,7 @@ def test_friction_behind_a_spring_is_transmitted_by_it() -> None:
 def test_friction_on_a_loose_link_decides_its_flank() -> None:
     """Without a load of its own a link with friction drags behind its motor."""
     still = np.zeros((1000, 1))
-    drive = Follower(still, still + 0.05, still, PERIOD_s, still + 0.3, 0.4, 0.0)
+    drive = LinkDrive(still, still + 0.05, still, PERIOD_s, still + 0.3, 0.4, 0.0)
     found = loose(drive, 0.01, share=1.0)
     assert found.delta_rad[-1, 0] == pytest.approx(-0.005)
     assert found.transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=1e-3)
@@ -82,6 +82,6 @@ def test_friction_on_a_loose_link_decides_its_flank() -> None:
 def test_friction_on_a_link_is_that_of_a_slowly_turning_motor_too() -> None:
     """At 10 mrad/s, where rows begin to count, the whole of it acts: a wider transition would look like Stribeck's law."""
     still = np.zeros((1000, 1))
-    drive = Follower(still, still + 0.05, still, PERIOD_s, still + 0.01, 0.4, 0.0)
+    drive = LinkDrive(still, still + 0.05, still, PERIOD_s, still + 0.01, 0.4, 0.0)
     assert loose(drive, 0.01, share=1.0).transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=0.01)
     assert elastic(drive, 600.0, 2.0, share=1.0).transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=0.01)

@@ -12,7 +12,7 @@ from benchmarks.gap.dynamic.cases import Asked, Conditions, made
 from benchmarks.gap.dynamic.score import arm_of, log_of
 from calib.gap.effects.catalogue import known_laws
 from calib.gap.log import Log
-from calib.gap.residuals.rows import Rows
+from calib.gap.residuals.rows import ResidualRows
 from calib.gap.series.find import examine
 from calib.gap.series.outcome import gap
 from calib.gap.series.plausible import plausible
@@ -55,7 +55,7 @@ def test_joints_that_turn_each_other_within_a_slow_sample_are_no_effect() -> Non
     case = next(iter(made([Asked(300_001, "none")], Conditions(rate_Hz=100, seconds=1.5))))
     arm = arm_of(case.arm_toml)
     recording = plausible(arm, prepare(arm, log_of(case)))
-    rows = Rows(Physics(arm, recording), known_laws(arm))
+    rows = ResidualRows(Physics(arm, recording), known_laws(arm))
     left = rows.residual(known_laws(arm))
     assert recording.has_voltage
     assert gap(left, rows.table, np.ones(len(left), dtype=bool)) < 1.3

@@ -11,8 +11,8 @@ import pytest
 from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws
 from calib.gap.finding import EffectName
-from calib.gap.log import Log, Run
-from calib.gap.residuals.rows import Rows
+from calib.gap.log import Log, LoggedRun
+from calib.gap.residuals.rows import ResidualRows
 from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.series.split import split
@@ -34,14 +34,14 @@ def link_friction(joint: int, q: Array, speed: Array, link: Array) -> Array:
 def reporting() -> tuple[str, ...]:
     """The runs that only report, whatever is hidden."""
     recording = prepare(ARM, log_of(ARM))
-    return split(recording, Rows(Physics(ARM, recording), known_laws(ARM)).table).report_runs
+    return split(recording, ResidualRows(Physics(ARM, recording), known_laws(ARM)).table).report_runs
 
 
 def with_reported(change: float) -> DynamicOutcome:
     """Load friction in all runs; in those that only report, `change` times as much."""
     plain, rubbed = log_of(ARM), log_of(ARM, link_friction)
 
-    def mixed(run: Run, other: Run) -> Run:
+    def mixed(run: LoggedRun, other: LoggedRun) -> LoggedRun:
         share = change if run.name in reporting() else 1.0
         current = run.current_A + share * (other.current_A - run.current_A)
         voltage = run.voltage_V + share * (other.voltage_V - run.voltage_V)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.residuals.whitening import Noise, Series, fitted
+from calib.gap.residuals.whitening import Noise, RowOrder, fitted
 
 ROWS = 20_000
 
@@ -20,9 +20,9 @@ def slow(share: float, seed: int) -> Array:
     return values
 
 
-def series(runs: int = 1) -> Series:
+def series(runs: int = 1) -> RowOrder:
     run = np.repeat(np.arange(runs), ROWS // runs)
-    return Series.of(run, np.tile(8 * np.arange(ROWS // runs), runs), 8, 1)
+    return RowOrder.of(run, np.tile(8 * np.arange(ROWS // runs), runs), 8, 1)
 
 
 def test_prediction_errors_of_a_slow_noise_are_white_and_of_size_one() -> None:
@@ -45,7 +45,7 @@ def test_the_mean_of_a_slow_noise_is_as_uncertain_as_it_is() -> None:
 
 
 def test_rows_after_a_gap_are_predicted_by_none_before_it() -> None:
-    own = Series.of(np.zeros(6, dtype=int), np.array([0, 8, 16, 40, 48, 56]), 8, 1)
+    own = RowOrder.of(np.zeros(6, dtype=int), np.array([0, 8, 16, 40, 48, 56]), 8, 1)
     assert own.before.tolist() == [0, 1, 2, 0, 1, 2]
     noise = Noise((np.zeros(0), np.array([0.5])), np.array([2.0, 1.0]), np.ones(1))
     white = own.whitened(np.ones((6, 1)), noise)[:, 0]
@@ -54,12 +54,12 @@ def test_rows_after_a_gap_are_predicted_by_none_before_it() -> None:
 
 def test_rows_that_are_not_kept_are_like_gaps() -> None:
     kept = np.array([True, True, False, True, True])
-    own = Series.of(np.zeros(5, dtype=int), 8 * np.arange(5), 8, 1, kept)
+    own = RowOrder.of(np.zeros(5, dtype=int), 8 * np.arange(5), 8, 1, kept)
     assert own.before.tolist() == [0, 1, 0, 0, 1]
 
 
 def test_the_three_axes_of_a_tip_are_each_their_own_sequence() -> None:
-    own = Series.of(np.zeros(6, dtype=int), np.repeat([0, 5], 3), 5, 3)
+    own = RowOrder.of(np.zeros(6, dtype=int), np.repeat([0, 5], 3), 5, 3)
     noise = Noise((np.zeros(0), np.array([1.0])), np.ones(2), np.ones(1))
     white = own.whitened(np.array([1.0, 2.0, 3.0, 1.0, 2.0, 3.0])[:, None], noise)[:, 0]
     assert white.tolist() == [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]

@@ -8,21 +8,21 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.log import Log
-from calib.gap.signals.recording import Recording, prepare
+from calib.gap.signals.recording import RunSet, prepare
 from calib.gap.signals.wiener import without_noise
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()
 
 
-def recorded(noise_rad: float) -> Recording:
+def recorded(noise_rad: float) -> RunSet:
     log = log_of(ARM)
     rng = np.random.default_rng(1)
     runs = [replace(run, q_rad=run.q_rad + rng.normal(0.0, noise_rad, run.q_rad.shape)) for run in log.runs]
     return prepare(ARM, Log(tuple(runs)))
 
 
-def of_all(recording: Recording) -> Array:
+def of_all(recording: RunSet) -> Array:
     return np.concatenate([run.acceleration[run.usable.all(axis=1)] for run in recording.runs])
 
 
