@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armwright.mock import MockArm
 from control.errors import ArmError, BadTarget
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.motion.guard import Guard
@@ -91,7 +91,7 @@ class ReachEnvironment(gymnasium.Env[Observation, Array]):
         self._scenario = load_scenario(scenario)
         self._period_s, self._steps, self._tolerance_m = period_s, steps, tolerance_m
         self._folder = Path(folder) if folder is not None else None
-        self._limits, self._kinematics = JointLimits.of(self._arm), Kinematics(self._arm)
+        self._limits, self._kinematics = JointLimits.of(self._arm), ForwardKinematics(self._arm)
         self._guard = Guard(_with_clearance(self._arm), self._limits)
         speed = np.array(JogLimits.of(self._arm).joints.speed_rad_s, dtype=np.float32)
         self.action_space = Box(-speed, speed, dtype=np.float32)

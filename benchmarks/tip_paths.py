@@ -3,7 +3,7 @@
 import numpy as np
 
 from control.kinematics import rotation
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_inverse import TipPose
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.model.arm import Arm
@@ -13,7 +13,7 @@ from control.motion.waypoints import Waypoints
 def tip_of(arm: Arm) -> TipPose:
     """Position and orientation of the tip in the rest pose."""
     assert arm.rest is not None
-    tip = PoseKinematics(Kinematics(arm)).batch([arm.rest.q_rad])
+    tip = PoseKinematics(ForwardKinematics(arm)).batch([arm.rest.q_rad])
     return TipPose.of(tip.position_m[0], rotation.quaternions(tip.rotation)[0])
 
 

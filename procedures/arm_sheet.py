@@ -18,7 +18,7 @@ from calib.design.candidates import joint_box, spread_poses
 from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
 from control.kinematics.corners import Corners
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Drive
 from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz
 from control.model.joint_map import JointMap
@@ -124,7 +124,7 @@ def _above_floor(arm: Arm, q: Array) -> np.ndarray:
 
 
 def _reach(arm: Arm, q: Array, above_floor: float) -> Reach:
-    tips = Kinematics(arm).tips(q)
+    tips = ForwardKinematics(arm).tips(q)
     x, y = _axis_1(arm)
     across = np.hypot(tips[:, 0] - x, tips[:, 1] - y)
     heights = tips[:, 2]
@@ -136,7 +136,7 @@ def _axis_1(arm: Arm) -> tuple[float, float]:
     first = arm.joints.index(True)
     if first == 0:
         return 0.0, 0.0
-    frame = Kinematics(arm).link_transforms(np.zeros((1, arm.joint_count)))[0][first]
+    frame = ForwardKinematics(arm).link_transforms(np.zeros((1, arm.joint_count)))[0][first]
     return float(frame[0, 3]), float(frame[1, 3])
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Placed
 from control.motion.jog_limits import JogLimits
@@ -60,9 +60,9 @@ def mirror_signs(leader: Placed, follower: Placed) -> tuple[float, ...]:
     poses = _poses(leader)
     wanted = []
     for q_rad in poses:
-        tip = np.array(leader.in_cell(Kinematics(leader.arm).tip(*q_rad)))
+        tip = np.array(leader.in_cell(ForwardKinematics(leader.arm).tip(*q_rad)))
         wanted.append(tip - 2.0 * normal * float(normal @ (tip - middle)))
-    found = Kinematics(follower.arm)
+    found = ForwardKinematics(follower.arm)
 
     def off_m(signs: Sequence[float]) -> float:
         tips = (
@@ -296,7 +296,7 @@ def _slowdown(q_rad: Array, arm: Arm, limits: JointLimits, speed: float) -> tupl
         over = (np.abs(values).max(axis=0) / np.array(most)) ** (1.0 / power)
         joint = int(np.argmax(over))
         needs.append((float(over[joint]), f"the {what} of joint {joint + 1}"))
-    ways_m = np.linalg.norm(np.diff(Kinematics(arm).tips(q_rad), axis=0), axis=1)
+    ways_m = np.linalg.norm(np.diff(ForwardKinematics(arm).tips(q_rad), axis=0), axis=1)
     needs.append((float(ways_m.max()) / STEP_S / (speed * arm.limits.tip_speed_m_s), "the tip's speed"))
     slowdown, limit = max(needs)
     return (MARGIN * slowdown, limit) if limit else (1.0, "")

@@ -33,7 +33,7 @@ from calib.points.writer import PointsWriter, cell
 from calib.session.take import SessionSettings
 from control.files import KeptLines
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
 from control.progress import Advance
@@ -77,7 +77,7 @@ def largest_load_kg(arm: Arm, cube: TestCube) -> float:
     A mass m at the tip needs the torques m J'(q) g, of which a share `limits.unexplained_torque` of each joint's limit may be.
     """
     q_rad = _solved(solver_of(arm, cube), cube.poses()["P1"])
-    per_kg = np.abs(np.array(arm.gravity_m_s2) @ Kinematics(arm).jacobians([q_rad])[0])
+    per_kg = np.abs(np.array(arm.gravity_m_s2) @ ForwardKinematics(arm).jacobians([q_rad])[0])
     allowed_Nm = arm.limits.unexplained_torque * np.array([torque_limit_Nm(drive) for drive in arm.drives])
     return float((allowed_Nm / np.maximum(per_kg, 1e-9)).min())
 
@@ -96,7 +96,7 @@ def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
     q_rad = {tip: _solved(solver, tip) for tip in tips}
     _require_clear(arm, list(q_rad.values()))
     paths: dict[tuple[Point, ...], dict[float, PlannedPath]] = {}
-    inverse, kinematics = InverseKinematics(arm), Kinematics(arm)
+    inverse, kinematics = InverseKinematics(arm), ForwardKinematics(arm)
     for step in todo:
         if isinstance(step, PathRun) and step.speed_m_s not in paths.setdefault(step.points_m, {}):
             near = _solved(solver, step.points_m[0])
@@ -206,7 +206,7 @@ def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
     From rest to rest, joint moves are straight lines in the space of the joints (control.motion.joint_move).
     """
     floor_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m
-    kinematics, shares = Kinematics(arm), np.linspace(0.0, 1.0, _BETWEEN)[:, None]
+    kinematics, shares = ForwardKinematics(arm), np.linspace(0.0, 1.0, _BETWEEN)[:, None]
     angles = np.unique(np.round(np.array(poses), 9), axis=0)
     for k, q in enumerate(angles):
         between = (q + shares[None] * (angles[k:, None, :] - q)).reshape(-1, arm.joint_count)

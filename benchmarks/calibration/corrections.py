@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from control.hardware.connect import connect
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 from control.motion.plan import PlannedPath, plan_path
@@ -131,7 +131,7 @@ def circle(arm: Arm = RIGHT) -> PlannedPath:
 
 def _path(arm: Arm, rig: SteppedRig, assembly: Assembly, client: ArmClient) -> Points:
     """Errors (m, 3) of every cycle on the circle."""
-    path, runtime, kinematics = circle(arm), assembly.runtime, Kinematics(arm)
+    path, runtime, kinematics = circle(arm), assembly.runtime, ForwardKinematics(arm)
     client.move_joints(path.q_start_rad, GENTLE)
     client.wait(0.2)
     errors: list[Points] = []

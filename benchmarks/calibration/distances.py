@@ -16,7 +16,7 @@ from calib.arrays import Array, norms
 from calib.boards import best_motion
 from calib.distances.calibrate import DistancePlan, DistancesFound, calibrate_with_distances
 from calib.points.points import Points, make_points
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 
@@ -61,7 +61,7 @@ def recorded(
     rng = np.random.default_rng(seed)
     true = RIGHT.with_dh(RIGHT.dh + rng.uniform(-1.0, 1.0, RIGHT.dh.shape) * SIZES)
     rng = rng if poses_of is None else np.random.default_rng(poses_of)
-    kinematics, q = Kinematics(true), list[Array]()
+    kinematics, q = ForwardKinematics(true), list[Array]()
     device, length = list[str](), list[float]()
 
     def read(name: str, angles: Array, lengths: Array) -> None:
@@ -111,7 +111,7 @@ def calibrated(of: Recorded, **plan: object) -> DistancesFound:
 def over_workspace_m(true: Arm, dh: Array, is_placed: bool = False) -> Array:
     """Errors of 300 tips (300,): after the best rigid motion, unless the devices are placed in the base frame."""
     angles = poses(np.random.default_rng(99), 300)
-    ours, theirs = Kinematics(RIGHT.with_dh(dh)).tips(angles), Kinematics(true).tips(angles)
+    ours, theirs = ForwardKinematics(RIGHT.with_dh(dh)).tips(angles), ForwardKinematics(true).tips(angles)
     return norms((ours if is_placed else best_motion(ours, theirs).of(ours)) - theirs)
 
 

@@ -14,7 +14,7 @@ from benchmarks.peers.peer import Peer, PeerMissing
 from benchmarks.table import BenchRow, compared, seconds_a_call
 from control.dynamics.dynamics import Dynamics
 from control.kinematics.inverse import Branch, InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 
@@ -67,7 +67,7 @@ def _poses() -> list[Pose]:
 
 def _own_work(arm: Arm, poses: Sequence[Pose]) -> dict[str, tuple[Callable[[], object], int]]:
     """The timed work: name -> (work, calls in it)."""
-    nominal, k = Kinematics(load_arm("right")), Kinematics(arm)
+    nominal, k = ForwardKinematics(load_arm("right")), ForwardKinematics(arm)
     inverse, exact = InverseKinematics(arm), InverseKinematics(load_arm("right"))
     targets, exact_targets = [k.tip(*q) for q in poses], [nominal.tip(*q) for q in poses]
     close = [(q1 + 6e-4, q2 - 6e-4, q3) for q1, q2, q3 in poses]  # one 2 ms cycle at 0.3 rad/s
@@ -129,7 +129,7 @@ def _table(own: dict[str, float], theirs: dict[str, float], peer: str) -> list[B
 
 def _task(arm: Arm, poses: Sequence[Pose]) -> dict[str, Any]:
     """The arm and the work in the peer's terms; its descent starts where ours does, at the nominal arm's pose."""
-    k, nominal = Kinematics(arm), InverseKinematics(load_arm("right"))
+    k, nominal = ForwardKinematics(arm), InverseKinematics(load_arm("right"))
     targets = [k.tip(*q) for q in poses]
     rotors = iter([d.gear_ratio**2 * d.rotor_inertia_kg_m2 for d in arm.drives])
     links = [
@@ -155,7 +155,7 @@ def _task(arm: Arm, poses: Sequence[Pose]) -> dict[str, Any]:
 
 def _require_same_answers(arm: Arm, poses: Sequence[Pose], answers: dict[str, Any]) -> None:
     """Check that both compute the same."""
-    k, torques = Kinematics(arm), Dynamics(arm).inverse
+    k, torques = ForwardKinematics(arm), Dynamics(arm).inverse
     same = (
         np.allclose(k.tips(poses), answers["tips_m"], atol=1e-12)
         and np.allclose([torques(q, q, q) for q in poses], answers["torques_Nm"], atol=1e-9)

@@ -15,7 +15,7 @@ from benchmarks.table import BenchRow
 from benchmarks.tip_paths import circle_in_place
 from control.hardware.connect import connect
 from control.kinematics import rotation
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.motion.plan import plan_path
 from control.safety.table import Mode
@@ -70,7 +70,7 @@ def tracking_errors(has_friction: bool) -> tuple[Array, Array]:
         true.clear()
         client.run_path(path.to_message())
         connection.close()
-    poses = PoseKinematics(Kinematics(SIX))
+    poses = PoseKinematics(ForwardKinematics(SIX))
     asked, seen = poses.batch(wanted), poses.batch(true)
     turned = rotation.logarithms(seen.rotation @ np.swapaxes(asked.rotation, 1, 2))
     return np.linalg.norm(seen.position_m - asked.position_m, axis=1), np.linalg.norm(turned, axis=1)

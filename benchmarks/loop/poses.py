@@ -11,7 +11,7 @@ from benchmarks.arms import SEVEN, SIX
 from benchmarks.peers.peer import Peer, PeerMissing
 from benchmarks.table import BenchRow, compared, seconds_a_call
 from benchmarks.tip_paths import circle_in_place
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_kinematics import PoseKinematics, Poses
 from control.kinematics.pose_solver import ACCURACY, Targets, solve, task_of
 from control.motion.plan import plan_path
@@ -24,7 +24,7 @@ LIMIT_us = 40.0
 
 def rows() -> list[BenchRow]:
     """Return the measured rows."""
-    arm = PoseKinematics(Kinematics(SIX))
+    arm = PoseKinematics(ForwardKinematics(SIX))
     path_rad, seeds_rad = _path()
     tip = arm.batch(path_rad)
     peer, name = _peer(path_rad, tip)

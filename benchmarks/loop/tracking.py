@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.loop.jobs import PidMode, circle_path, go_to_start, known_geometry, reference_arm
 from benchmarks.table import BenchRow
 from control.hardware.connect import connect
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.recording.layout import layout_of
 from control.recording.record import Layout, NoSink
@@ -95,6 +95,6 @@ def tip_errors_m(arm: Arm, has_friction: bool, seed: int) -> Points:
         run = client.status()["run"]
         connection.close()
     chosen = np.array(sink.run) == run
-    wanted_m = Kinematics(arm).tips(np.array(sink.q_set_rad)[chosen])
+    wanted_m = ForwardKinematics(arm).tips(np.array(sink.q_set_rad)[chosen])
     error_m: Points = np.array(sink.tip_m)[chosen] - wanted_m
     return error_m

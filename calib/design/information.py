@@ -20,7 +20,7 @@ from calib.design.candidates import Mask, Rows
 from calib.errors import CalibrationError
 from calib.identify.determinability import RANK_TOLERANCE
 from calib.points.points import Points
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import quaternions
 from control.model.arm import Arm
 
@@ -162,7 +162,7 @@ def _rows(
         return problem.parameters, np.array(jacobian) / noise_m
     seen = np.isfinite(poses.tip_m).all(axis=1)
     turned = np.full((len(poses), 4), np.nan)
-    turned[seen] = quaternions(Kinematics(arm).link_transforms(poses.q_rad[seen])[:, -1, :3, :3])
+    turned[seen] = quaternions(ForwardKinematics(arm).link_transforms(poses.q_rad[seen])[:, -1, :3, :3])
     known = dataclasses.replace(choice, orientation_noise_rad=turn_noise_rad)
     whole = PosedProblem(problem_of(arm, dataclasses.replace(poses, orientation=turned), known))
     _, jacobian = whole.residuals_and_jacobian(np.zeros(len(whole.parameters)))

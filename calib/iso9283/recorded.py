@@ -18,7 +18,7 @@ from calib.iso9283.criteria.checks import Iso9283Error
 from calib.points.points import TIP, Points, make_points
 from calib.points.reading import IMPORT
 from control.files import parsed_json, read_text
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
 from control.tables import SAMPLES_MOST, TableColumn, TableFormat, read_table
@@ -149,7 +149,7 @@ def _turned(points: Points, arm: Arm, path: str) -> tuple[Array | None, Array | 
     if not len(seen):
         return None, None
     q_rad, _ = _commanded_rad(points, arm, path)
-    commanded = Kinematics(arm).link_transforms(q_rad[seen])[:, -1, :3, :3]
+    commanded = ForwardKinematics(arm).link_transforms(q_rad[seen])[:, -1, :3, :3]
     measured = matrices(points.orientation[seen])
     target = mean_rotation(np.swapaxes(commanded, 1, 2) @ measured)
     angle = np.full((len(points), 3), np.nan)
@@ -168,7 +168,7 @@ def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
             f" joints, the file {points.joint_count}: add the columns, or give the right --arm"
         )
     q_rad, source = _commanded_rad(points, arm, path)
-    return Kinematics(arm).tips(
+    return ForwardKinematics(arm).tips(
         q_rad
     ), f"commanded positions: forward kinematics of arm {arm.name} at the {source}"
 
@@ -231,7 +231,7 @@ def read_runs(path: Path, arm: Arm, is_as_given: bool = False) -> list[RecordedR
 
     Rows without a set-point, such as during hand guiding, are omitted. `is_as_given`: its units are not doubted.
     """
-    table, kinematics = read_table(path, RUNS, Iso9283Error, arm.joint_count), Kinematics(arm)
+    table, kinematics = read_table(path, RUNS, Iso9283Error, arm.joint_count), ForwardKinematics(arm)
     # with gear or encoder effects in the model, the tip follows joint angles, not encoder angles
     encoders = not ("joint1_rad" in table and "joint1_set_rad" in table)
     q_rad, wanted_rad = (

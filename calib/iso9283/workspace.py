@@ -11,7 +11,7 @@ from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube, point_of
 from control.errors import ArmError
 from control.kinematics.inverse import BRANCHES, InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.checks import LEAST_SINGULAR_M_RAD
 
@@ -143,7 +143,7 @@ def _obstacle(arm: Arm, solver: Solver, cube: TestCube, clearance_m: float) -> s
         q_rad = [solver(point) for point in grid]
     except (ArmError, Iso9283Error) as error:
         return str(error)
-    jacobians = Kinematics(arm).jacobians(q_rad)
+    jacobians = ForwardKinematics(arm).jacobians(q_rad)
     if (
         arm.joint_count >= 3
         and np.linalg.svd(jacobians, compute_uv=False)[:, -1].min() < LEAST_SINGULAR_M_RAD

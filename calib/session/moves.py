@@ -22,7 +22,7 @@ from calib.design.candidates import body_points
 from calib.errors import SessionError
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.table import board_cavities
 from control.tables import TableColumn, TableFormat, read_table
@@ -452,7 +452,7 @@ class _Space:
     """How far the arm is above the floor and the board."""
 
     def __init__(self, arm: Arm, candidates_rad: Array) -> None:
-        self.kinematics = Kinematics(arm)
+        self.kinematics = ForwardKinematics(arm)
         self._lowest_m = max(arm.limits.floor_z_m, _board_top_m(arm)) + CLEARANCE_m
         heights_m = self._heights_m(candidates_rad)
         # An origin that no joint raises or lowers, such as the shoulder, belongs to the stand: it limits no pose.

@@ -26,7 +26,7 @@ from calib.inputs import input_file
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.validation.statistics import Difference, ErrorSummary, difference, mean_half_width, summarise
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model import table as tables
 from control.model.arm import Arm
@@ -151,7 +151,7 @@ def compare_turns(nominal: Arm, calibrated: Arm, points: Points) -> TurnComparis
 
 def _angles_rad(arm: Arm, points: Points) -> Array:
     q = points.q_rad + known_corrections(arm, points)
-    model = Kinematics(arm).link_transforms(q)[:, -1, :3, :3]
+    model = ForwardKinematics(arm).link_transforms(q)[:, -1, :3, :3]
     measured = measuring_frame(arm, points).rotation @ matrices(points.orientation)
     target = mean_rotation(np.swapaxes(model, 1, 2) @ measured)
     return norms(logarithms(measured @ np.swapaxes(model @ target, 1, 2)))
@@ -495,7 +495,7 @@ def _first_of_copies(points: Points) -> list[int]:
 
 def predicted_tips(arm: Arm, points: Points) -> Array:
     """Tips (m, 3) in the base frame from the encoders, with the static effects of the arm's model."""
-    tips = Kinematics(arm).tips(points.q_rad + known_corrections(arm, points))
+    tips = ForwardKinematics(arm).tips(points.q_rad + known_corrections(arm, points))
     bent = known_bending(arm, points.q_rad, points.payload_kg)
     return tips if bent is None else np.asarray(tips + bent.shift)
 

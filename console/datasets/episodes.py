@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from console.visualisation.series import Array, Series
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
 MOTION_MODES: Final = ("MOVING", "JOGGING", "STOPPING", "PAUSED")  # set-points that somebody asked for
@@ -48,7 +48,7 @@ def episodes_of(series: Series, rate_Hz: int) -> Iterator[Episode]:
         raise ArmError(
             f"{series.name}: --fps: expected at most the recorded {1.0 / series.period_s:.6g} Hz, got {rate_Hz}"
         )
-    kinematics = Kinematics(series.arm)
+    kinematics = ForwardKinematics(series.arm)
     groups = (series.joint_rad, series.joint_set_rad, series.current_A)
     is_whole = np.logical_and.reduce([np.isfinite(group).all(axis=1) for group in groups])
     is_moving = _is_moving(series)

@@ -26,7 +26,7 @@ from textual.theme import Theme
 from textual.widget import Widget
 from textual.widgets import RichLog
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
 from control.model.arm import Arm
 from control.motion.jog_limits import reaches_m
@@ -366,7 +366,7 @@ class Skeleton:
     """Corners of an arm in a pose, for drawing."""
 
     def __init__(self, arm: Arm) -> None:
-        self._kinematics = Kinematics(arm)
+        self._kinematics = ForwardKinematics(arm)
         # The frame whose z axis a joint turns about: the previous link's, or its own (Craig's convention).
         own = 1 if arm.dh_convention == "modified" else 0
         self._frames = [number + own for number, turns in enumerate(arm.joints) if turns]

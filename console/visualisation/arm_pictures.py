@@ -88,14 +88,14 @@ def _loglog(axes: Axes, frequency: Array, density: Array, style: dict[str, Any])
 
 def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
     """Top and side view of the tip: commanded, by the model, by the camera; the camera's distance over time."""
-    from control.kinematics.kinematics import Kinematics
+    from control.kinematics.kinematics import ForwardKinematics
 
     grid = figure.add_gridspec(2, 2, height_ratios=[1.7, 1])
     figure.subplots_adjust(left=0.075, right=0.985, top=0.9, bottom=0.09, hspace=0.3, wspace=0.2)
     if series.arm is None:
         return
     step = max(1, len(series) // PATH_POINTS)
-    kinematics = Kinematics(series.arm)
+    kinematics = ForwardKinematics(series.arm)
     placed = np.where(series.is_placed[:, None], 1.0, np.nan)
     paths = [
         tips_of(kinematics, (placed * angles)[::step]) for angles in (series.joint_rad, series.joint_set_rad)

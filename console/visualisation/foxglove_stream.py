@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.recording import mcap_scene as scene
 from control.recording.mcap_events import ERROR as ERROR_LEVEL
@@ -98,7 +98,7 @@ class LiveMessages:
     """Statuses as messages of the topics of `schemas_of`. What is not known is omitted, because JSON has no NaN."""
 
     def __init__(self, arm: Arm) -> None:
-        self._arm, self._kinematics = arm, Kinematics(arm)
+        self._arm, self._kinematics = arm, ForwardKinematics(arm)
         self._events, self._faults = CycleChanges(MODES), frozenset[str]()
         self._shapes_s = -math.inf
 
@@ -120,7 +120,7 @@ class LiveMessages:
     def _wear(self, tool: str) -> None:
         if tool and tool != self._arm.tool.name:
             self._arm = self._arm.with_tool(tool)
-            self._kinematics, self._shapes_s = Kinematics(self._arm), -math.inf
+            self._kinematics, self._shapes_s = ForwardKinematics(self._arm), -math.inf
 
     def _happened(self, status: Message, time_ns: int) -> Iterator[tuple[str, Message]]:
         """Changes of mode, runs, missed deadlines, new faults."""

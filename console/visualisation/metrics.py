@@ -103,7 +103,7 @@ def tip_error_m(series: Series) -> Array:
 
     NaN if either is unknown, or the arm is not homed.
     """
-    from control.kinematics.kinematics import Kinematics
+    from control.kinematics.kinematics import ForwardKinematics
 
     distance = np.full(len(series), np.nan)
     if series.arm is None:
@@ -111,7 +111,7 @@ def tip_error_m(series: Series) -> Array:
     is_known = np.isfinite(series.tip_m).all(axis=1) & np.isfinite(series.joint_rad).all(axis=1)
     rows = np.flatnonzero(is_known & series.is_placed)
     if len(rows):
-        modelled = Kinematics(series.arm).tips(series.joint_rad[rows])
+        modelled = ForwardKinematics(series.arm).tips(series.joint_rad[rows])
         distance[rows] = np.linalg.norm(series.tip_m[rows] - modelled, axis=1)
     return distance
 

@@ -16,7 +16,7 @@ from console.visualisation.snapshots import Snapshot, snapshot_at
 from console.visualisation.traces import Traces
 from control.errors import ArmError
 from control.files import make_whole
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell
 
@@ -80,7 +80,7 @@ class _LinePainter:
     """Draws links as lines by matplotlib."""
 
     def __init__(self, arm: Arm) -> None:
-        self._kinematics = Kinematics(arm)
+        self._kinematics = ForwardKinematics(arm)
 
     def __call__(self, snapshot: Snapshot, traces: Traces) -> Image:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -10,7 +10,7 @@ from typing import Any, Final
 from console.visualisation.series import Array
 from console.visualisation.snapshots import Snapshot
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
 TIMELINE: Final = "arm"
@@ -29,7 +29,7 @@ def stream(arm: Arm, snapshots: Iterator[Snapshot], file: Path | None) -> int:
             raise ArmError(f"{file} exists already and is never overwritten: choose another file")
         rerun.save(file)
     rerun.log("arm", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    kinematics, count = Kinematics(arm), 0
+    kinematics, count = ForwardKinematics(arm), 0
     for snapshot in snapshots:
         rerun.set_time(TIMELINE, duration=snapshot.t_s)
         _log(rerun, kinematics, snapshot)
@@ -46,7 +46,7 @@ def _rerun() -> Any:
         ) from error
 
 
-def _log(rerun: Any, kinematics: Kinematics, snapshot: Snapshot) -> None:
+def _log(rerun: Any, kinematics: ForwardKinematics, snapshot: Snapshot) -> None:
     for number, (angle, wanted) in enumerate(zip(snapshot.q_rad, snapshot.q_set_rad, strict=True), start=1):
         rerun.log(f"joint{number}/q_rad", rerun.Scalars(angle))
         rerun.log(f"joint{number}/q_set_rad", rerun.Scalars(wanted))
@@ -64,6 +64,6 @@ def _log(rerun: Any, kinematics: Kinematics, snapshot: Snapshot) -> None:
         rerun.log("arm/camera", rerun.Points3D([snapshot.camera_m], colors=[CAMERA], radii=[0.008]))
 
 
-def _points_m(kinematics: Kinematics, q_rad: Sequence[float]) -> list[Array]:
+def _points_m(kinematics: ForwardKinematics, q_rad: Sequence[float]) -> list[Array]:
     """Origins of the link frames and the tip."""
     return [*kinematics.link_transforms([q_rad])[0][:, :3, 3], kinematics.tips([q_rad])[0]]

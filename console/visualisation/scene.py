@@ -16,7 +16,7 @@ import numpy as np
 from calib.export import export_text
 from console.visualisation.series import Array
 from console.visualisation.traces import TipOfArm, TipsOf, TipsOfCell, Traces
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.model.table import cavities
@@ -125,7 +125,7 @@ class ArmScene(Scene):
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
-        self.kinematics = Kinematics(arm)
+        self.kinematics = ForwardKinematics(arm)
         view = view_of([((0.0, 0.0, 0.0), _reach_m(arm))])
         super().__init__(_spec(arm), [("", arm.joint_count)], TipOfArm(self.kinematics), view)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from console.visualisation.series import Array, Series
 from console.visualisation.snapshots import Snapshot
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell
 
@@ -40,7 +40,7 @@ def traces_of(series: Series, tips: TipsOf) -> Traces:
     )
 
 
-def tips_of(kinematics: Kinematics, angles_rad: Array) -> Array:
+def tips_of(kinematics: ForwardKinematics, angles_rad: Array) -> Array:
     """Tips (m, 3) of angles (m, n); NaN where an angle is NaN."""
     found = np.full((len(angles_rad), 3), np.nan)
     rows = np.isfinite(angles_rad).all(axis=1)
@@ -58,7 +58,7 @@ class TipsOf(Protocol):
 class TipOfArm:
     """The tip of one arm in its base frame."""
 
-    def __init__(self, kinematics: Kinematics) -> None:
+    def __init__(self, kinematics: ForwardKinematics) -> None:
         self._kinematics = kinematics
 
     def __call__(self, angles_rad: Angles) -> Array:
@@ -70,7 +70,7 @@ class TipsOfCell:
     """The tips of all arms in the frame of the cell; joint angles arm after arm, NaN where an arm is not homed."""
 
     def __init__(self, cell: Cell) -> None:
-        self._arms = [(placed, Kinematics(placed.arm)) for placed in cell.arms]
+        self._arms = [(placed, ForwardKinematics(placed.arm)) for placed in cell.arms]
 
     def __call__(self, angles_rad: Angles) -> Array:
         """Tips (arms, m, 3)."""
@@ -84,7 +84,7 @@ class TipsOfCell:
 
 def tips_in(shown: Arm | Cell) -> TipsOf:
     """Of an arm, or of the arms of a cell."""
-    return TipsOfCell(shown) if isinstance(shown, Cell) else TipOfArm(Kinematics(shown))
+    return TipsOfCell(shown) if isinstance(shown, Cell) else TipOfArm(ForwardKinematics(shown))
 
 
 class TipPath:

@@ -16,7 +16,7 @@ import numpy as np
 from control.errors import ArmError, MissingModel, NearSingular, OutOfReach
 from control.kinematics import inverse_errors as errors
 from control.kinematics.joint_range import JointRange, travel_rad, turned_toward
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.newton import ACCURACY_M, Newton
 from control.kinematics.numeric_inverse import Descent, can_move_freely, descend, seeds
 from control.kinematics.planar_inverse import BRANCHES, Branch, PlanarInverse, planar_inverse
@@ -52,7 +52,7 @@ class InverseKinematics:
         shoulder_margin_m: float = 0.01,
         singular_margin_m: float = 0.005,
     ) -> None:
-        self.kinematics = Kinematics(arm)
+        self.kinematics = ForwardKinematics(arm)
         self._name = arm.name
         self._range = JointRange(arm)
         self._rest = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count

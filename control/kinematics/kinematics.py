@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]
 
 
-class Kinematics:
+class ForwardKinematics:
     """Forward kinematics of an arm's tip. Lengths in m, angles in rad, everything in the base frame. Equal where the numbers are.
 
     Args:
@@ -51,7 +51,7 @@ class Kinematics:
         self.joint_count = sum(self.joints)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Kinematics) and self._numbers == other._numbers
+        return isinstance(other, ForwardKinematics) and self._numbers == other._numbers
 
     def __hash__(self) -> int:
         return hash(self._numbers)

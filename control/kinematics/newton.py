@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.straight_line import KEPT, compile_function, derivative
 from control.kinematics.tracing import Graph
 
@@ -17,7 +17,7 @@ Joints = tuple[float, float, float]
 class Newton:
     """Joint angles to 1e-9 m from a nearby pose of one arm."""
 
-    def __init__(self, kinematics: Kinematics) -> None:
+    def __init__(self, kinematics: ForwardKinematics) -> None:
         self._step = _compiled_step(kinematics)
         self._tip = kinematics.tip
 
@@ -42,7 +42,7 @@ class Newton:
 
 
 @lru_cache(maxsize=KEPT)
-def _compiled_step(kinematics: Kinematics) -> Callable[..., tuple[float, float, float, float]]:
+def _compiled_step(kinematics: ForwardKinematics) -> Callable[..., tuple[float, float, float, float]]:
     """Return `step(q1, q2, q3, x, y, z) -> (q1, q2, q3, squared error before the step)`."""
     graph = Graph()
     q = [graph.variable(f"q{i}") for i in (1, 2, 3)]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.newton import ACCURACY_M
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Descent:
     distance_m: float
 
 
-def can_move_freely(kinematics: Kinematics) -> bool:
+def can_move_freely(kinematics: ForwardKinematics) -> bool:
     """Whether the joints move the tip in three directions in some pose."""
     n = kinematics.joint_count
     probes = np.random.default_rng(0).uniform(-np.pi, np.pi, (PROBES, n)).tolist()
@@ -39,7 +39,9 @@ def can_move_freely(kinematics: Kinematics) -> bool:
     return n >= 3 and float(np.linalg.svd(rows, compute_uv=False)[:, -1].max()) > RANK_M
 
 
-def descend(kinematics: Kinematics, point: Sequence[float], start: Sequence[float], limits: Array) -> Descent:
+def descend(
+    kinematics: ForwardKinematics, point: Sequence[float], start: Sequence[float], limits: Array
+) -> Descent:
     """Return the result of one descent to a tip position from `start` within limits (n, 2)."""
     target = np.asarray(point, dtype=np.float64)
 

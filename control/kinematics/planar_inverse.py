@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.straight_line import compile_function
 from control.kinematics.tracing import Graph, Scalar, acos, atan2, cos, sin, sqrt
 
@@ -67,7 +67,7 @@ class SingularityMargins(NamedTuple):
     elbow_rad: float
 
 
-def planar_inverse(kinematics: Kinematics) -> "PlanarInverse | None":
+def planar_inverse(kinematics: ForwardKinematics) -> "PlanarInverse | None":
     """Return the closed form of the nearest ideal structure, or None if the arm's structure is different."""
     if kinematics.joint_count != 3:
         return None
@@ -199,7 +199,7 @@ class Axes:
     facing: Array
 
 
-def _axes_at_zero(kinematics: Kinematics) -> Axes:
+def _axes_at_zero(kinematics: ForwardKinematics) -> Axes:
     frames = kinematics.link_transforms(np.zeros((1, kinematics.joint_count)))[0]
     ahead = (
         0 if kinematics.convention == "standard" else 1

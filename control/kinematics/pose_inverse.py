@@ -13,7 +13,7 @@ from control.errors import NearSingular, OutOfReach
 from control.kinematics import inverse_errors as problems
 from control.kinematics import rotation as rotations
 from control.kinematics.joint_range import JointRange, travel_rad
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.numeric_inverse import Array, descended, seeds
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.pose_solver import (
@@ -64,7 +64,7 @@ class PoseInverse:
     """Joint angles for tip poses of one arm. Errors name the target and by how much it is missed."""
 
     def __init__(self, arm: Arm, kinematics: PoseKinematics | None = None) -> None:
-        self.kinematics = kinematics or PoseKinematics(Kinematics(arm))
+        self.kinematics = kinematics or PoseKinematics(ForwardKinematics(arm))
         self._name = arm.name
         self._range = JointRange(arm)
         self._limits = np.array(arm.limits_rad)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.kinematics import chain
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.straight_line import compile_function, derivative, shared
 from control.kinematics.tracing import Graph, Scalar
 from control.model.arm import Vector3
@@ -32,7 +32,7 @@ class Poses(NamedTuple):
 class PoseKinematics:
     """Forward kinematics of an arm's tip with its orientation, which is that of the last link frame."""
 
-    def __init__(self, kinematics: Kinematics) -> None:
+    def __init__(self, kinematics: ForwardKinematics) -> None:
         self.kinematics = kinematics
         self.joint_count = kinematics.joint_count
 

@@ -13,7 +13,7 @@ from control.hardware.interface import Hardware
 from control.hardware.measurement import Measurement
 from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.loop.cross_checks import CrossChecks, IndexWatch, MotorCountWatch, SwitchWatch
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
@@ -36,7 +36,7 @@ class ToolParts:
     """The parts that depend on where the tip is, with one of the arm's tools on."""
 
     tool: Tool
-    kinematics: Kinematics
+    kinematics: ForwardKinematics
     inverse: InverseKinematics
     guard: Guard
     jogging: Callable[[bool], Jogging]  # of an arm that is homed; of one that is not

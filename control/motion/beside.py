@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.cell import Cell
 from control.motion.pace import Stretched
 from control.motion.plan import PlannedPath, plan_in_time
@@ -83,7 +83,7 @@ def _sum(
 ) -> CartesianSpline:
     """The tip in this arm's base frame: cubics through place and speed at each time."""
     own, beside = cell.placed(name), cell.placed(other)
-    jacobian_at = Kinematics(beside.arm).tip_jacobian
+    jacobian_at = ForwardKinematics(beside.arm).tip_jacobian
     turn = np.array(own.rotation).T
     across = turn @ np.array(beside.rotation)
     points: list[Vector] = []

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.kinematics.corners import Corners
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
 from control.model.arm import Arm, Limits
 from control.motion.errors import PathError
@@ -88,7 +88,7 @@ def check_poses(
 
 def check_clearance(
     arm: Arm,
-    kinematics: Kinematics,
+    kinematics: ForwardKinematics,
     setup: str,
     waypoints: Waypoints,
     times_s: Sequence[float],

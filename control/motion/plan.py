@@ -17,7 +17,7 @@ import numpy as np
 
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_inverse import PoseInverse
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.model.arm import Arm
@@ -81,7 +81,7 @@ class PlannedPath:
         """Joint angles at the first way-point, where the approach ends."""
         return self.q_waypoints_rad[0]
 
-    def motion(self, inverse: InverseKinematics, kinematics: Kinematics) -> Motion:
+    def motion(self, inverse: InverseKinematics, kinematics: ForwardKinematics) -> Motion:
         """The motion for the loop."""
         if self.joints is not None:
             return self.joints
@@ -125,7 +125,7 @@ def plan_path(
     setup: str = "normal",
     pace_m_s: float = DEFAULT_PACE_M_S,
     inverse: InverseKinematics | None = None,
-    kinematics: Kinematics | None = None,
+    kinematics: ForwardKinematics | None = None,
 ) -> PlannedPath:
     """Plan the path through `waypoints` (m, 3) [m] in the base frame.
 
@@ -153,7 +153,7 @@ def plan_paths(
     waypoints: Waypoints | Sequence[Sequence[float]],
     *,
     inverse: InverseKinematics | None = None,
-    kinematics: Kinematics | None = None,
+    kinematics: ForwardKinematics | None = None,
 ) -> Iterator[PlannedPath]:
     """A plan from each start that can be run, on each branch of an arm that has some; the first is that of `plan_path`.
 
@@ -185,7 +185,7 @@ def _prepared(
     setup: str,
     pace_m_s: float,
     inverse: InverseKinematics | None,
-    kinematics: Kinematics | None,
+    kinematics: ForwardKinematics | None,
 ) -> tuple["_Planner", TimedWaypoints, Iterator[PathStart]]:
     """What plans the path, its times, and the starts to try, the nearest first."""
     named = (
@@ -194,7 +194,7 @@ def _prepared(
     turns = turns_rad(named.orientations) if named.orientations is not None else ()
     asked = named.speeds_m_s if speeds is None else speeds
     recipe = timed(named.points, asked, pace_m_s=pace_m_s, turns_rad=turns)
-    kinematics = kinematics or Kinematics(arm)
+    kinematics = kinematics or ForwardKinematics(arm)
     follower = _follower(arm, named, inverse, kinematics)
     rest = arm.rest.q_rad if arm.rest else (0.0,) * arm.joint_count
     starts = islice(follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS)
@@ -213,7 +213,7 @@ def _first(planner: "_Planner", recipe: TimedWaypoints, starts: Iterable[PathSta
 
 
 def _follower(
-    arm: Arm, waypoints: Waypoints, inverse: InverseKinematics | None, kinematics: Kinematics
+    arm: Arm, waypoints: Waypoints, inverse: InverseKinematics | None, kinematics: ForwardKinematics
 ) -> Follower:
     """Positions of three joints have branches or scalar solutions; everything else follows a posture."""
     if arm.joint_count == 3 and waypoints.orientations is None:
@@ -228,7 +228,7 @@ class _Planner:
     """Tries the path of one arm through one set of way-points on a branch."""
 
     def __init__(
-        self, arm: Arm, kinematics: Kinematics, follower: Follower, waypoints: Waypoints, setup: str
+        self, arm: Arm, kinematics: ForwardKinematics, follower: Follower, waypoints: Waypoints, setup: str
     ) -> None:
         self._arm, self._kinematics, self._follower = arm, kinematics, follower
         self._waypoints, self._setup = waypoints, setup
@@ -339,7 +339,7 @@ def plan_in_time(
         ArmError: as `plan_path`.
     """
     points = tuple(spline.at(time_s)[0] for time_s in spline.times_s)
-    waypoints, kinematics = Waypoints(points, None, tuple(names)), Kinematics(arm)
+    waypoints, kinematics = Waypoints(points, None, tuple(names)), ForwardKinematics(arm)
     lengths_m = tuple(math.dist(a, b) for a, b in pairwise(points))
     still = (0.0,) * len(points)
     recipe = TimedWaypoints(points, points, lengths_m, still, still[1:], False)

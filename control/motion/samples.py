@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.motion.spline import CartesianSpline
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ def sample_tip(spline: CartesianSpline, rate_Hz: float, least: int) -> TipSample
     )
 
 
-def solve_joints(kinematics: Kinematics, tip: TipSamples, seeds_rad: Array) -> JointSamples:
+def solve_joints(kinematics: ForwardKinematics, tip: TipSamples, seeds_rad: Array) -> JointSamples:
     """Joint samples by Newton from seeds (m, 3), which must be on the branch and near."""
     q = seeds_rad.copy()
     for _ in range(_NEWTON_STEPS):
@@ -116,7 +116,7 @@ def _solved(matrices: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(matrices, right[:, :, None])[:, :, 0], dtype=np.float64)
 
 
-def _bias(kinematics: Kinematics, q: Array, speed: Array) -> Array:
+def _bias(kinematics: ForwardKinematics, q: Array, speed: Array) -> Array:
     """Jdot qd (m, 3) by a central difference of J along qd: 1e-9 relative, enough for a limit."""
     step = 1e-5 / np.maximum(np.abs(speed).max(axis=1, keepdims=True), 1e-9)
     change = kinematics.jacobians(q + step * speed) - kinematics.jacobians(q - step * speed)

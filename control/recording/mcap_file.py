@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, Final
 import msgspec
 
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.model.description import parse_arm
@@ -143,7 +143,7 @@ class _Export:
         self._next_scene_s = -math.inf
         self._events = CycleChanges(recording.modes)
         self._channels = self._registered(layout.joint_count)
-        self._kinematics = Kinematics(arm) if arm else None
+        self._kinematics = ForwardKinematics(arm) if arm else None
         self._paths = _commanded_paths(recording, self._columns, self._kinematics) if self._kinematics else {}
 
     def _registered(self, joint_count: int) -> dict[str, int]:
@@ -263,7 +263,7 @@ class _Export:
 
 
 def _commanded_paths(
-    recording: Recording, columns: _Columns, kinematics: Kinematics
+    recording: Recording, columns: _Columns, kinematics: ForwardKinematics
 ) -> dict[int, Sequence[Point]]:
     """Commanded tip path of every run [m], thinned to what a line needs."""
     at, group = columns.place, columns.joints("joint{}_set_rad", "q{}_set_rad")
@@ -279,7 +279,7 @@ def _commanded_paths(
     return {run: _tips(kinematics, angles) for run, angles in sets.items()}
 
 
-def _tips(kinematics: Kinematics, angles: array[float]) -> Sequence[Point]:
+def _tips(kinematics: ForwardKinematics, angles: array[float]) -> Sequence[Point]:
     n = kinematics.joint_count
     poses = [angles[k : k + n].tolist() for k in range(0, len(angles), n)]
     step = -(-len(poses) // PATH_POINTS_MOST)

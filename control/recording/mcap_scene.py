@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Link
 from control.model.cell import Placed
 
@@ -82,7 +82,11 @@ def pose_in_base(position_m: Point, time_ns: int) -> Message:
 
 
 def posed(
-    arm: Arm, kinematics: Kinematics, joint_rad: Sequence[float], joint_set_rad: Sequence[float], time_ns: int
+    arm: Arm,
+    kinematics: ForwardKinematics,
+    joint_rad: Sequence[float],
+    joint_set_rad: Sequence[float],
+    time_ns: int,
 ) -> Iterator[tuple[str, Message]]:
     """Topic and message of the frames and tips of both arms, as far as their angles are known."""
     frames = []

@@ -19,7 +19,7 @@ from control.hardware.interface import Hardware, OutputMode
 from control.hardware.measurement import Measurement
 from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.loop.cell import CellRuntime
 from control.loop.cross_checks import (
     CrossCheckLimits,
@@ -177,7 +177,7 @@ def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:
     inverse.prepare()
     return ToolParts(
         tool=arm.tool,
-        kinematics=Kinematics(arm),
+        kinematics=ForwardKinematics(arm),
         inverse=inverse,
         guard=guard,
         jogging=lambda is_homed: Jogging(jog_limits, inverse, guard if is_homed else None),

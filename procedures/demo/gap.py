@@ -20,7 +20,7 @@ from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
 from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
 from calib.validation.verify import Comparison, TrackPair
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
 from control.model.arm import Arm
 from control.progress import Advance
@@ -161,7 +161,7 @@ def programme_of(arm: Arm) -> Programme:
     room = collision_free_box(arm).inset(INSIDE_rad)
     poses = spread_poses((room.lower_rad, room.upper_rad), 4 * PLACES)[PLACES:]
     poses[:, 0] = np.clip(poses[:, 0], -TURN_rad, TURN_rad)
-    tips = Kinematics(arm).tips(poses)
+    tips = ForwardKinematics(arm).tips(poses)
     model = Model(arm)
     found: list[Place] = []
     for pose, tip in zip(poses, tips.tolist(), strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.arrays import Array
 from control.dynamics.static_pose import gravity_Nm
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
 from control.model.arm import Arm, Table, Vector3
 
@@ -57,7 +57,7 @@ def free_poses(arm: Arm, seed: int = 0) -> Array:
     middle, half = 0.5 * (lower + upper), 0.5 * SHARE_OF_RANGE * (upper - lower)
     half[0] = min(half[0], YAW_rad)
     q = np.random.default_rng(seed).uniform(middle - half, middle + half, (CANDIDATES, arm.joint_count))
-    q = q[Kinematics(arm).tips(q)[:, 2] > FREE_HEIGHT_m]
+    q = q[ForwardKinematics(arm).tips(q)[:, 2] > FREE_HEIGHT_m]
     gravity = gravity_Nm(arm, q)
     scale = np.maximum(TURNING * np.abs(gravity).max(axis=0), 1e-6)
     turning = np.clip(gravity / scale, -1.0, 1.0)

@@ -34,7 +34,7 @@ from calib.vision.poses import CORNERS_LEAST, CameraPictures, PoseSet, measure_p
 from calib.vision.sightings import look_for
 from calib.vision.targets import Charuco
 from control.files import write_whole
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from control.model.description import save_arm
 from control.progress import Advance
@@ -209,7 +209,9 @@ def _over_workspace(
     true = np.array([pictured.last_link(pose).then(pictured.last_T_target).position_m for pose in q.tolist()])
     x, y, z = BOARD_OFF_m.tolist()
     mounted = dataclasses.replace(nominal, tool=Tool(position_m=(x, y, z)))
-    return _fitted(Kinematics(mounted).tips(q), true), _fitted(Kinematics(calibrated).tips(q), true)
+    return _fitted(ForwardKinematics(mounted).tips(q), true), _fitted(
+        ForwardKinematics(calibrated).tips(q), true
+    )
 
 
 def _fitted(predicted: Array, true: Array) -> Array:

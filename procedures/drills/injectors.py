@@ -11,7 +11,7 @@ from unittest.mock import patch
 import msgspec
 
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.motion.plan import plan_path
 from control.server.messages import asked
 from firmware_iface.link import FrameLink
@@ -239,7 +239,7 @@ def unplanned(goals: Sequence[Sequence[float]]) -> Inject:
 
     def inject(played: Stage) -> None:
         q_rad = played.client.status()["joint_rad"]
-        start = Kinematics(played.arm).tip(*q_rad)
+        start = ForwardKinematics(played.arm).tip(*q_rad)
         for goal in goals:
             with suppress(ArmError):
                 plan_path(played.arm, [start, goal], 0.2, q_near_rad=q_rad)

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.cell import Cell, cell_of_one, load_cell
 from control.model.description import load_arm
 from control.safety.body import ArmBody, pairs_between
@@ -218,7 +218,7 @@ def guided_into(played: PairStage) -> None:
     """A hand takes the right arm to the middle, and lets go when the runtime has stopped the left one."""
     placed, hand = played.bench.standing.placed("right"), played.bench.hand("right")
     played.bench.clients["right"].guide(True)
-    hand.seat(Kinematics(placed.arm).tip(*ACROSS_rad["right"]))
+    hand.seat(ForwardKinematics(placed.arm).tip(*ACROSS_rad["right"]))
 
     def let_go() -> None:
         if played.found:

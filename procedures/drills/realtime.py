@@ -10,7 +10,7 @@ from pathlib import Path
 
 from control.errors import ArmError
 from control.hardware.connect import connect
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from control.recording.reading import RecordError, Recording
 from control.server.channel import RuntimeGone
@@ -66,7 +66,7 @@ class RealTimeDrill(Promise):
             time.sleep(LOOK_S)
         if not found:
             found, message = self._found(client)
-        tips = Kinematics(arm)
+        tips = ForwardKinematics(arm)
         shares = [k / SECTIONS for k in range(SECTIONS + 1)]  # a joint move is a straight line of the joints
         asked = [
             tips.tip(*(a + share * (b - a) for a, b in zip(start, TO_rad, strict=True))) for share in shares

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, Mask
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
 MEAN_s = 1e-3  # over which a board averages a current, before the command that it answers
@@ -155,7 +155,9 @@ def tips_at_rows(arm: Arm, at: Array, frames: Frames) -> Array:
     near = np.abs(ahead_s) <= 1.01 * half_s
     if not near.any():
         return tips
-    moving = np.einsum("mij,mj->mi", Kinematics(arm).jacobians(frames.q_rad[near]), frames.speed_rad_s[near])
+    moving = np.einsum(
+        "mij,mj->mi", ForwardKinematics(arm).jacobians(frames.q_rad[near]), frames.speed_rad_s[near]
+    )
     tips[row[near]] = frames.tip_m[near] + ahead_s[near, None] * moving
     return tips
 
@@ -251,7 +253,7 @@ def _camera_age_s(arm: Arm, runs: Sequence[Raw], clocks: Sequence[BoardClock]) -
     """Age of the camera frames; NaN if there are too few."""
     if sum(int(_sees(raw).sum()) for raw in runs) < LEAST_ROWS:
         return math.nan
-    kinematics, age = Kinematics(arm), 0.0
+    kinematics, age = ForwardKinematics(arm), 0.0
     for _ in range(ROUNDS):
         value, design = _camera_rows(kinematics, runs, clocks, age)
         found, *_ = np.linalg.lstsq(design, value, rcond=None)
@@ -260,7 +262,7 @@ def _camera_age_s(arm: Arm, runs: Sequence[Raw], clocks: Sequence[BoardClock]) -
 
 
 def _camera_rows(
-    kinematics: Kinematics, runs: Sequence[Raw], clocks: Sequence[BoardClock], age_s: float
+    kinematics: ForwardKinematics, runs: Sequence[Raw], clocks: Sequence[BoardClock], age_s: float
 ) -> tuple[Array, Array]:
     """Measured minus modelled tips, and the regressors, additional age first."""
     values, columns = [], []

@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import Array
 from control.dynamics.dynamics import Dynamics
 from control.kinematics.chain import link_transforms
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
 POSES: Final = 3000
@@ -29,7 +29,7 @@ def rest_pose(arm: Arm, ranges: Sequence[tuple[float, float]], above_z_m: float)
     rounded = np.round(q / STEP_rad) * STEP_rad
     q = np.where((rounded > low) & (rounded < high), rounded, q)
     frames = link_transforms(arm.dh, q, arm.joints, arm.dh_convention)
-    tips = Kinematics(arm).tips(q)
+    tips = ForwardKinematics(arm).tips(q)
     lowest = np.minimum(frames[:, 1 + _second(arm) :, 2, 3].min(axis=1), tips[:, 2])
     reach = float(np.linalg.norm(tips, axis=1).max())
     conditioning = _conditioning(arm, q)
@@ -49,7 +49,7 @@ def _second(arm: Arm) -> int:
 def _conditioning(arm: Arm, q: Array) -> Array:
     """Smallest singular value of the tip's Jacobian, in m: 0 stretched and in other singular poses."""
     rank = min(3, arm.joint_count)
-    values = np.linalg.svd(Kinematics(arm).jacobians(q), compute_uv=False)
+    values = np.linalg.svd(ForwardKinematics(arm).jacobians(q), compute_uv=False)
     return np.asarray(values[:, rank - 1], dtype=np.float64)
 
 

@@ -12,7 +12,7 @@ from calib.closed_chain.room import Poses, SharedRoom
 from calib.closed_chain.watch import ContactWatch
 from calib.session.moves import ArmGeometry
 from calib.session.plan import Target
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.cell import Cell
 from control.server.client import ArmClient
 from procedures.mock import CellBench
@@ -57,7 +57,7 @@ class MockPairHand:
     def __init__(self, cell: Cell, names: Names, bench: CellBench) -> None:
         self._names, self._standing = names, bench.standing
         self._placed = [cell.placed(name) for name in names]
-        self._models = [Kinematics(placed.arm) for placed in self._placed]
+        self._models = [ForwardKinematics(placed.arm) for placed in self._placed]
         self._ports = [RuntimePort(bench.clients[name]) for name in names]
         self._hands = [HandPort(bench.hand(name), bench.wait) for name in names]
 

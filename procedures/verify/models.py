@@ -12,7 +12,7 @@ from calib.arm_problem.frames import Frame
 from control.dynamics.joint_side import SIDE_EFFECTS
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Vector3
 from control.model.description import arm_names, load_arm
 from control.model.fingerprint import fingerprint
@@ -27,7 +27,7 @@ class Model:
         self.frame: Frame = base_frame_of(arm)
 
     @cached_property
-    def kinematics(self) -> Kinematics:
+    def kinematics(self) -> ForwardKinematics:
         """Forward kinematics of this model."""
         return self.inverse.kinematics
 

@@ -16,7 +16,7 @@ from calib.session.folder import SessionFolder
 from calib.studies.chunks import ChunkStore
 from calib.vision.lens import NAMES
 from calib.vision.opencv import png_of
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from control.recording.export import to_mcap
 from control.recording.reading import Recording
@@ -75,7 +75,7 @@ RUN_FORMS = ("q{}_rad", "q{}_set_rad", "i{}_A", "u{}_V", "counted{}_s")
 RUN = ",".join(
     ["t_s", *(form.format(j) for form in RUN_FORMS for j in (1, 2, 3)), "x_m,y_m,z_m,payload_kg\n"]
 )
-TIP = ",".join(map(str, Kinematics(load_arm("right")).tip(0.1, 0.1, 0.1)))
+TIP = ",".join(map(str, ForwardKinematics(load_arm("right")).tip(0.1, 0.1, 0.1)))
 SCENARIO = 'name = "x"\nseed = 3\n[start]\nhomed = true\n'
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from tests.journeys.truth import true_arm
 
@@ -26,7 +26,7 @@ def main(built: str, file: str, count: str, seed: str, scenario: str) -> None:
         q_rad = 0.5 * (lower + upper) + 0.35 * (upper - lower) * random.uniform(
             -1.0, 1.0, (int(count), arm.joint_count)
         )
-        tips_m = Kinematics(true_arm(arm, scenario)).tips(q_rad)
+        tips_m = ForwardKinematics(true_arm(arm, scenario)).tips(q_rad)
         lengths_m = np.linalg.norm(tips_m - at_m, axis=1) + random.normal(0.0, NOISE_m, int(count))
         for k, (q, length_m) in enumerate(zip(q_rad.tolist(), lengths_m, strict=True), 1):
             angles = ",".join(f"{angle:.6f}" for angle in q)

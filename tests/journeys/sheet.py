@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from tests.journeys.truth import true_arm
 
@@ -19,7 +19,9 @@ def main(built: str, file: str, count: str, seed: str) -> None:
     q_rad = random.uniform(
         lower + (upper - lower) / 6.0, upper - (upper - lower) / 6.0, (int(count), arm.joint_count)
     )
-    tips_m = Kinematics(true_arm(arm, "demo")).tips(q_rad) + random.normal(0.0, NOISE_m, (int(count), 3))
+    tips_m = ForwardKinematics(true_arm(arm, "demo")).tips(q_rad) + random.normal(
+        0.0, NOISE_m, (int(count), 3)
+    )
     names = [
         "Stelle",
         *(f"Achse {j} [°]" for j in range(1, arm.joint_count + 1)),

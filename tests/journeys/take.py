@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.capture.motion import after_leaps, begins_s
 from calib.gap.log import read_log
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from tests.calib.capture.recordings import (
     SYSTEM,
@@ -37,7 +37,7 @@ def main(built: str, log: str, take: str, scenario: str) -> None:
     tau_s = np.arange(round((t_s[-1] - begun_s - 1.0) * CAPTURE_Hz)) / CAPTURE_Hz
     seen_rad = np.column_stack([np.interp(begun_s + tau_s, t_s, q_rad[:, j]) for j in range(arm.joint_count)])
     true = true_arm(arm, scenario)
-    links = Kinematics(true).link_transforms(seen_rad)
+    links = ForwardKinematics(true).link_transforms(seen_rad)
     last, turn = links[:, -1, :3, 3], links[:, -1, :3, :3]
     at = np.add(arm.tool.position_m, (0.03, 0.02, 0.05))
     markers = np.stack([SYSTEM.apply(last + turn @ (at + marker)) + SYSTEM_m for marker in MARKERS_m])

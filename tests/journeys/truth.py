@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from control.model.description import load_arm
 from hil_mocks.scenario import load_scenario
@@ -49,9 +49,9 @@ def main() -> int:
     lower, upper = np.array(built.limits_rad).T
     middle, half = (lower + upper) / 2.0, (upper - lower) / 2.0
     q_rad = middle + 0.5 * half * np.random.default_rng(3).uniform(-1.0, 1.0, (300, built.joint_count))
-    true_m = Kinematics(true_arm(built, given.scenario)).tips(q_rad)
+    true_m = ForwardKinematics(true_arm(built, given.scenario)).tips(q_rad)
     off_mm = [
-        1e3 * distance_m(Kinematics(arm).tips(q_rad), true_m, given.any_place)
+        1e3 * distance_m(ForwardKinematics(arm).tips(q_rad), true_m, given.any_place)
         for arm in (built, load_arm(given.file))
     ]
     print(f"{given.built}: {off_mm[0]:.3f} mm; {given.file}: {off_mm[1]:.3f} mm")

@@ -13,7 +13,7 @@ from calib.export import export_text
 from calib.points.points import make_points
 from calib.points.writer import write_points
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect
 from control.model.board_kinds import KINDS, bus_conflict
 from control.model.description import load_arm, save_arm
@@ -101,7 +101,7 @@ def read_by_every_command(file: Path, folder: Path, capsys: pytest.CaptureFixtur
         model, again = folder / f"{file.stem}.{form}", folder / f"{file.stem}-{form}.toml"
         model.write_text(export_text(arm, form), encoding="utf-8")
         assert main(["arm", f"--from-{form}", str(model), "--out", str(again)]) == 0, capsys.readouterr().err
-        tips_m = [Kinematics(one).tips(q_rad) for one in (arm, load_arm(again))]
+        tips_m = [ForwardKinematics(one).tips(q_rad) for one in (arm, load_arm(again))]
         np.testing.assert_allclose(tips_m[1], tips_m[0], atol=1e-6)
 
 
@@ -110,7 +110,7 @@ def calibrated(arm: Arm, file: Path, folder: Path, random: np.random.Generator) 
     true = arm.with_dh(np.array(arm.dh) + random.uniform(-0.003, 0.003, np.array(arm.dh).shape))
     lower, upper = np.array(arm.limits_rad).T
     q_rad = random.uniform(lower, upper, (40, arm.joint_count))
-    tips_m = Kinematics(true).tips(q_rad) + random.normal(0.0, 1e-4, (40, 3))
+    tips_m = ForwardKinematics(true).tips(q_rad) + random.normal(0.0, 1e-4, (40, 3))
     names = [f"p{k}" for k in range(40)]
     write_points(folder / "points.csv", make_points(["free"] * 40, names, [1] * 40, q_rad, tips_m))
     assert (

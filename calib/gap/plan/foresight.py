@@ -15,7 +15,7 @@ from calib.gap.poses.find import find
 from calib.points.points import Points, make_points
 from control.dynamics.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
 from control.errors import MissingModel
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.rotation import exponentials, quaternions
 from control.model.arm import Arm
@@ -47,7 +47,9 @@ def as_recorded(arm: Arm, visits: tuple[PlannedVisit, ...], duration_s: float) -
     direction = np.array([visit.direction for visit in visits], dtype=np.float64)
     payload = np.array([visit.payload_kg for visit in visits])
     noise = arm.camera.position_noise_m if arm.camera and arm.camera.position_noise_m > 0.0 else NOISE_m
-    tips = Kinematics(arm).tips(q) + draw.normal(0.0, noise / np.sqrt(AVERAGE_s * CAMERA_Hz), (len(q), 3))
+    tips = ForwardKinematics(arm).tips(q) + draw.normal(
+        0.0, noise / np.sqrt(AVERAGE_s * CAMERA_Hz), (len(q), 3)
+    )
     try:
         per_A = torque_per_A(arm)
         limits_A = np.array([arm.drive(j + 1).current_limit_A for j in range(arm.joint_count)])
@@ -76,7 +78,7 @@ def _orientations(arm: Arm, q: Array, draw: np.random.Generator) -> Array | None
         return None
     noise = (camera.orientation_noise_rad or ORIENTATION_NOISE_rad) / np.sqrt(AVERAGE_s * CAMERA_Hz)
     turned = exponentials(draw.normal(0.0, noise, (len(q), 3)))
-    return quaternions(turned @ PoseKinematics(Kinematics(arm)).batch(q).rotation)
+    return quaternions(turned @ PoseKinematics(ForwardKinematics(arm)).batch(q).rotation)
 
 
 def of_boards(arm: Arm) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.plan.collision_free_box import CollisionFreeBox
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
@@ -35,12 +35,12 @@ class MotionLimits:
 
     joints: JointLimits
     tip_speed_m_s: float
-    kinematics: Kinematics
+    kinematics: ForwardKinematics
 
     @classmethod
     def of(cls, arm: Arm) -> MotionLimits:
         """Those of an arm."""
-        return cls(JointLimits.of(arm), arm.limits.tip_speed_m_s, Kinematics(arm))
+        return cls(JointLimits.of(arm), arm.limits.tip_speed_m_s, ForwardKinematics(arm))
 
 
 def multisine(

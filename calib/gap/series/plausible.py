@@ -17,7 +17,7 @@ from calib.gap.signals.held import not_held
 from calib.gap.signals.recording import RunSet, UnusableLogError
 from calib.gap.signals.sampling import is_resampled
 from calib.gap.units import UNITS, amperes_per
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
 TOGETHER = 0.6  # correlation from which the factor between two signals means something
@@ -263,7 +263,7 @@ def _factor_in_words(name: str, what: str, fit: _Fit) -> str:
 
 
 def _wrong_tip(arm: Arm, recording: RunSet) -> str:
-    kinematics = Kinematics(arm)
+    kinematics = ForwardKinematics(arm)
     reach = sum(abs(link.L_m) + abs(link.d_m) for link in arm.links)
     seen = np.concatenate([run.tip_m for run in recording.runs])
     expected = np.concatenate([kinematics.tips(run.q_raw[run.frames]) for run in recording.runs])

@@ -11,7 +11,7 @@ from calib.gap.signals.angles import joint_ahead
 from calib.gap.signals.parts import ActingTerms
 from calib.gap.signals.recording import EvenRun, RunSet
 from calib.gap.signals.terms import Law
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
 BENDS_KEPT = 16
@@ -22,7 +22,7 @@ class SeenTips:
 
     def __init__(self, arm: Arm, recording: RunSet) -> None:
         self._arm, self._recording = arm, recording
-        self._kinematics = Kinematics(arm)
+        self._kinematics = ForwardKinematics(arm)
         self._rigid = [
             self._kinematics.tips(run.q_raw[run.frames]) if recording.has_tip else np.zeros((0, 3))
             for run in recording.runs

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics, Solution
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.motion import checks
 from control.motion.errors import PathError
 from control.motion.following.follower import LEAST_SAMPLES, SEED_STEP_M, Followed, PathStart, Pose
@@ -17,7 +17,9 @@ from control.motion.waypoints import Waypoints
 class BranchFollower:
     """Implements Follower with the inverse kinematics of positions."""
 
-    def __init__(self, inverse: InverseKinematics, kinematics: Kinematics, waypoints: Waypoints) -> None:
+    def __init__(
+        self, inverse: InverseKinematics, kinematics: ForwardKinematics, waypoints: Waypoints
+    ) -> None:
         self._inverse, self._kinematics, self._waypoints = inverse, kinematics, waypoints
 
     def starts(self, q_near: Sequence[float]) -> Iterator[PathStart]:

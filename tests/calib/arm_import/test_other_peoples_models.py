@@ -11,7 +11,7 @@ import pytest
 
 from calib.arm_import import arm_links, read_arm
 from calib.errors import ImportedModelError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
 INERTIA = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
@@ -49,7 +49,7 @@ def test_a_plain_arm_is_read_with_limits_masses_and_its_fixed_end(tmp_path: Path
     ] * 2
     assert [mass.mass_kg for mass in serial.masses if mass] == [1.0, 2.0]  # the fixed end moves with joint 2
     links, _ = arm_links(serial, "standard")
-    tip = Kinematics(Arm("r", links)).tips(np.array([[0.5 * math.pi, 0.0]]))[0]
+    tip = ForwardKinematics(Arm("r", links)).tips(np.array([[0.5 * math.pi, 0.0]]))[0]
     assert np.allclose(tip, [0.5, 0.0, 0.2], atol=1e-12)
 
 

@@ -12,7 +12,7 @@ import pytest
 from calib.arm_import import arm_links, read_arm
 from calib.export import export_text
 from control.dynamics.dynamics import Dynamics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.model.arm import Arm, Convention, Tool
 from control.model.description import load_arm
@@ -44,8 +44,8 @@ def test_an_exported_arm_comes_back(name: str, form: str, convention: Convention
     file.write_text(export_text(arm, form), encoding="utf-8")
     links, _ = arm_links(read_arm(file, form), convention)
     q = np.random.default_rng(1).uniform(-2.0, 2.0, (40, arm.joint_count))
-    back = PoseKinematics(Kinematics(Arm("again", links, dh_convention=convention))).batch(q)
-    own = PoseKinematics(Kinematics(arm)).batch(q)
+    back = PoseKinematics(ForwardKinematics(Arm("again", links, dh_convention=convention))).batch(q)
+    own = PoseKinematics(ForwardKinematics(arm)).batch(q)
     assert np.abs(back.position_m - own.position_m).max() < SAME_m
     assert np.abs(back.rotation - own.rotation).max() < SAME_m
 
@@ -100,7 +100,7 @@ def test_a_random_arm_moves_and_weighs_as_in_mujoco(
     for q in rng.uniform(-2.0, 2.0, (5, joints)):
         data.qpos[:] = q
         mujoco.mj_forward(model, data)
-        frame = Kinematics(arm).link_transforms(q[None])[0][-1]
+        frame = ForwardKinematics(arm).link_transforms(q[None])[0][-1]
         assert np.abs(frame[:3, 3] - data.xpos[body]).max() < SAME_m
         assert np.abs(frame[:3, :3] - data.xmat[body].reshape(3, 3)).max() < SAME_m
         gravity = Dynamics(arm).torques(q[None], 0 * q[None], 0 * q[None])[0]

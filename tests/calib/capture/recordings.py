@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 
@@ -56,7 +56,7 @@ def both(
     t_s = np.arange(len(q)) / LOG_Hz
     tau_s = np.arange(round((span_s - 4.0) * CAPTURE_Hz)) / CAPTURE_Hz
     seen_s = offset_s + (1.0 + rate) * tau_s
-    links = Kinematics(true).link_transforms(
+    links = ForwardKinematics(true).link_transforms(
         np.column_stack([np.interp(seen_s, t_s, q[:, j]) for j in range(3)])
     )
     last, turn = links[:, -1, :3, 3], links[:, -1, :3, :3]

@@ -22,7 +22,7 @@ from calib.errors import UnusablePointsError
 from calib.identify.determinability import determinability
 from calib.identify.objective import LeastSquares
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from tests.calib.simulated import seated, true_dh
 
@@ -95,7 +95,7 @@ def test_both_arms_are_found_and_contacts_left_out_close() -> None:
     rng = np.random.default_rng(4)
     q = rng.uniform(-1.0, 1.0, (100, 3))
     for k, arm in enumerate(found.arms):  # shape of each workspace, from contacts in a part of it
-        ours, theirs = Kinematics(arm).tips(q), ArmModel(ARMS[k]).tips(true[k], q)
+        ours, theirs = ForwardKinematics(arm).tips(q), ArmModel(ARMS[k]).tips(true[k], q)
         off = np.linalg.norm(ours[1:] - ours[:-1], axis=1) - np.linalg.norm(theirs[1:] - theirs[:-1], axis=1)
         assert np.sqrt(np.mean(off**2)) < 1e-3
 

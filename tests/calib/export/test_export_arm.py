@@ -20,7 +20,7 @@ from calib.errors import CalibrationError
 from calib.export import FORMS, export, export_text
 from console.main import main
 from control.dynamics.dynamics import Dynamics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Calibration, Drive, Effect, Link, Tool
 from control.model.description import load_arm
 from tests.places import ARMS
@@ -109,7 +109,7 @@ def screw(axis: int, along: float, about: float) -> np.ndarray:
 def test_every_reader_puts_the_tip_where_the_model_does(name: str) -> None:
     arm = ARMS[name]
     q = poses(arm)
-    wanted = Kinematics(arm).tips(q)
+    wanted = ForwardKinematics(arm).tips(q)
     np.testing.assert_allclose(mujoco_tips(export_text(arm, "mjcf"), q), wanted, atol=SAME_m, rtol=0.0)
     np.testing.assert_allclose(mujoco_tips(export_text(arm, "urdf"), q), wanted, atol=SAME_m, rtol=0.0)
     np.testing.assert_allclose(urdf_reader_tips(export_text(arm, "urdf"), q), wanted, atol=SAME_m, rtol=0.0)
@@ -146,7 +146,7 @@ one_joint = Arm("one", (Link("revolute", 0.1, 0.2, 0.3, 0.4),))
 @given(arms)
 def test_any_arm_of_any_name_reads_back_as_itself(arm: Arm) -> None:
     q = poses(arm, 3)
-    wanted = Kinematics(arm).tips(q)
+    wanted = ForwardKinematics(arm).tips(q)
     for form in ("mjcf", "urdf"):
         np.testing.assert_allclose(mujoco_tips(export_text(arm, form), q), wanted, atol=SAME_m, rtol=0.0)
     np.testing.assert_allclose(urdf_reader_tips(export_text(arm, "urdf"), q), wanted, atol=SAME_m, rtol=0.0)
@@ -156,7 +156,7 @@ def test_any_arm_of_any_name_reads_back_as_itself(arm: Arm) -> None:
 @pytest.mark.parametrize("arm", [one_joint, twelve_joints], ids=lambda arm: arm.name)
 def test_one_joint_and_twelve(arm: Arm) -> None:
     q = poses(arm)
-    wanted = Kinematics(arm).tips(q)
+    wanted = ForwardKinematics(arm).tips(q)
     for read, form in ((mujoco_tips, "mjcf"), (mujoco_tips, "urdf"), (urdf_reader_tips, "urdf")):
         np.testing.assert_allclose(read(export_text(arm, form), q), wanted, atol=SAME_m, rtol=0.0)
 
@@ -288,7 +288,7 @@ def test_json_holds_everything_and_says_how_to_check_a_reader(tmp_path: Path) ->
     assert content["arm"]["drive"][1]["gear_ratio"] == 120.0
     assert content["arm"]["calibration"]["from"] == "right.toml"
     assert content["arm"]["table"]["circle_points"] == 24
-    assert content["at_zero"]["tip_m"] == pytest.approx(Kinematics(arm).tip(0.0, 0.0, 0.0), abs=1e-12)
+    assert content["at_zero"]["tip_m"] == pytest.approx(ForwardKinematics(arm).tip(0.0, 0.0, 0.0), abs=1e-12)
     assert np.shape(content["at_zero"]["base_T_link"]) == (4, 4, 4)
     free = json.loads(
         export_text(dataclasses.replace(RIGHT, drives=(Drive(1, 1.0, 1, 1.0, 1.0, 1.0),)), "json")

@@ -13,7 +13,7 @@ import pytest
 from calib.errors import CalibrationError
 from calib.export.python_code import omitted, python_text
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect, Tool
 from control.model.description import load_arm, save_arm
 
@@ -48,8 +48,8 @@ def test_the_tip_is_where_the_published_model_has_it(name: str) -> None:
     commanded = run(python_text(arm, published))
     wanted = poses(published, 40)
     joints = np.array([commanded(q) for q in wanted.tolist()])
-    target, plain = Kinematics(published).tips(wanted), Kinematics(arm).tips(wanted)
-    error_m = np.linalg.norm(Kinematics(arm).tips(joints) - target, axis=1)
+    target, plain = ForwardKinematics(published).tips(wanted), ForwardKinematics(arm).tips(wanted)
+    error_m = np.linalg.norm(ForwardKinematics(arm).tips(joints) - target, axis=1)
     assert np.linalg.norm(plain - target, axis=1).mean() > 0.003
     assert np.quantile(error_m, 0.9) < 1e-5
     assert np.abs(joints - wanted).max() < 0.2 + 1e-9  # in singular poses, too
@@ -81,8 +81,8 @@ def test_its_tips_and_their_derivatives_are_those_of_the_arm(
     names = run(python_text(arm, arm)).__globals__
     for q in poses(arm, 10).tolist():
         tip, columns = names["_tip"](names["ARM"], names["TOOL_m"], names["IS_MODIFIED"], q)
-        assert tip == pytest.approx(Kinematics(arm).tips(np.array([q]))[0].tolist(), abs=1e-12)
-        expected = Kinematics(arm).jacobians(np.array([q]))[0]
+        assert tip == pytest.approx(ForwardKinematics(arm).tips(np.array([q]))[0].tolist(), abs=1e-12)
+        expected = ForwardKinematics(arm).jacobians(np.array([q]))[0]
         assert np.abs(np.array(columns).T - expected).max() < 1e-12
 
 

@@ -23,7 +23,7 @@ from calib.points.points import Points, make_points
 from calib.points.reading import read_points
 from calib.points.writer import write_points
 from calib.validation.verify import compare_turns
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Camera, Link, Tool
 
 QUARTER = np.pi / 2
@@ -47,7 +47,7 @@ def session(
     camera = Camera(POSITION_NOISE_m, orientation_noise_rad=TURN_NOISE_rad)
     arm = Arm("six", tuple(Link("revolute", *row) for row in DH.tolist()), camera=camera, tool=Tool(tool))
     off = rng.uniform(-1, 1, (6, 4)) * np.array([0.002, 0.01, 0.002, 0.01])
-    true, q = Kinematics(arm.with_dh(DH + off)), rng.uniform(-1.6, 1.6, (POSES, 6))
+    true, q = ForwardKinematics(arm.with_dh(DH + off)), rng.uniform(-1.6, 1.6, (POSES, 6))
     turned = true.link_transforms(q)[:, -1, :3, :3] @ Rotation.from_rotvec(target).as_matrix()
     seen = Rotation.from_rotvec(rng.normal(0, TURN_NOISE_rad, (POSES, 3))) * Rotation.from_matrix(turned)
     tips = true.tips(q) + rng.normal(0, POSITION_NOISE_m, (POSES, 3))
@@ -231,11 +231,11 @@ def test_iso_9283_takes_the_angles_from_quaternions() -> None:
     visits, turn, rng = 6, np.array([0.002, -0.001, 0.003]), np.random.default_rng(0)
     rows = [k for k in range(2) for _ in range(visits)]
     q = np.repeat(points.q_rad[:1], len(rows), axis=0)  # one pose under two names, turned to both sides
-    link = Rotation.from_matrix(Kinematics(arm).link_transforms(q)[:, -1, :3, :3])
+    link = Rotation.from_matrix(ForwardKinematics(arm).link_transforms(q)[:, -1, :3, :3])
     sides = np.array([turn if k == 0 else -turn for k in rows])
     off = Rotation.from_rotvec(sides + rng.normal(0.0, 1e-4, (len(rows), 3)))
     seen = (off * link * Rotation.from_rotvec(TARGET)).as_quat()[:, [3, 0, 1, 2]]
-    tips = Kinematics(arm).tips(q) + rng.normal(0, 1e-4, (len(rows), 3))
+    tips = ForwardKinematics(arm).tips(q) + rng.normal(0, 1e-4, (len(rows), 3))
     names = [f"P{k + 1}" for k in rows]
     made = make_points(["normal"] * len(rows), names, list(range(len(rows))), q, tips, orientation=seen)
     groups, notes = pose_groups(made, arm, "points.csv")

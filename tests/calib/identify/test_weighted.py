@@ -22,7 +22,7 @@ from calib.points.points import Points, make_points
 from calib.points.reading import read_points
 from calib.points.writer import write_points
 from calib.validation.verify import compare_arms
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from tests.calib.simulated import RIGHT, true_dh
 
@@ -44,8 +44,8 @@ def session(seed: int) -> tuple[Arm, Points]:
     position = ACROSS_m**2 * np.eye(3) + (ALONG_m**2 - ACROSS_m**2) * rays[:, :, None] * rays[:, None, :]
     turn = np.tile(TURN_rad**2 * np.eye(3), (POSES, 1, 1))
     noise = np.einsum("mij,mj->mi", np.linalg.cholesky(position), rng.normal(size=(POSES, 3)))
-    tips = CAMERA.inv().apply(Kinematics(true).tips(q) - CAMERA_m) + noise
-    link = Rotation.from_matrix(Kinematics(true).link_transforms(q)[:, -1, :3, :3])
+    tips = CAMERA.inv().apply(ForwardKinematics(true).tips(q) - CAMERA_m) + noise
+    link = Rotation.from_matrix(ForwardKinematics(true).link_transforms(q)[:, -1, :3, :3])
     seen = Rotation.from_rotvec(rng.normal(0.0, TURN_rad, (POSES, 3))) * CAMERA.inv() * link
     return true, make_points(
         ["free"] * POSES, [str(k) for k in range(POSES)], [1] * POSES, q, tips,
@@ -63,7 +63,7 @@ def over_workspace_m(true: Arm, dh: np.ndarray) -> float:
     """Rms change of distances between tips over the workspace: what no frame can take up."""
     rng = np.random.default_rng(0)
     q = rng.uniform(-1.0, 1.0, (200, 3))
-    a, b = Kinematics(true).tips(q), Kinematics(RIGHT.with_dh(dh)).tips(q)
+    a, b = ForwardKinematics(true).tips(q), ForwardKinematics(RIGHT.with_dh(dh)).tips(q)
     return float(
         np.sqrt(
             np.mean((np.linalg.norm(a[1:] - a[:-1], axis=1) - np.linalg.norm(b[1:] - b[:-1], axis=1)) ** 2)
@@ -136,7 +136,7 @@ def test_a_calibration_from_a_camera_leaves_the_table_where_it_is() -> None:
     in_base = points_in_base(made)
     assert in_base is not None
     assert not in_base.in_camera_frame
-    assert np.abs(in_base.tip_m - Kinematics(made.arm).tips(points.q_rad)).max() < 5.0 * ALONG_m
+    assert np.abs(in_base.tip_m - ForwardKinematics(made.arm).tips(points.q_rad)).max() < 5.0 * ALONG_m
     first = matrices_of(in_base.covariance[0, :6])
     assert np.linalg.eigvalsh(first) == pytest.approx([ACROSS_m**2, ACROSS_m**2, ALONG_m**2], rel=1e-3)
     compared = compare_arms(nominal, made.arm, points)  # a camera's frame is put where each model fits best

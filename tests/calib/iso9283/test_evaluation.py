@@ -21,7 +21,7 @@ from calib.iso9283.workspace import solver_of
 from calib.points.points import Points, make_points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter, Record
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 
@@ -114,7 +114,7 @@ def test_visits_without_a_measured_tip_are_said_and_not_counted(arm: Arm) -> Non
 def test_a_table_full_of_points_is_one_sentence_each_not_ninety(arm: Arm) -> None:
     names = [f"{k}" for k in range(90)]
     q = np.tile((0.0, -0.2, -0.3), (90, 1))
-    tip = Kinematics(arm).tips(q)
+    tip = ForwardKinematics(arm).tips(q)
     tip[::2] = np.nan
     needs = found(arm, make_points(["roll"] * 90, names, [1] * 90, q, tip))[1].needs
     assert len(needs) == 3
@@ -131,7 +131,7 @@ def test_commanded_positions_are_the_columns_else_the_angles_through_the_arm(arm
         (
             {f"q{j}_set_rad": tuple(["0.1"] * n) for j in (1, 2, 3)},
             "set-points",
-            Kinematics(arm).tip(0.1, 0.1, 0.1),
+            ForwardKinematics(arm).tip(0.1, 0.1, 0.1),
         ),
     ):
         points = make_points(plain.setup, plain.point, plain.repeat, plain.q_rad, plain.tip_m, extra=extra)
@@ -288,7 +288,7 @@ def test_tips_are_those_of_the_joints_where_the_recording_tells_them_from_the_en
     rows = "".join(f"1,{t},{encoders},{encoders},{where},{wanted}\n" for t in (0.0, 0.1))
     (tmp_path / "log.csv").write_text(f"{LOG},{joints}\n{rows}")
     (run,) = read_runs(tmp_path / "log.csv", arm)
-    tips = Kinematics(arm).tips([[0.1, -0.6, 0.2], [0.1, -0.5, 0.2]])
+    tips = ForwardKinematics(arm).tips([[0.1, -0.6, 0.2], [0.1, -0.5, 0.2]])
     np.testing.assert_allclose(run.encoder_m[0], tips[0], atol=1e-12)
     np.testing.assert_allclose(run.set_m[1], tips[1], atol=1e-12)
 

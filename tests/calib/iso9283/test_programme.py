@@ -13,7 +13,7 @@ from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.programme import Extent, PathRun, Visit, steps
 from calib.iso9283.workspace import CLEARANCE_m, largest_cube, solver_of
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 from tests.places import ARMS
@@ -141,7 +141,7 @@ def test_the_largest_cube_is_within_reach_on_one_branch_and_no_larger_one_is(arm
     solver = solver_of(arm, cube)
     grid = cube.grid(4)
     angles = np.array([solver(point) for point in grid])
-    assert Kinematics(arm).tips(angles) == pytest.approx(grid, abs=1e-8)
+    assert ForwardKinematics(arm).tips(angles) == pytest.approx(grid, abs=1e-8)
     limits = np.array(arm.limits_rad)
     assert (angles >= limits[:, 0]).all()
     assert (angles <= limits[:, 1]).all()

@@ -19,7 +19,7 @@ from calib.planning.words import sentences
 from calib.points.points import Points, make_points
 from calib.trust.prediction import Predictor
 from calib.trust.trust import MapRequest, trust_in
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Vector3
 from control.motion.errors import PathError
 from control.motion.waypoints import Waypoints, read_waypoints
@@ -38,7 +38,7 @@ LEAN_m = np.array([0.04, 0.0, -0.02])  # per metre of x: an error that grows out
 
 def with_play(rng: np.random.Generator, q: Array, sides: Array) -> Array:
     """Tips of an arm whose joint 1 lags behind its encoder by half its play."""
-    tips = Kinematics(RIGHT).tips(q - 0.5 * WIDTH_rad * np.array([1.0, 0.0, 0.0]) * sides)
+    tips = ForwardKinematics(RIGHT).tips(q - 0.5 * WIDTH_rad * np.array([1.0, 0.0, 0.0]) * sides)
     return np.asarray(tips + rng.normal(0.0, 1.4e-4, tips.shape))
 
 
@@ -54,7 +54,7 @@ def played() -> Predictor:
 @cache
 def leaning() -> Predictor:
     q = workspace_poses(RIGHT, (), 50)
-    tips = Kinematics(RIGHT).tips(q)
+    tips = ForwardKinematics(RIGHT).tips(q)
     noise = np.random.default_rng(4).normal(0.0, 1.4e-4, tips.shape)
     return predictor(RIGHT, q, tips + tips[:, :1] * LEAN_m + noise, np.ones(q.shape))
 
@@ -140,7 +140,7 @@ def test_no_lead_in_goes_deeper_than_its_pose() -> None:
     allowed = room.has_lead_in(RIGHT, q, sides)
     assert 0.1 < allowed.mean() < 1.0
     before = lead_in_of(q, sides)
-    heights, lead = (Kinematics(RIGHT).tips(some)[:, 2] for some in (q, before))
+    heights, lead = (ForwardKinematics(RIGHT).tips(some)[:, 2] for some in (q, before))
     assert (lead[allowed] >= np.minimum(heights[allowed], 0.06) - 1e-6).all()
     lower, upper = np.array(RIGHT.limits_rad).T
     assert ((before[allowed] >= lower) & (before[allowed] <= upper)).all()

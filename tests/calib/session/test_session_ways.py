@@ -11,13 +11,13 @@ import pytest
 from benchmarks.arms import SEVEN
 from calib.boards import BoardPose
 from calib.session.moves import ArmGeometry, ClearPaths, EDGE_m, MARGIN_m, NoClearPath
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.table import board_rotation, cavities, table_of
 from tests.calib.session.session_arm import GEOMETRY, RIGHT
 
 TABLE = table_of(RIGHT)
 LEVEL = BoardPose(np.eye(3), np.array(TABLE.origin_m))
-KINEMATICS = Kinematics(RIGHT)
+KINEMATICS = ForwardKinematics(RIGHT)
 
 
 def lowest_over_board_m(stops, board: BoardPose) -> float:

@@ -22,7 +22,7 @@ from calib.trust.prediction import TipError
 from calib.trust.task import planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in, within_95_m
 from control.dynamics.static_pose import RestingPose
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Effect
 from control.motion.waypoints import Waypoints
 from tests.thirds import third_of
@@ -183,7 +183,7 @@ def test_poses_are_joint_angles_where_the_file_knows_its_encoders() -> None:
     scale, rng = 0.02, np.random.default_rng(9)
     arm = dataclasses.replace(ARM, effects=(Effect("encoder_scale", 2, {"scale": scale}),))
     q = unseen_q()[:40]
-    tips = Kinematics(ARM).tips(q) + rng.normal(0.0, NOISE_m, (len(q), 3))
+    tips = ForwardKinematics(ARM).tips(q) + rng.normal(0.0, NOISE_m, (len(q), 3))
     encoder = q / (1.0 + np.array([0.0, scale, 0.0]))
     points = make_points(["pose"] * 40, [f"p{k}" for k in range(20)] * 2, [1] * 20 + [2] * 20, encoder, tips)
     assert np.allclose(Conditions.recorded(arm, points).q_rad, q)
@@ -230,7 +230,7 @@ def test_a_hidden_play_is_what_its_cause_moves_the_tip_by_and_every_source_is_li
     listed = {one.name: one for one in trusted(PLAY).importances}
     for source in Discrepancy(ARM).sources:
         assert listed[source.name].uncertain_m > 0.0, source.name
-    tips_m = [Kinematics(ARM).tips(q) for q in (unseen_q(), unseen_q() + np.array([0.0, 0.0, 1e-4]))]
+    tips_m = [ForwardKinematics(ARM).tips(q) for q in (unseen_q(), unseen_q() + np.array([0.0, 0.0, 1e-4]))]
     lever_m = norms(tips_m[1] - tips_m[0]) / 1e-4
     expected_m = 0.5 * PLAY.value * np.sqrt(np.mean(lever_m**2))
     assert listed["joint 3: direction"].expected_m == pytest.approx(expected_m, rel=0.15)

@@ -12,7 +12,7 @@ from calib.errors import CalibrationError
 from calib.points.points import Points, make_points
 from calib.validation.statistics import difference
 from calib.validation.verify import LEAST_POSES, compare, compare_arms, comparison_text
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect, Table, Tool
 from control.model.description import load_arm
 from tests.places import ARMS
@@ -80,7 +80,7 @@ def seated(arm: Arm, setups: int, poses: int) -> Points:
 
 def reaching(arm: Arm, tips: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Joint angles (m, n) near q that take the tips there, by Newton."""
-    kinematics = Kinematics(arm)
+    kinematics = ForwardKinematics(arm)
     for _ in range(30):
         step = np.einsum("mnk,mk->mn", np.linalg.pinv(kinematics.jacobians(q)), tips - kinematics.tips(q))
         q = q + step * np.minimum(1.0, 0.4 / np.maximum(1e-12, np.abs(step).max(axis=1, keepdims=True)))

@@ -12,7 +12,7 @@ from calib.points.reading import read_points
 from calib.validation.verify import errors_of
 from console.main import main
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
 from control.model.table import SETUPS, cavities, table_of
@@ -26,7 +26,7 @@ def session(seed: int = 0) -> tuple[np.ndarray, np.ndarray, list[str], list[str]
     """Angles, measured tips, setups and points of a table session of an arm whose geometry is a little off."""
     rng = np.random.default_rng(seed)
     arm = load_arm("right")
-    true = Kinematics(arm.with_dh(arm.dh + rng.uniform(-1, 1, (4, 4)) * [0.002, 0.01, 0.002, 0.01]))
+    true = ForwardKinematics(arm.with_dh(arm.dh + rng.uniform(-1, 1, (4, 4)) * [0.002, 0.01, 0.002, 0.01]))
     inverse, q, setups, points = InverseKinematics(arm), [], [], []
     for setup in SETUPS:
         for name, place in cavities(table_of(arm), setup).items():
@@ -102,7 +102,7 @@ def test_a_real_panda_calibrates_with_the_same_command(tmp_path, capsys) -> None
 
 def consistency_m(arm: Arm, recorded: Points) -> np.ndarray:
     """Distance of each predicted ball centre to the mean of its socket, (m,)."""
-    tips = Kinematics(arm).tips(recorded.q_rad)
+    tips = ForwardKinematics(arm).tips(recorded.q_rad)
     sockets = np.array([f"{s}/{p}" for s, p in zip(recorded.setup, recorded.point, strict=True)])
     means = {socket: tips[sockets == socket].mean(axis=0) for socket in set(sockets)}
     return np.linalg.norm(tips - np.array([means[socket] for socket in sockets]), axis=1)

@@ -9,7 +9,7 @@ from calib.points.points import make_points
 from calib.points.reading import read_points
 from calib.points.writer import write_points
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 
 ARM = load_arm("right")
@@ -29,7 +29,7 @@ def points_file(path):
     """Thirty poses that a camera saw."""
     q = np.random.default_rng(0).uniform([-2.0, -1.2, -0.8], [2.0, 0.5, 1.0], (30, 3))
     names = [f"p{k}" for k in range(1, 31)]
-    write_points(path, make_points(["free"] * 30, names, [1] * 30, q, Kinematics(ARM).tips(q)))
+    write_points(path, make_points(["free"] * 30, names, [1] * 30, q, ForwardKinematics(ARM).tips(q)))
     return str(path)
 
 

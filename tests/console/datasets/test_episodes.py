@@ -13,7 +13,7 @@ from console.datasets.episodes import Episode, episodes_of
 from console.visualisation.reading import read_series
 from console.visualisation.series import Series
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import arm_text, load_arm
 from tests.recordings import MODES, write_recording
 
@@ -53,7 +53,7 @@ def test_a_sample_is_state_currents_set_point_and_tip_of_one_cycle(tmp_path: Pat
     assert len(episode) == len(rows) == 9
     np.testing.assert_array_equal(episode.joint_rad, series.joint_rad[rows])
     np.testing.assert_array_equal(episode.current_A, series.current_A[rows])
-    np.testing.assert_allclose(episode.tip_m, Kinematics(ARM).tips(series.joint_rad[rows]), atol=1e-12)
+    np.testing.assert_allclose(episode.tip_m, ForwardKinematics(ARM).tips(series.joint_rad[rows]), atol=1e-12)
 
 
 def test_without_modes_an_episode_is_a_whole_run(tmp_path: Path) -> None:

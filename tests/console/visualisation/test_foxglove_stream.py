@@ -15,7 +15,7 @@ from console.commands.recordings import view
 from console.main import main
 from console.visualisation.foxglove_stream import Address, LiveMessages, address_of, serve
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.recording.mcap_schemas import schemas_of
 from control.server.channel import Message, RuntimeGone
 from tests.cell import RIGHT, Cell
@@ -99,7 +99,7 @@ def test_a_tool_that_is_changed_moves_the_tip(cell: Cell) -> None:
     messages, status = LiveMessages(arm), cell.client.status()
     topics_of(messages, status)
     sent = topics_of(messages, {**status, "tool": "long"})
-    expected = Kinematics(arm.with_tool("long")).tips([status["joint_rad"]])[0]
+    expected = ForwardKinematics(arm.with_tool("long")).tips([status["joint_rad"]])[0]
     np.testing.assert_allclose(tip_by_frames(sent["/tf"], "measured"), expected, atol=1e-9)
     assert "/scene" in sent
 

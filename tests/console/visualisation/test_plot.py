@@ -21,7 +21,7 @@ from console.visualisation.series import Series, chosen, joined_runs
 from console.visualisation.thinning import TURNS, envelope, orders, spectrum, with_gaps
 from console.visualisation.traces import TipOfArm, traces_of
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import arm_text, load_arm
 from control.recording.export import to_csv, to_mcap
 from control.recording.reading import Recording
@@ -86,7 +86,7 @@ def test_every_form_of_one_recording_gives_the_same_series(recording: Path, tmp_
 def test_tips_are_those_of_the_joints_in_every_form_and_of_the_encoders_where_nothing_else_is_known(
     tmp_path: Path,
 ) -> None:
-    kinematics = Kinematics(RIGHT)
+    kinematics = ForwardKinematics(RIGHT)
     old = read_series(write_recording(tmp_path / "old.armlog", 60, arm_toml=TOML))
     np.testing.assert_array_equal(old.joint_rad, old.q_rad)
     np.testing.assert_array_equal(old.joint_set_rad, old.q_set_rad)
@@ -146,7 +146,7 @@ def test_the_tips_distance_is_to_the_model_and_only_once_the_arm_knows_its_zeros
     series = read_series(write_recording(tmp_path / "a.armlog", 60, changes=homing, arm_toml=TOML))
     error = tip_error_m(series)
     assert np.isnan(error[:20]).all()
-    expected = np.linalg.norm(np.full(3, 0.3) - Kinematics(RIGHT).tips(series.q_rad[25:26])[0])
+    expected = np.linalg.norm(np.full(3, 0.3) - ForwardKinematics(RIGHT).tips(series.q_rad[25:26])[0])
     assert error[25] == pytest.approx(expected)
     assert np.isnan(error[26])  # no frame
 

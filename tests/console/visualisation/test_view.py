@@ -24,7 +24,7 @@ from console.visualisation.snapshots import CellSource, Snapshot, live, recorded
 from console.visualisation.traces import TipOfArm, TipPath, TipsOfCell, Traces, traces_of
 from console.visualisation.window import DOWN, HOME, LEFT, RIGHT, SPACE, UP, Player, follow, play
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Link, Tool
 from control.model.cell import cell_of_one, load_cell
 from control.model.description import arm_text, load_arm
@@ -92,7 +92,7 @@ def test_both_arms_of_the_scene_stand_where_kinematics_says(arm: Any) -> None:
     rng = np.random.default_rng(2)
     for q, q_set in rng.uniform(-1.0, 1.0, (10, 2, 3)):
         scene.pose(q, q_set)
-        tips = Kinematics(arm).tips([q, q_set])
+        tips = ForwardKinematics(arm).tips([q, q_set])
         np.testing.assert_allclose(scene.tip_m(PREFIX), tips[0], atol=1e-9)
         np.testing.assert_allclose(scene.tip_m(), tips[1], atol=1e-9)
 
@@ -123,7 +123,7 @@ def test_the_arms_of_a_cell_stand_at_their_bases_and_each_leaves_a_path_of_its_o
         snapshot = snapshot_of(source.status())
         traces = trail.add(snapshot)
     scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
-    tips = [placed.in_cell(Kinematics(placed.arm).tip(*poses[placed.name])) for placed in cell.arms]
+    tips = [placed.in_cell(ForwardKinematics(placed.arm).tip(*poses[placed.name])) for placed in cell.arms]
     for name, tip in zip(cell.names, tips, strict=True):
         for which in ("", PREFIX):
             np.testing.assert_allclose(scene.tip_m(f"{name}/{which}"), tip, atol=1e-9)
@@ -169,7 +169,7 @@ def test_a_recording_plays_at_its_speed_and_the_window_ends_it(log: Path) -> Non
     assert clock.t == pytest.approx(100.0 + 31 / 60)
     at = int(np.searchsorted(times, 2.0 * 30 / 60, side="right") - 1)  # 30 frames later, twice as fast
     q = series.q_rad[rows[at]]
-    np.testing.assert_allclose(window.tips[-1][0], Kinematics(ARM).tips([q])[0], atol=1e-9)
+    np.testing.assert_allclose(window.tips[-1][0], ForwardKinematics(ARM).tips([q])[0], atol=1e-9)
     assert min(window.geoms) > 100
 
 
@@ -219,15 +219,19 @@ def test_a_live_arm_is_followed_with_a_trail_until_its_runtime_ends() -> None:
     assert window.is_closed
     assert len(window.tips) == 5
     assert clock.t == pytest.approx(100.5)
-    np.testing.assert_allclose(window.tips[3][1], Kinematics(ARM).tips([[0.6, 0.0, 0.0]])[0], atol=1e-9)
+    np.testing.assert_allclose(
+        window.tips[3][1], ForwardKinematics(ARM).tips([[0.6, 0.0, 0.0]])[0], atol=1e-9
+    )
     assert window.geoms == [0, 2, 5, 7, 9]  # two lines a snapshot, and the mark
 
 
 def test_a_trail_keeps_the_last_of_it() -> None:
-    trail = TipPath(TipOfArm(Kinematics(ARM)), most=3)
+    trail = TipPath(TipOfArm(ForwardKinematics(ARM)), most=3)
     for k in range(7):
         traces = trail.add(Snapshot(0.1 * k, (0.0,) * 3, (0.0,) * 3, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    np.testing.assert_allclose(traces.measured_m, Kinematics(ARM).tips([[0.1 * k, 0, 0] for k in (4, 5, 6)]))
+    np.testing.assert_allclose(
+        traces.measured_m, ForwardKinematics(ARM).tips([[0.1 * k, 0, 0] for k in (4, 5, 6)])
+    )
 
 
 def test_moments_without_all_angles_are_passed_over(tmp_path: Path) -> None:
@@ -243,7 +247,7 @@ def test_moments_without_all_angles_are_passed_over(tmp_path: Path) -> None:
 def test_what_means_nothing_before_homing_is_no_line(tmp_path: Path) -> None:
     homing = {k: {"mode": MODES.index("HOMING")} for k in range(30, 40)}
     series = read_series(write_recording(tmp_path / "a.armlog", 80, changes=homing))
-    traces = traces_of(series, TipOfArm(Kinematics(ARM)))
+    traces = traces_of(series, TipOfArm(ForwardKinematics(ARM)))
     assert np.isnan(traces.measured_m[:40]).all()
     assert np.isfinite(traces.measured_m[40:]).all()
 

@@ -9,7 +9,7 @@ import pytest
 
 from control.dynamics.dynamics import Dynamics
 from control.errors import ArmError, BadTarget, MissingModel
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Drive, Link
 from control.model.description import load_arm
 from tests.control.dynamics.mujoco_arm import model_of
@@ -82,7 +82,7 @@ def test_torques_and_mass_matrix_are_those_of_mujoco(arm: Arm, payload_kg: float
 
 
 def _potential_J(arm: Arm, q: np.ndarray) -> float:
-    frames = Kinematics(arm).link_transforms(q[None])[0, 1:]
+    frames = ForwardKinematics(arm).link_transforms(q[None])[0, 1:]
     heights = (
         (link.mass_kg or 0.0) * np.dot(arm.gravity_m_s2, (frame @ [*(link.com_m or (0, 0, 0)), 1.0])[:3])
         for link, frame in zip(arm.links, frames, strict=True)

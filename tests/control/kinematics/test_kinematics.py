@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from control.errors import ArmError, BadTarget
 from control.kinematics import chain
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Convention
 from control.model.description import load_arm
 from tests.places import ARMS
@@ -31,7 +31,7 @@ def _trans(axis: int, length: float) -> Array:
     return matrix
 
 
-def _textbook_frames(k: Kinematics, q: Array) -> list[Array]:
+def _textbook_frames(k: ForwardKinematics, q: Array) -> list[Array]:
     """The four elementary transforms of every link, as the paper's appendix multiplies them."""
     frames, angles = [np.eye(4)], iter(q)
     for (d, theta, length, alpha), turns in zip(k.dh, k.joints, strict=True):
@@ -41,7 +41,7 @@ def _textbook_frames(k: Kinematics, q: Array) -> list[Array]:
     return frames
 
 
-def _random_arm(seed: int) -> Kinematics:
+def _random_arm(seed: int) -> ForwardKinematics:
     """Any number of links, fixed ones anywhere, exact right angles and arbitrary ones mixed."""
     source = np.random.default_rng(seed)
     links = int(source.integers(1, 8))
@@ -51,33 +51,33 @@ def _random_arm(seed: int) -> Kinematics:
     joints = source.random(links) < 0.7
     joints[source.integers(links)] = True
     convention: Convention = "modified" if seed % 2 else "standard"
-    return Kinematics(dh, convention, joints.tolist(), source.uniform(-0.1, 0.1, 3).tolist())
+    return ForwardKinematics(dh, convention, joints.tolist(), source.uniform(-0.1, 0.1, 3).tolist())
 
 
-def _planar_arm(convention: Convention) -> Kinematics:
+def _planar_arm(convention: Convention) -> ForwardKinematics:
     """Five parallel axes between two skew ones, a fixed link among them: turns whose angles add up."""
     dh = np.random.default_rng(11).uniform(-1.0, 1.0, (7, 4))
     dh[1:6, 3] = 0.0
-    return Kinematics(dh, convention, [True, True, True, False, True, True, True], (0.1, -0.2, 0.3))
+    return ForwardKinematics(dh, convention, [True, True, True, False, True, True, True], (0.1, -0.2, 0.3))
 
 
 ALL = [
     pytest.param(_planar_arm("standard"), id="planar standard"),
     pytest.param(_planar_arm("modified"), id="planar modified"),
     *(pytest.param(_random_arm(seed), id=f"random {seed}") for seed in range(30)),
-    pytest.param(Kinematics(load_arm("right")), id="right"),
-    pytest.param(Kinematics(load_arm("left")), id="left"),
-    pytest.param(Kinematics(load_arm(ARMS / "panda.toml")), id="panda"),
-    pytest.param(Kinematics(load_arm(ARMS / "pendulum.toml")), id="pendulum"),
+    pytest.param(ForwardKinematics(load_arm("right")), id="right"),
+    pytest.param(ForwardKinematics(load_arm("left")), id="left"),
+    pytest.param(ForwardKinematics(load_arm(ARMS / "panda.toml")), id="panda"),
+    pytest.param(ForwardKinematics(load_arm(ARMS / "pendulum.toml")), id="pendulum"),
 ]
 
 
-def _poses(k: Kinematics, count: int = 7) -> Array:
+def _poses(k: ForwardKinematics, count: int = 7) -> Array:
     return np.random.default_rng(5).uniform(-3.0, 3.0, (count, k.joint_count))
 
 
 def test_the_reference_arm_matches_the_closed_form() -> None:
-    tip = Kinematics(load_arm("right")).tip
+    tip = ForwardKinematics(load_arm("right")).tip
     for q1, q2, q3 in np.random.default_rng(1).uniform(-3, 3, (50, 3)).tolist():
         reach = 0.3543 * math.cos(q2 + q3) - 0.4 * math.sin(q2)
         height = 0.076 + 0.4 * math.cos(q2) + 0.3543 * math.sin(q2 + q3)
@@ -88,7 +88,7 @@ def test_the_reference_arm_matches_the_closed_form() -> None:
 
 
 @pytest.mark.parametrize("k", ALL)
-def test_every_way_to_the_tip_agrees_with_the_4x4_chain(k: Kinematics) -> None:
+def test_every_way_to_the_tip_agrees_with_the_4x4_chain(k: ForwardKinematics) -> None:
     q = _poses(k)
     expected_frames = np.array([_textbook_frames(k, pose) for pose in q])
     expected = expected_frames[:, -1] @ np.array([*k.tool_m, 1.0])
@@ -102,7 +102,7 @@ def test_every_way_to_the_tip_agrees_with_the_4x4_chain(k: Kinematics) -> None:
 
 
 @pytest.mark.parametrize("k", ALL)
-def test_the_jacobian_is_the_slope_of_the_tip(k: Kinematics) -> None:
+def test_the_jacobian_is_the_slope_of_the_tip(k: ForwardKinematics) -> None:
     q, h = _poses(k), 1e-6
     jacobians = k.jacobians(q)
     for joint in range(k.joint_count):
@@ -117,7 +117,7 @@ def test_the_jacobian_is_the_slope_of_the_tip(k: Kinematics) -> None:
 
 
 @pytest.mark.parametrize("k", ALL)
-def test_the_bias_is_the_rate_of_the_jacobian_times_the_speeds(k: Kinematics) -> None:
+def test_the_bias_is_the_rate_of_the_jacobian_times_the_speeds(k: ForwardKinematics) -> None:
     q, h = _poses(k), 1e-6
     speeds = np.random.default_rng(6).uniform(-1, 1, q.shape)
     rates = (k.jacobians(q + h * speeds) - k.jacobians(q - h * speeds)) / (2 * h)
@@ -127,7 +127,7 @@ def test_the_bias_is_the_rate_of_the_jacobian_times_the_speeds(k: Kinematics) ->
 
 
 @pytest.mark.parametrize("k", ALL)
-def test_the_identification_jacobian_is_the_slope_by_every_dh_parameter(k: Kinematics) -> None:
+def test_the_identification_jacobian_is_the_slope_by_every_dh_parameter(k: ForwardKinematics) -> None:
     q, h = _poses(k), 1e-6
     jacobian = k.identification_jacobian(q)
     assert jacobian.shape == (len(q), 3, k.dh.size)
@@ -144,7 +144,7 @@ def test_the_identification_jacobian_is_the_slope_by_every_dh_parameter(k: Kinem
 def test_parameters_of_the_reference_arm_that_no_data_separate_have_equal_or_no_columns() -> None:
     """theta4 and alpha4 move nothing, d2 and d3 move the same, and L3 as L4."""
     q = np.random.default_rng(2).uniform(-1, 1, (30, 3))
-    by = Kinematics(load_arm("right")).identification_jacobian(q).reshape(90, 4, 4)
+    by = ForwardKinematics(load_arm("right")).identification_jacobian(q).reshape(90, 4, 4)
     assert not by[:, 3, [1, 3]].any()
     assert by[:, 1, 0] == pytest.approx(by[:, 2, 0], abs=ROUNDING_M)
     assert by[:, 2, 2] == pytest.approx(by[:, 3, 2], abs=ROUNDING_M)
@@ -154,23 +154,25 @@ def test_parameters_of_the_reference_arm_that_no_data_separate_have_equal_or_no_
 def test_numbers_of_a_calibrated_arm_reach_the_compiled_function_unchanged() -> None:
     arm = load_arm("right")
     dh = arm.dh + np.random.default_rng(8).normal(0, 1e-12, (4, 4))
-    q = _poses(Kinematics(arm))
-    expected = np.array([_textbook_frames(Kinematics(dh, joints=arm.joints), pose)[-1][:3, 3] for pose in q])
-    assert Kinematics(arm.with_dh(dh)).tips(q) == pytest.approx(expected, abs=3e-16, rel=3e-15)
+    q = _poses(ForwardKinematics(arm))
+    expected = np.array(
+        [_textbook_frames(ForwardKinematics(dh, joints=arm.joints), pose)[-1][:3, 3] for pose in q]
+    )
+    assert ForwardKinematics(arm.with_dh(dh)).tips(q) == pytest.approx(expected, abs=3e-16, rel=3e-15)
 
 
 @pytest.mark.parametrize(
     "bad", [np.zeros(3), np.zeros((2, 2)), [[0.0, math.nan, 0.0]], [[0.0, 0.0, math.inf]]]
 )
 def test_poses_that_are_none_are_rejected(bad: object) -> None:
-    k = Kinematics(load_arm("right"))
+    k = ForwardKinematics(load_arm("right"))
     for function in (k.tips, k.jacobians, k.identification_jacobian, k.link_transforms):
         with pytest.raises(BadTarget, match="joint angles"):
             function(np.asarray(bad, dtype=np.float64))
 
 
 def test_no_poses_give_no_tips() -> None:
-    k, none = Kinematics(load_arm("right")), np.zeros((0, 3))
+    k, none = ForwardKinematics(load_arm("right")), np.zeros((0, 3))
     assert k.tips(none).shape == (0, 3)
     assert k.jacobians(none).shape == (0, 3, 3)
     assert k.link_transforms(none).shape == (0, 5, 4, 4)
@@ -179,22 +181,22 @@ def test_no_poses_give_no_tips() -> None:
 
 def test_a_dh_table_that_is_none_is_rejected() -> None:
     with pytest.raises(ArmError, match="finite DH table"):
-        Kinematics(np.zeros((3, 3)))
+        ForwardKinematics(np.zeros((3, 3)))
     with pytest.raises(ArmError, match="finite DH table"):
-        Kinematics([[0.0, math.nan, 0.0, 0.0]])
+        ForwardKinematics([[0.0, math.nan, 0.0, 0.0]])
     with pytest.raises(ArmError, match='"standard" or "modified"'):
-        Kinematics(np.zeros((1, 4)), "hayati")  # type: ignore[arg-type]
+        ForwardKinematics(np.zeros((1, 4)), "hayati")  # type: ignore[arg-type]
 
 
 def test_equal_arms_share_what_is_compiled_and_others_do_not() -> None:
     dh = load_arm("right").dh
-    first = Kinematics(dh, tool_m=(0.1, 0.0, 0.0))
-    assert Kinematics(dh.copy(), tool_m=(0.1, 0.0, 0.0)).tip is first.tip
+    first = ForwardKinematics(dh, tool_m=(0.1, 0.0, 0.0))
+    assert ForwardKinematics(dh.copy(), tool_m=(0.1, 0.0, 0.0)).tip is first.tip
     longer = dh + np.eye(*dh.shape)
     others = (
-        Kinematics(dh),
-        Kinematics(longer, tool_m=first.tool_m),
-        Kinematics(dh, "modified", tool_m=first.tool_m),
-        Kinematics(dh, joints=(*first.joints[:-1], not first.joints[-1]), tool_m=first.tool_m),
+        ForwardKinematics(dh),
+        ForwardKinematics(longer, tool_m=first.tool_m),
+        ForwardKinematics(dh, "modified", tool_m=first.tool_m),
+        ForwardKinematics(dh, joints=(*first.joints[:-1], not first.joints[-1]), tool_m=first.tool_m),
     )
     assert all(other != first and other.tip is not first.tip for other in others)

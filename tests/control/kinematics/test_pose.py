@@ -8,7 +8,7 @@ import pytest
 
 from control.errors import BadTarget, NearSingular, OutOfReach
 from control.kinematics import rotation
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_inverse import PoseInverse, TipPose
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.pose_solver import (
@@ -35,7 +35,7 @@ def random_dh(joints: int, seed: int) -> np.ndarray:
 
 
 def random_arm(joints: int, convention: Convention, seed: int = 0) -> PoseKinematics:
-    return PoseKinematics(Kinematics(random_dh(joints, seed), convention, tool_m=(0.02, -0.01, 0.1)))
+    return PoseKinematics(ForwardKinematics(random_dh(joints, seed), convention, tool_m=(0.02, -0.01, 0.1)))
 
 
 def poses(joints: int, count: int = 60) -> np.ndarray:
@@ -72,7 +72,7 @@ def test_mujoco_sees_the_tip_at_the_same_place_and_turned_the_same_way(
         for row in dh.tolist()
     )
     arm = Arm("random", links, dh_convention=convention)
-    ours = PoseKinematics(Kinematics(arm))
+    ours = PoseKinematics(ForwardKinematics(arm))
     model, data = model_of(arm)
     for q in poses(joints, 5):
         data.qpos[:] = q
@@ -168,7 +168,7 @@ def test_an_arm_holds_exactly_what_its_joints_can(
 
 
 def test_a_flat_arm_of_three_joints_holds_its_position_only_as_nearly_as_its_plane_allows() -> None:
-    flat = PoseKinematics(Kinematics(np.array([[0.0, 0.0, 0.3, 0.0]] * 3)))
+    flat = PoseKinematics(ForwardKinematics(np.array([[0.0, 0.0, 0.3, 0.0]] * 3)))
     assert task_of(flat, False).nearest == (0, 1, 2)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect, Limits
 from control.motion.plan import PlannedPath, plan_path
 from control.safety.table import Mode
@@ -30,7 +30,7 @@ RIGID = (
 )
 NEAR = (0.1, -0.6, 0.2)
 STOPS_m = ((0.45, 0.1, 0.25), (0.3, -0.2, 0.35), (0.15, 0.0, 0.6))
-INVERSE, KINEMATICS = InverseKinematics(RIGHT), Kinematics(RIGHT)
+INVERSE, KINEMATICS = InverseKinematics(RIGHT), ForwardKinematics(RIGHT)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import pytest
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.loads import Loads
 from control.errors import ArmError, ArmFileError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from control.model.description import arm_text, load_arm, parse_arm
 
@@ -63,7 +63,7 @@ def test_a_wrong_key_of_a_tool_is_named(old: str, new: str, match: str) -> None:
 def test_the_tip_is_that_of_the_tool_that_is_on() -> None:
     q_rad = STATE[0]
     bare = dataclasses.replace(RIGHT, tool=Tool(CUP.position_m))
-    assert Kinematics(TWO.with_tool("cup")).tip(*q_rad) == Kinematics(bare).tip(*q_rad)
+    assert ForwardKinematics(TWO.with_tool("cup")).tip(*q_rad) == ForwardKinematics(bare).tip(*q_rad)
 
 
 def test_the_mass_of_the_tool_that_is_on_is_in_the_dynamics() -> None:

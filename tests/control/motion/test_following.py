@@ -11,7 +11,7 @@ from benchmarks.tip_paths import circle_in_place, tip_of, turned_in_place
 from control.errors import ArmError
 from control.kinematics import rotation
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.model.arm import Arm
 from control.motion.errors import PathError
@@ -43,7 +43,7 @@ def test_the_tip_stays_within_a_micrometre_of_the_cubic_and_the_joints_within_th
     path, limits = joints_of(planned), JointLimits.of(arm)
     times_s, q, _, _ = sampled(path)
     wanted = np.array([planned.spline.at(float(t))[0] for t in times_s])
-    assert np.linalg.norm(Kinematics(arm).tips(q) - wanted, axis=1).max() < BOUND_M
+    assert np.linalg.norm(ForwardKinematics(arm).tips(q) - wanted, axis=1).max() < BOUND_M
     path.require_within(limits)
     assert planned.duration_s == path.duration_s
     assert planned.q_start_rad == pytest.approx(path.knots[0].q_rad, abs=1e-12)
@@ -66,7 +66,7 @@ def test_position_and_orientation_are_held_together(arm: Arm) -> None:
     planned = plan_path(arm, waypoints, 0.1)
     times_s, q, _, _ = sampled(joints_of(planned))
     wanted = np.array([planned.spline.at(float(t))[0] for t in times_s])
-    tip = PoseKinematics(Kinematics(arm)).batch(q)
+    tip = PoseKinematics(ForwardKinematics(arm)).batch(q)
     assert np.linalg.norm(tip.position_m - wanted, axis=1).max() < BOUND_M
     assert waypoints.orientations is not None
     at = np.searchsorted(times_s, planned.spline.times_s[:-1])
@@ -107,7 +107,7 @@ def test_a_turn_in_place_and_a_turn_faster_than_the_way_are_slow_enough() -> Non
     here, waypoints = tip_of(SIX), turned_in_place(SIX, -0.5)
     planned = plan_path(SIX, waypoints, 0.2)
     times_s, q, _, _ = sampled(joints_of(planned))
-    tip = PoseKinematics(Kinematics(SIX)).batch(q)
+    tip = PoseKinematics(ForwardKinematics(SIX)).batch(q)
     is_first = times_s < planned.spline.times_s[1]
     assert np.linalg.norm(tip.position_m[is_first] - here.position_m, axis=1).max() < BOUND_M
     relative = rotation.logarithms(tip.rotation[1:] @ np.swapaxes(tip.rotation[:-1], 1, 2))
@@ -129,7 +129,7 @@ def test_a_singular_passage_is_refused_with_its_place() -> None:
 
 def test_near_a_singular_pose_the_path_is_slowed() -> None:
     assert FOUR.rest is not None
-    stretched = Kinematics(FOUR).tip(0.0, 0.5, -0.35, -0.2)
+    stretched = ForwardKinematics(FOUR).tip(0.0, 0.5, -0.35, -0.2)
     x, y, z = stretched
     planned = plan_path(FOUR, [(x - 0.2, y, z), (x, y, z)], 0.9)
     assert planned.slowdowns
@@ -138,11 +138,13 @@ def test_near_a_singular_pose_the_path_is_slowed() -> None:
 def test_two_joints_follow_the_surface_that_they_reach_and_refuse_to_leave_it() -> None:
     assert TWO.rest is not None
     start = np.array(TWO.rest.q_rad)
-    taught = [Kinematics(TWO).tip(*(start + share * np.array([0.5, 0.3]))) for share in np.linspace(0, 1, 6)]
+    taught = [
+        ForwardKinematics(TWO).tip(*(start + share * np.array([0.5, 0.3]))) for share in np.linspace(0, 1, 6)
+    ]
     planned = plan_path(TWO, taught, 0.1)
     times_s, q, _, _ = sampled(joints_of(planned))
     wanted = np.array([planned.spline.at(float(t))[0] for t in times_s])
-    assert np.linalg.norm(Kinematics(TWO).tips(q) - wanted, axis=1).max() < 1e-3
+    assert np.linalg.norm(ForwardKinematics(TWO).tips(q) - wanted, axis=1).max() < 1e-3
     x, y, z = taught[0]
     with pytest.raises(ArmError, match=r"way-point 2|out of reach"):
         plan_path(TWO, [taught[0], (1.1 * x, y, z)], 0.1)
@@ -158,7 +160,7 @@ def test_an_orientation_that_the_joints_cannot_give_is_refused_at_its_way_point(
 def test_what_was_taught_with_its_orientation_can_be_run(arm: Arm) -> None:
     """Poses of the arm itself, to the six decimals of a file."""
     assert arm.rest is not None
-    kinematics, rng = PoseKinematics(Kinematics(arm)), np.random.default_rng(4)
+    kinematics, rng = PoseKinematics(ForwardKinematics(arm)), np.random.default_rng(4)
     poses = np.array(arm.rest.q_rad) + rng.uniform(-0.12, 0.12, (4, arm.joint_count))
     tip = kinematics.batch(poses)
     waypoints = Waypoints(
@@ -218,7 +220,7 @@ def test_a_third_joint_that_does_not_move_the_tip_leaves_it_its_surface() -> Non
     rest = (0.24, 1.14, -0.03)
     rows = [(0.0, 0.0, 0.121, 0.0), (0.0, pi / 2, 0.0, -pi / 2), (0.258, 0.0, 0.159, -pi / 2)]
     arm = arm_of("on its last axis", rows, "modified", rest, tool_m=(0.0, 0.0, 0.039))
-    kinematics = Kinematics(arm)
+    kinematics = ForwardKinematics(arm)
     taught = [np.round(kinematics.tip(*(np.array(rest) + 0.1 * k)), 6).tolist() for k in range(3)]
     planned = plan_path(arm, taught, 0.1)
     assert np.abs(kinematics.tips(np.array(planned.q_waypoints_rad)) - taught).max() < 1e-4

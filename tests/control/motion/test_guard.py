@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from control.kinematics.corners import Corners
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.motion.errors import MotionError
 from control.motion.guard import Guard, stopping_distance
 from control.motion.joint_limits import JointLimits
@@ -36,7 +36,7 @@ def poses(count: int) -> np.ndarray[Any, Any]:
 
 
 def test_corners_are_the_frames_origins_and_the_tip_scalar_and_in_batches() -> None:
-    corners, kinematics = Corners(RIGHT), Kinematics(RIGHT)
+    corners, kinematics = Corners(RIGHT), ForwardKinematics(RIGHT)
     for q, *batch in zip(poses(20), *(c.T for c in corners.batch(poses(20))), strict=True):
         found = corners.at(*q)
         frames = kinematics.link_transforms([q])[0, :, :3, 3]
@@ -63,7 +63,7 @@ def test_a_calibrated_arm_does_not_meet_its_base_with_the_link_that_hangs_on_it(
 def test_a_tool_is_a_corner_of_its_own() -> None:
     arm = replace(RIGHT, tool=replace(RIGHT.tool, position_m=(0.0, 0.0, 0.2)))
     assert len(Corners(arm).at(0.1, 0.2, 0.3)) == len(Corners(RIGHT).at(0.1, 0.2, 0.3)) + 1
-    assert Corners(arm).at(0.1, 0.2, 0.3)[-1] == pytest.approx(Kinematics(arm).tip(0.1, 0.2, 0.3))
+    assert Corners(arm).at(0.1, 0.2, 0.3)[-1] == pytest.approx(ForwardKinematics(arm).tip(0.1, 0.2, 0.3))
 
 
 # ---- the workspace

@@ -14,7 +14,7 @@ from control.errors import ArmError
 from control.kinematics import rotation
 from control.kinematics.damped import DampedRates
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.pose_solver import task_of
 from control.loop.jogging import Jogging, JogRequest, TipStep, TipVelocity
@@ -36,7 +36,7 @@ class Hand:
     def __init__(self, arm: Arm, q_rad: Sequence[float] | None = None) -> None:
         assert arm.rest is not None
         free = replace(arm, table=None, limits=replace(arm.limits, floor_z_m=-9.0))
-        self.poses = PoseKinematics(Kinematics(arm))
+        self.poses = PoseKinematics(ForwardKinematics(arm))
         self.jogging = Jogging(JogLimits.of(arm), InverseKinematics(arm), Guard(free, JointLimits.of(arm)))
         self.state = at_rest(tuple(q_rad or arm.rest.q_rad))
         self.guards = [
@@ -208,7 +208,7 @@ def test_whatever_is_asked_for_every_set_point_is_inside_all_limits(arm: Arm) ->
 
 
 def test_damping_bounds_the_rates_at_the_singular_pose_itself() -> None:
-    poses = PoseKinematics(Kinematics(SIX))
+    poses = PoseKinematics(ForwardKinematics(SIX))
     task = task_of(poses, True)
     singular = DampedRates(task, np.array(poses.at(0.2, 1.2, -0.5, 0.3, 0.0, 0.1)[2]))
     assert singular.is_damped

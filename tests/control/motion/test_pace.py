@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -32,7 +32,7 @@ GUARDS = [
 def fastest_circle():
     """A circle so fast that some joint is at a limit of its own."""
     path = plan_path(ARM, CIRCLE, 0.9)
-    return path.motion(InverseKinematics(ARM), Kinematics(ARM))
+    return path.motion(InverseKinematics(ARM), ForwardKinematics(ARM))
 
 
 def followed(paced, wanted_of, most_s=60.0):
@@ -67,7 +67,7 @@ def test_a_pause_comes_to_rest_on_the_path_and_goes_on_to_its_end(pause_s):
     assert paced.is_over
     at_rest = points[int((pause_s + 1.4) / PERIOD_S)]
     assert at_rest.speed_rad_s == at_rest.acceleration_rad_s2 == (0.0, 0.0, 0.0)
-    tip = Kinematics(ARM).tip
+    tip = ForwardKinematics(ARM).tip
     # A spline through 12 points of a circle of 90 mm is within 0.4 mm of it; so is a tip that never leaves the spline.
     off = [abs(math.hypot(x - 0.5, y) - 0.09) for x, y, _ in (tip(*p.q_rad) for p in points)]
     assert max(off) < 4e-4
@@ -76,7 +76,9 @@ def test_a_pause_comes_to_rest_on_the_path_and_goes_on_to_its_end(pause_s):
 
 def test_a_pause_takes_less_than_half_a_second_on_a_path_that_is_not_at_its_limits():
     path = plan_path(ARM, CIRCLE, 0.3)
-    paced = Paced(path.motion(InverseKinematics(ARM), Kinematics(ARM)), LIMITS.acceleration_rad_s2, 1.0)
+    paced = Paced(
+        path.motion(InverseKinematics(ARM), ForwardKinematics(ARM)), LIMITS.acceleration_rad_s2, 1.0
+    )
     points = followed(paced, lambda t: 1.0 if t < 0.5 else 0.0, most_s=1.0)
     speeds = [max(map(abs, p.speed_rad_s)) for p in points]
     assert speeds[int(0.5 / PERIOD_S)] > 0.1

@@ -8,7 +8,7 @@ import pytest
 
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from control.motion import checks
 from control.motion.errors import MotionError, PathError
@@ -18,7 +18,7 @@ from control.motion.plan import PlannedPath, Slowdown, plan_path
 from control.motion.waypoints import Waypoints, circle, line
 
 ARM = load_arm("right")
-KINEMATICS, INVERSE = Kinematics(ARM), InverseKinematics(ARM)
+KINEMATICS, INVERSE = ForwardKinematics(ARM), InverseKinematics(ARM)
 LIMITS = JointLimits.of(ARM)
 TABLE = ARM.table
 
@@ -29,7 +29,7 @@ def _calibrated():
 
 
 def _motion(planned, arm=ARM):
-    return planned.motion(InverseKinematics(arm), Kinematics(arm))
+    return planned.motion(InverseKinematics(arm), ForwardKinematics(arm))
 
 
 def _samples(motion, count=1500):
@@ -64,7 +64,7 @@ def test_joint_speed_and_acceleration_are_the_derivatives_of_the_angles(arm):
 def test_the_path_of_a_calibrated_arm_puts_its_own_tip_on_the_circle():
     arm = _calibrated()
     q, _, _ = _samples(_motion(plan_path(arm, circle(TABLE), 0.15), arm), 200)
-    tips = Kinematics(arm).tips(q)
+    tips = ForwardKinematics(arm).tips(q)
     radius = np.hypot(tips[:, 0] - 0.5, tips[:, 1])
     assert np.abs(radius[20:-20] - 0.09).max() < 2e-6
     assert np.abs(tips[:, 2]).max() < 1e-8

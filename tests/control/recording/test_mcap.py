@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Link, Tool
 from control.model.description import arm_text, load_arm
 from control.recording import mcap_scene as scene
@@ -137,10 +137,10 @@ def test_the_frames_chain_to_where_kinematics_has_the_links_and_the_tip(tmp_path
                 at[one["child_frame_id"]] = at[one["parent_frame_id"]] @ _matrix(
                     one["translation"], one["rotation"]
                 )
-            links = Kinematics(arm).link_transforms([q])[0]
+            links = ForwardKinematics(arm).link_transforms([q])[0]
             for number in range(1, len(arm.links) + 1):
                 np.testing.assert_allclose(at[f"x/link{number}"], links[number], atol=1e-12)
-            np.testing.assert_allclose(at["x/tip"][:3, 3], Kinematics(arm).tips([q])[0], atol=1e-12)
+            np.testing.assert_allclose(at["x/tip"][:3, 3], ForwardKinematics(arm).tips([q])[0], atol=1e-12)
 
 
 def _matrix(at: dict[str, float], turn: dict[str, float]) -> np.ndarray[Any, Any]:
@@ -161,7 +161,7 @@ def test_the_shapes_reach_from_joint_to_joint_and_to_the_tip(arm: Arm) -> None:
     at = {"base": np.eye(4)}
     for one in scene.transforms(arm, "measured", q.tolist(), 0):
         at[one["child_frame_id"]] = at[one["parent_frame_id"]] @ _matrix(one["translation"], one["rotation"])
-    joints = [*Kinematics(arm).link_transforms([q])[0][:, :3, 3], Kinematics(arm).tips([q])[0]]
+    joints = [*ForwardKinematics(arm).link_transforms([q])[0][:, :3, 3], ForwardKinematics(arm).tips([q])[0]]
     ends = []
     for entity in scene.shapes(arm, 0)["entities"]:
         if not entity["id"].startswith("measured/shape") or not entity["cylinders"]:
@@ -191,7 +191,7 @@ def test_the_commanded_path_is_shown_when_its_run_begins(tmp_path: Path) -> None
     k = np.arange(10, 120, 10)  # one each 0.02 s
     q = np.stack([0.1 * j * np.sin(2 * np.pi * k * PERIOD_s) for j in (1, 2, 3)], axis=1)
     np.testing.assert_allclose(
-        [[p["x"], p["y"], p["z"]] for p in points], Kinematics(RIGHT).tips(q), atol=1e-9
+        [[p["x"], p["y"], p["z"]] for p in points], ForwardKinematics(RIGHT).tips(q), atol=1e-9
     )
 
 
@@ -288,6 +288,6 @@ def test_the_arm_is_drawn_of_its_joints_where_they_are_recorded_beside_their_enc
         last = dict(zip(opened.layout.names, list(opened.rows())[50], strict=True))
         read = exported(folder, path)
         for topic, which in (("/tip/measured", ""), ("/tip/set_point", "_set")):
-            expected = Kinematics(RIGHT).tip(*(last[name.format(j, which)] for j in (1, 2, 3)))
+            expected = ForwardKinematics(RIGHT).tip(*(last[name.format(j, which)] for j in (1, 2, 3)))
             found = read.messages[topic][-1][1]["pose"]["position"]
             assert [found[axis] for axis in "xyz"] == pytest.approx(expected, abs=1e-9)

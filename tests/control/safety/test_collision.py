@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from control.kinematics.corners import Corners
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Rest
 from control.model.cell import Placed, load_cell
 from control.model.description import load_arm
@@ -114,7 +114,7 @@ def test_what_is_beyond_the_limit_is_not_looked_at() -> None:
 def test_a_body_ends_at_the_tip_and_begins_on_its_base() -> None:
     q_rad = (0.3, -0.5, 0.4)
     found = RIGHT.at(q_rad)
-    tip = PAIR.placed("right").in_cell(Kinematics(PAIR.placed("right").arm).tip(*q_rad))
+    tip = PAIR.placed("right").in_cell(ForwardKinematics(PAIR.placed("right").arm).tip(*q_rad))
     tool = found[-1]
     assert (tool.x + tool.dx, tool.y + tool.dy, tool.z + tool.dz) == pytest.approx(tip)
     assert math.sqrt(tool.dd) == pytest.approx(PAIR.tool_length_m, abs=1e-6)

@@ -9,7 +9,7 @@ import pytest
 
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.motion.beside import Beside, plan_beside
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -22,7 +22,7 @@ from tests.pair import PAIR, PERIOD_S, Pair, holding_pair
 POSE = (-0.2, -0.6, 0.3)
 GOAL = (0.35, -0.4, 0.6)
 LEFT, RIGHT = PAIR.placed("left"), PAIR.placed("right")
-TIP = {placed.name: Kinematics(placed.arm).tip for placed in PAIR.arms}
+TIP = {placed.name: ForwardKinematics(placed.arm).tip for placed in PAIR.arms}
 START = np.subtract(RIGHT.in_cell(TIP["right"](*POSE)), LEFT.in_cell(TIP["left"](*POSE)))
 ROUND = np.array([(0.0, 0.0, 0.0), (0.0, -0.03, 0.02), (0.02, -0.05, 0.0), (0.0, -0.03, -0.02)])
 OFFSETS = Waypoints(tuple(map(tuple, (START + ROUND).tolist())), None)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.cell import Cell, load_cell
 from firmware_iface.link import CanFormat
 from hil_mocks.cell import MockCell, SteppedCell
@@ -38,7 +38,9 @@ def test_an_arm_in_a_cell_moves_as_it_does_alone_wherever_its_base_is() -> None:
             alone.tick()
         beside = mock.robots[placed.name]
         assert beside.joint_rad() == pytest.approx(alone.joint_rad(), abs=1e-6)
-        assert beside.tip_m() == pytest.approx(Kinematics(placed.arm).tip(*beside.joint_rad()), abs=1e-9)
+        assert beside.tip_m() == pytest.approx(
+            ForwardKinematics(placed.arm).tip(*beside.joint_rad()), abs=1e-9
+        )
         assert beside.joint_rad() != pytest.approx(STRETCHED, abs=1e-3)  # drives off: it sinks
 
 
@@ -60,7 +62,7 @@ def test_hidden_errors_differ_from_arm_to_arm_and_a_fault_is_of_one() -> None:
     mock = MockCell(PAIR, scenario(base="demo"))
     left, right = mock.robots["left"], mock.robots["right"]
     off_m = [
-        math.dist(robot.tip_m(), Kinematics(PAIR.placed(name).arm).tip(*robot.joint_rad()))
+        math.dist(robot.tip_m(), ForwardKinematics(PAIR.placed(name).arm).tip(*robot.joint_rad()))
         for name, robot in mock.robots.items()
     ]
     assert min(off_m) > 1e-3

@@ -14,7 +14,7 @@ from calib.arrays import norms
 from console.commands import demo as demo_command
 from console.main import main
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Table
 from control.model.description import load_arm
 from procedures.demo import gap
@@ -116,7 +116,7 @@ def assert_results_are_complete(out: Path, nominal: Arm) -> None:
     calibrated = load_arm(out / "arm_calibrated.toml")
     assert calibrated.calibration is not None
     assert calibrated.calibration.source
-    tip_m, nominal_tip_m = (Kinematics(arm).tips([[0.0, -0.5, 0.3]]) for arm in (calibrated, nominal))
+    tip_m, nominal_tip_m = (ForwardKinematics(arm).tips([[0.0, -0.5, 0.3]]) for arm in (calibrated, nominal))
     assert 1e-3 < float(norms(tip_m - nominal_tip_m)[0]) < 0.1
     with (out / "points.csv").open(newline="") as file:
         points = list(csv.DictReader(file))

@@ -11,7 +11,7 @@ import pytest
 from calib.errors import CalibrationError
 from calib.gap.finding import EffectName
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Effect
 from control.model.description import load_arm
 from control.model.effects import EFFECTS
@@ -64,7 +64,7 @@ def test_places_are_within_reach_inside_the_limits_and_above_the_floor() -> None
     assert len(programme.places) == 10
     assert len(programme.ways) == 2
     assert all(place.tip_m[2] > RIGHT.limits.floor_z_m for place in programme.places)
-    assert Kinematics(RIGHT).tip(0.0, 0.0, 0.0)[2] > 0.0
+    assert ForwardKinematics(RIGHT).tip(0.0, 0.0, 0.0)[2] > 0.0
 
 
 @pytest.mark.parametrize(

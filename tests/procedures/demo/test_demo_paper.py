@@ -11,7 +11,7 @@ import pytest
 
 from calib.arrays import norms
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
 from control.model.description import load_arm
 from procedures.demo import paper
@@ -102,7 +102,7 @@ def test_the_table_has_a_row_for_every_identification_and_the_published_one(outc
 def test_commands_without_play_put_the_models_tip_on_its_target() -> None:
     targets = verification_targets(tables.table_of(ARM))
     poses = commands(ARM, targets, ARM.rest.q_rad if ARM.rest else (0.0, 0.0, 0.0))
-    tips = Kinematics(ARM).tips([pose.q_rad for pose in poses])
+    tips = ForwardKinematics(ARM).tips([pose.q_rad for pose in poses])
     assert np.allclose(tips, [tip for _, _, tip in targets], atol=1e-8)
 
 

@@ -12,11 +12,11 @@ from calib.capture.alignment import align
 from calib.capture.motion import JointMotion
 from calib.capture.tracks import BodyTrack
 from calib.gap.log import Log, LoggedRun
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from procedures.gap.captured import NO_STAMPS, on_one_clock, with_tips
 from tests.procedures.gap.test_gap_timing import ARM, RUNS, PERIOD_s, angle
 
-KINEMATICS = Kinematics(ARM)
+KINEMATICS = ForwardKinematics(ARM)
 CAPTURE_s = 41.37  # when the capture begins, on the loop's clock
 
 

@@ -19,7 +19,7 @@ from calib.gap.plan.plan import PlannedRun, PlannedVisit, RecordingPlan
 from calib.points.points import Points
 from calib.points.reading import read_points
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.rotation import logarithms, matrices, quaternions
 from control.model.camera import Camera, CameraStream
@@ -127,7 +127,7 @@ def test_poses_are_reached_and_their_directions_are_those_of_the_approach(record
 
 
 def test_a_camera_that_measures_orientations_has_them_recorded_in_the_base_frame(recorded: Recorded) -> None:
-    link = PoseKinematics(Kinematics(RIGHT)).batch(recorded.points.q_rad).rotation
+    link = PoseKinematics(ForwardKinematics(RIGHT)).batch(recorded.points.q_rad).rotation
     seen = np.swapaxes(link, 1, 2) @ matrices(recorded.points.orientation)
     assert np.abs(logarithms(seen @ turn_of(TARGET_turn_rad).T)).max() < 2e-3
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from procedures.gap.recording import RunFile, write_log
 from procedures.gap.timing import MEAN_s, Raw, aligned, clocks_of
@@ -60,7 +60,7 @@ def run(
     tip = np.full((len(t), 3), np.nan)
     if has_camera:
         frames = np.arange(4, len(t), 5)
-        seen = Kinematics(ARM).tips(angle(t[frames] - CAMERA_s))
+        seen = ForwardKinematics(ARM).tips(angle(t[frames] - CAMERA_s))
         tip[frames] = seen + noise * draw.normal(0.0, 1.4e-4, seen.shape) + 0.004  # a frame that is displaced
     return Raw(t, q, angle(t), current, voltage, np.repeat(counted[:, None], 3, axis=1), tip, 0.0)
 
@@ -88,7 +88,7 @@ def test_aligned_rows_are_the_arms_own_motion_and_tips() -> None:
         assert np.sqrt(np.mean((got.q_rad - angle(at)) ** 2)) < 3e-5
         seen = np.isfinite(got.tip_m[:, 0])
         assert seen.sum() > 0.19 * len(at)
-        apart = got.tip_m[seen] - 0.004 - Kinematics(ARM).tips(angle(at[seen]))
+        apart = got.tip_m[seen] - 0.004 - ForwardKinematics(ARM).tips(angle(at[seen]))
         assert np.sqrt(np.mean(apart**2)) < 2.0e-4  # the camera's noise is 1.4e-4
 
 

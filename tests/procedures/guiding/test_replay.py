@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.motion.joint_limits import JointLimits
 from control.safety.table import Mode
 from procedures.guiding import Guided, guided_motion, replayed
@@ -44,7 +44,7 @@ def test_the_path_begins_and_ends_at_rest_and_keeps_every_limit(duration_s: floa
     assert not np.any(a[[0, -1]])
     assert (np.abs(v).max(axis=0) <= scaled.speed_rad_s).all()
     assert (np.abs(a).max(axis=0) <= scaled.acceleration_rad_s2).all()
-    tips = Kinematics(RIGHT).tips(q)
+    tips = ForwardKinematics(RIGHT).tips(q)
     assert np.linalg.norm(np.diff(tips, axis=0), axis=1).max() / 0.002 <= speed * RIGHT.limits.tip_speed_m_s
     assert bool(planned.limit) is (planned.slowdown > 1.0) is (duration_s < 4.0)
 
@@ -52,7 +52,7 @@ def test_the_path_begins_and_ends_at_rest_and_keeps_every_limit(duration_s: floa
 def test_the_tip_goes_the_way_that_the_hand_has_shown() -> None:
     guided = shown(4.0)
     q, _, _ = sampled(replayed(guided, RIGHT).path, 0.02)
-    kinematics = Kinematics(RIGHT)
+    kinematics = ForwardKinematics(RIGHT)
     ways = kinematics.tips(guided.q_rad[::10])
     off_m = [np.linalg.norm(ways - tip, axis=1).min() for tip in kinematics.tips(q)]
     assert max(off_m) < 4e-3  # the tremor, and corners that smoothing cuts

@@ -20,7 +20,7 @@ from calib.iso9283.cube import TestCube
 from calib.iso9283.programme import Extent, PathRun
 from calib.points.reading import read_points
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
 from control.server.client import Average
@@ -236,7 +236,7 @@ def test_an_arm_that_reaches_only_a_surface_is_refused_before_anything_is_planne
 
 @pytest.mark.parametrize("arm", [FOUR, SIX], ids=lambda arm: arm.name)
 def test_paths_corners_and_weaving_are_planned_for_more_than_three_joints(arm: Arm) -> None:
-    x, y, z = Kinematics(arm).tip(*arm.rest.q_rad) if arm.rest else (0.0, 0.0, 0.0)
+    x, y, z = ForwardKinematics(arm).tip(*arm.rest.q_rad) if arm.rest else (0.0, 0.0, 0.0)
     cube = TestCube((x, y, z), 0.06)
     programmes = ("pose", "path", "cornering", "weaving")
     planned = plan(

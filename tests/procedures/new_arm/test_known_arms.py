@@ -13,7 +13,7 @@ from armwright import CalibrationError, calibrate, make_points
 from console.main import main
 from control.errors import ArmFileError
 from control.kinematics.corners import Corners
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import arm_names, arm_text, load_arm, parse_arm, save_arm
 from control.model.servos import SERVOS
@@ -135,7 +135,7 @@ def test_a_horn_on_another_tooth_is_told_before_points_are_fitted(joint: int, te
     dh = arm.dh + random.uniform(-1.0, 1.0, arm.dh.shape) * (0.001, 0.01, 0.001, 0.01)
     standing = q_rad.copy()
     standing[:, joint - 1] += tooth_rad
-    tips = Kinematics(arm.with_dh(dh)).tips(standing) + random.normal(0.0, 5e-4, (40, 3))
+    tips = ForwardKinematics(arm.with_dh(dh)).tips(standing) + random.normal(0.0, 5e-4, (40, 3))
     zero_count = 2048 - round(tooth_rad * 4096 / (2.0 * math.pi))
     with pytest.raises(
         CalibrationError,

@@ -14,7 +14,7 @@ from calib.arm_import import read_arm
 from calib.export import export_text
 from console.main import main
 from control.kinematics.corners import Corners
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.board_kinds import KINDS
 from control.model.description import load_arm
 from firmware_iface.serial_link import PortHere
@@ -98,7 +98,9 @@ def test_the_lengths_are_where_the_joints_are(tmp_path: Path) -> None:
     options = ("--axes", "zyy", "--lengths", "0.1", "0.4", "0.35", "--convention", "modified", "--yes")
     _, file = new(tmp_path, *options)
     arm = load_arm(file)
-    tips = Kinematics(arm).tips(np.array([[0.0, 0.0, 0.0], [0.0, np.pi / 2, 0.0], [0.0, 0.0, np.pi / 2]]))
+    tips = ForwardKinematics(arm).tips(
+        np.array([[0.0, 0.0, 0.0], [0.0, np.pi / 2, 0.0], [0.0, 0.0, np.pi / 2]])
+    )
     assert np.allclose(tips, [[0, 0, 0.85], [0.75, 0, 0.1], [0.35, 0, 0.5]], atol=1e-12)
 
 
@@ -177,7 +179,7 @@ def test_a_model_gives_the_same_arm_with_limits_torque_and_friction(form: str, t
     assert main(["arm", f"--from-{form}", str(model), "--out", str(out)]) == 0
     arm = load_arm(out)
     q = np.random.default_rng(3).uniform(-1.0, 1.0, (20, 3))
-    assert np.abs(Kinematics(arm).tips(q) - Kinematics(RIGHT).tips(q)).max() < 1e-9
+    assert np.abs(ForwardKinematics(arm).tips(q) - ForwardKinematics(RIGHT).tips(q)).max() < 1e-9
     assert arm.limits_rad == RIGHT.limits_rad
     again = tmp_path / f"again.{form}"
     again.write_text(export_text(arm, form), encoding="utf-8")

@@ -12,7 +12,7 @@ from calib.arm_problem.assembly import problem_of
 from calib.identify.identification import identify
 from calib.points.reading import read_points
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from hil_mocks.scenario import load_scenario
 from tests.places import RIGHT_TOML
@@ -102,9 +102,9 @@ def test_a_session_by_script_is_interrupted_resumed_and_calibrates(
         link, key = name[4:].split("_")[:2]
         true_dh[int(link) - 1, ["d", "theta", "L", "alpha"].index(key)] += deviation
     q_rad = np.random.default_rng(1).uniform([-0.3, -1.2, -0.1], [0.3, -0.8, 0.4], (50, 3))  # over the board
-    true, calibrated = (Kinematics(arm.with_dh(dh)).tips(q_rad) for dh in (true_dh, found.dh))
+    true, calibrated = (ForwardKinematics(arm.with_dh(dh)).tips(q_rad) for dh in (true_dh, found.dh))
     off_m = np.linalg.norm(calibrated - true, axis=1)
-    before_m = np.linalg.norm(Kinematics(arm).tips(q_rad) - true, axis=1)
+    before_m = np.linalg.norm(ForwardKinematics(arm).tips(q_rad) - true, axis=1)
     assert before_m.mean() > 15e-3
     assert off_m.mean() < 0.05 * before_m.mean()
 

@@ -19,7 +19,7 @@ from calib.session.moves import chosen_free_poses, read_free_poses
 from calib.session.plan import SessionPlan, board_targets, free_targets
 from calib.session.residual_watch import RecordVerdict
 from calib.session.state import Mark, SessionState
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Link
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
@@ -133,7 +133,7 @@ def test_free_poses_are_spread_clear_of_the_table_and_always_the_same() -> None:
     limits = np.array(RIGHT.limits_rad)
     assert ((q_rad > limits[:, 0]) & (q_rad < limits[:, 1])).all()
     ways = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(q_rad)])
-    kinematics = Kinematics(RIGHT)
+    kinematics = ForwardKinematics(RIGHT)
     assert kinematics.tips(q_rad)[:, 2].min() > 0.119
     assert kinematics.tips(ways)[:, 2].min() > 0.05, "on the way from one to the next, too"
     apart = np.linalg.norm(q_rad[:, None] - q_rad[None], axis=2) + 9.0 * np.eye(12)

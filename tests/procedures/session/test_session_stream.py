@@ -20,7 +20,7 @@ from calib.session.moves import chosen_free_poses
 from calib.session.plan import SessionPlan, fingerprint, free_targets
 from calib.session.residual_watch import ResidualWatch
 from console.main import main
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import matrices
 from control.model.arm import Effect
 from control.model.camera import Camera, CameraStream
@@ -77,7 +77,7 @@ def test_full_poses_are_recorded_in_the_frame_of_the_base_body(
     assert (warnings, points.extra["frame"], points.in_camera_frame) == ((), ("stream",) * 7, True)
     np.testing.assert_allclose(points.orientation, [(0.6, 0.0, 0.8, 0.0)] * 7)
     tips = points.tip_m @ turn_of(BASE_turn_rad).T + BASE_m
-    np.testing.assert_allclose(tips, Kinematics(RIGHT).tips(points.q_rad), atol=1e-6)
+    np.testing.assert_allclose(tips, ForwardKinematics(RIGHT).tips(points.q_rad), atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from calib.points.writer import write_points
 from console.commands.calibration import verify as verify_command
 from console.main import main
 from control.errors import ArmError
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
 from control.model.arm import Arm, Calibration, Effect, Link, Tool
 from control.model.description import load_arm, save_arm
@@ -74,7 +74,7 @@ def measured(tmp_path: Path) -> Path:
     """40 poses with tips as a camera would see them, two looks at each."""
     rng = np.random.default_rng(6)
     q = np.repeat(rng.uniform([-0.5, -1.0, -0.5], [0.5, -0.3, 0.5], (40, 3)), 2, axis=0)
-    tips = Kinematics(TRUE).tips(q) + rng.normal(0.0, 0.00014, (80, 3))
+    tips = ForwardKinematics(TRUE).tips(q) + rng.normal(0.0, 0.00014, (80, 3))
     names = [str(k // 2) for k in range(80)]
     path = tmp_path / "seen.csv"
     write_points(path, make_points(["free"] * 80, names, [1, 2] * 40, q, tips))
@@ -331,7 +331,7 @@ def test_a_calibrated_base_frame_and_tool_are_driven_too() -> None:
 
 def status(arm: Arm, **changes: object) -> dict[str, object]:
     q_rad = [0.1, -0.5, 0.2]
-    tip_m = list(Kinematics(arm).tip(*q_rad))
+    tip_m = list(ForwardKinematics(arm).tip(*q_rad))
     return {"is_homed": True, "joint_rad": q_rad, "tip_m": tip_m, "fingerprint": fingerprint(arm)} | changes
 
 
@@ -363,7 +363,9 @@ def recording(path: Path, delay_s: float, offset_m: float) -> np.ndarray:
     sink = FileSink(path, layout.header({"arm": "right"}))
     times = np.arange(0.0, 4.0, 0.002)
     q = np.column_stack([0.3 * np.sin(times), -0.6 + 0.2 * np.cos(1.3 * times), 0.1 * times])
-    late = np.array([np.interp(times - delay_s, times, column) for column in Kinematics(RIGHT).tips(q).T]).T
+    late = np.array(
+        [np.interp(times - delay_s, times, column) for column in ForwardKinematics(RIGHT).tips(q).T]
+    ).T
     for k, time_s in enumerate(times):
         row = dict.fromkeys(layout.names, 0)
         seen = late[k] + offset_m if k % 5 == 0 else [np.nan] * 3
@@ -373,7 +375,7 @@ def recording(path: Path, delay_s: float, offset_m: float) -> np.ndarray:
         )
         sink.write(layout.packing.pack(*row.values()))
     sink.close()
-    return Kinematics(RIGHT).tips(q[times >= 2.0])
+    return ForwardKinematics(RIGHT).tips(q[times >= 2.0])
 
 
 def test_a_cameras_delay_is_no_error_of_the_arm(tmp_path: Path) -> None:

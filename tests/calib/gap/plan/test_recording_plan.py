@@ -15,7 +15,7 @@ from calib.gap.plan.plan import REFERENCE, PlanRequest, recording_plan
 from calib.gap.plan.poses import APPROACH_rad
 from calib.gap.poses.recordings import split
 from control.dynamics.static_pose import gravity_Nm
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 
@@ -70,7 +70,7 @@ def test_motions_stay_in_the_room_below_every_limit_and_are_what_their_derivativ
         assert demand(path, limits) <= 0.9 + 1e-9
         assert (np.abs(v) <= limits.joints.speed_rad_s).all()
         assert (np.abs(a) <= limits.joints.acceleration_rad_s2).all()
-        tip = np.linalg.norm(np.einsum("mij,mj->mi", Kinematics(RIGHT).jacobians(q), v), axis=1)
+        tip = np.linalg.norm(np.einsum("mij,mj->mi", ForwardKinematics(RIGHT).jacobians(q), v), axis=1)
         assert tip.max() <= RIGHT.limits.tip_speed_m_s
         # central differences over 4 ms: an error of the jerk's change, far below a per cent of the limits
         assert np.abs(np.gradient(q, times, axis=0) - v)[2:-2].max() < 1e-3

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from calib.arrays import Array
 from calib.gap.log import Log, LoggedRun
 from control.dynamics.dynamics import Dynamics
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm
 
@@ -67,7 +67,7 @@ def log_of(
     turned: Callable[[Array, Array], Array] | None = None,
 ) -> Log:
     """Seven runs: five motions, two of them twice, one with a payload. `turned`: joint angle beyond the encoder's."""
-    rng, model = np.random.default_rng(seed), Model(arm, Dynamics(arm), Kinematics(arm))
+    rng, model = np.random.default_rng(seed), Model(arm, Dynamics(arm), ForwardKinematics(arm))
     seeds = [11, 12, 13, 14, 15, 13, 12]
     loads = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
     runs = []
@@ -99,7 +99,7 @@ class Model:
 
     arm: Arm
     dynamics: Dynamics
-    kinematics: Kinematics
+    kinematics: ForwardKinematics
 
 
 def _run(

@@ -15,7 +15,7 @@ from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.series.plausible import plausible
 from calib.gap.signals.recording import RunSet, UnusableLogError, prepare
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()
@@ -114,7 +114,7 @@ def test_runs_of_three_samples_are_refused() -> None:
 
 def late_camera() -> DynamicOutcome:
     """A tip that is 6 ms late, beside viscous friction that the arm's file lacks."""
-    kinematics = Kinematics(ARM)
+    kinematics = ForwardKinematics(ARM)
 
     def late(run: LoggedRun) -> LoggedRun:
         seen = np.isfinite(run.tip_m[:, 0])

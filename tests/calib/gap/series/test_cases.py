@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.gap.dynamic.cases import Asked, Case, Conditions, made
 from benchmarks.gap.dynamic.score import GROUPS, arm_of, log_of, plan
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 
 SHORT = Conditions(seconds=0.3)
 
@@ -32,7 +32,7 @@ def test_a_hidden_encoder_scale_turns_the_joint_further_than_it_says(together: l
     scale = case.truth[0]["parameters"]["scale"]
     turned = np.array(run.q_rad[seen])
     turned[:, 0] *= 1.0 + scale
-    kinematics = Kinematics(arm_of(case.arm_toml))
+    kinematics = ForwardKinematics(arm_of(case.arm_toml))
     off = np.sqrt(np.mean((kinematics.tips(turned) - run.tip_m[seen]) ** 2))
     assert off == pytest.approx(0.00014, rel=0.25)  # the camera's noise alone
 

@@ -25,7 +25,7 @@ from calib.gap.signals.recording import UnusableLogError
 from calib.identify.identification import identify
 from calib.identify.objective import LeastSquares
 from calib.points.points import Points
-from control.kinematics.kinematics import Kinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Effect
 from tests.calib.gap.series.prescribed import Hidden, arm_with_friction, log_of
 from tests.thirds import third_of
@@ -238,7 +238,7 @@ def test_a_tip_that_warms_up_is_named_with_its_joint_and_time() -> None:
         turned = np.array(run.q_rad[seen])
         turned[:, 1] += 0.004 * (1.0 - np.exp(-run.t_s[seen] / 1.5))
         tip = np.array(run.tip_m)
-        tip[seen] += Kinematics(ARM).tips(turned) - Kinematics(ARM).tips(run.q_rad[seen])
+        tip[seen] += ForwardKinematics(ARM).tips(turned) - ForwardKinematics(ARM).tips(run.q_rad[seen])
         return replace(run, tip_m=tip)
 
     found = find(ARM, changed(log_of(ARM), warm), candidates=("thermal_drift", "encoder_scale"))
