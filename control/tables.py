@@ -239,6 +239,10 @@ class TableContent:
         """File and line of a row, for errors."""
         return f"{self.path}, line {self.lines[row]}"
 
+    def bad_cell(self, row: int, name: str, text: str, expected: str) -> Exception:
+        """The caller's error for a cell that is wrong beside others."""
+        return self._bad(self.lines[row], name, text, expected)
+
     def _bad(self, line: int, name: str, text: str, expected: str) -> Exception:
         got = f'"{text.strip()[:80]}"' if text.strip() else "an empty cell"
         return self._wrong(f"{self.path}, line {line}, column {name}: got {got}, expected {expected}")

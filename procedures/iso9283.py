@@ -23,7 +23,7 @@ from calib.iso9283.cube import Point, TestCube
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import write_page
 from calib.iso9283.programme import Extent, PathRun, Step, Visit, path_programme, programme_document, steps
-from calib.iso9283.recorded import SET, PoseGroup, RecordedRun, pose_groups, read_rectangle, read_runs
+from calib.iso9283.recorded import BESIDE, SET, PoseGroup, RecordedRun, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import Evaluation, write_document
 from calib.iso9283.workspace import Solver, solver_of
 from calib.points.arm_points import require_recorded_of
@@ -271,8 +271,8 @@ def _poses(
 ) -> tuple[list[PoseGroup], tuple[str, ...], tuple[str, ...]]:
     if path.suffix == ".armlog":
         raise Iso9283Error(f"{path}: a recording, expected points.csv")
-    points, warnings = read_points(path, also=r".*(_set_rad|[abc]_rad|_N)")
-    groups, notes = pose_groups(replace(points, is_as_given=is_as_given), arm, str(path))
+    points, warnings = read_points(path, also=BESIDE)
+    groups, notes = pose_groups(replace(points, is_as_given=is_as_given), arm, path)
     return groups, notes, warnings
 
 

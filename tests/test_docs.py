@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from calib.gap.log import LOG
 from calib.points.reading import POINTS
 from console.main import parser
 from control.model.board_kinds import KINDS
@@ -304,8 +305,10 @@ def test_the_reference_of_arm_toml_is_what_the_reader_obeys() -> None:
     assert (ROOT / "docs" / "arm_toml.md").read_text(encoding="utf-8") == reference_text()
 
 
-def test_the_columns_of_points_are_those_that_the_reader_obeys() -> None:
-    assert documented(POINTS) in (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+def test_the_columns_of_points_and_logs_are_those_that_the_reader_obeys() -> None:
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    assert documented(POINTS) in text
+    assert documented(LOG) in text
 
 
 def test_every_key_of_an_arm_file_is_explained() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -55,7 +56,7 @@ def figures_of_case(cases: Cases, number: int) -> tuple[PoseFigures, ...]:
         ["pose"] * len(names), names, repeats, at.q_rad, seen_m, at.direction, at.current_A
     )
     try:
-        return pose_figures(trust.predictor, arm, programme, "points.csv")
+        return pose_figures(trust.predictor, arm, programme, Path("points.csv"))
     except UnusablePointsError:  # few poses of an arm with effects may look like another arm's
         return ()
 

@@ -85,7 +85,7 @@ def require_finite(q_rad: Array, position_m: Array) -> None:
             what = "joint angle" if values is q_rad else "tip position"
             rows = len(set(bad[:, 0].tolist()))
             raise UnusablePointsError(
-                f"{what} of point {row + 1} (line {row + 2}, {names[column]}) is not a finite number ({rows} such"
+                f"{what} of point {row + 1} ({names[column]}) is not a finite number ({rows} such"
                 f" point{'s' if rows > 1 else ''})"
             )
 

@@ -20,13 +20,28 @@ from calib.arm_problem.joint_effects import known_corrections
 from calib.arrays import Array, frozen
 from calib.errors import PointsFileError, UnusablePointsError
 from calib.points.points import Points, make_points
-from calib.points.reading import read_points
+from calib.points.reading import beyond, read_points
 from calib.points.writer import DISTANCE, Key
 from control.model.arm import Arm
+from control.tables import TableColumn, TableFormat
 
 JOINED = "joined"
 DISTANCE_MOST_m = 5.0
 TURNS_LIMIT_rad = 6 * math.pi
+BESIDE = TableFormat(
+    "point",
+    (
+        TableColumn(
+            DISTANCE,
+            "between the tips; empty: 0",
+            lower=0.0,
+            upper=DISTANCE_MOST_m,
+            expected=f"a distance from 0 to {DISTANCE_MOST_m:g} m",
+        ),
+        TableColumn(JOINED, "name of a rigid join of both tools; empty: they touch", is_name=True),
+    ),
+)
+"""Columns of contacts that points.csv has beside its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +95,7 @@ def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[st
     first, second = arms
     n = first.joint_count
     try:
-        points, warnings = read_points(path, n + second.joint_count)
+        points, warnings = read_points(path, n + second.joint_count, BESIDE)
     except PointsFileError as error:
         raise PointsFileError(
             f"{error} (contacts: the {n} joints of {first.name}, then the {second.joint_count} of {second.name})"
@@ -91,12 +106,12 @@ def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[st
         )
     if np.abs(points.q_rad).max() > TURNS_LIMIT_rad:
         raise UnusablePointsError(f"{path}: the joint angles look like degrees: expected radians")
-    distance_m = _distances(path, points)
-    joined = tuple(text.strip() for text in points.extra.get(JOINED, ("",) * len(points)))
+    table = beyond(points, path, BESIDE, PointsFileError)
+    distance_m, joined = np.nan_to_num(table.number(DISTANCE)), tuple(table.words(JOINED))
     for row, name in enumerate(joined):
         if name and distance_m[row] > 0.0:
             raise PointsFileError(
-                f"{path}, line {row + 2}, column {JOINED}: joined tools {name!r} are in one place: expected {DISTANCE} 0 or"
+                f"{table.place(row)}, column {JOINED}: joined tools {name!r} are in one place: expected {DISTANCE} 0 or"
                 f" empty, got {distance_m[row]:g}"
             )
     names = zip(points.setup, points.point, points.repeat, strict=True)
@@ -130,18 +145,3 @@ def _joint_rad(arm: Arm, points: Points, columns: slice) -> Array:
         points.setup, points.point, points.repeat, q, np.full((m, 3), np.nan), points.direction[:, columns]
     )
     return np.asarray(q + known_corrections(arm, own))
-
-
-def _distances(path: Path, points: Points) -> Array:
-    texts = points.extra.get(DISTANCE, ("",) * len(points))
-    found = np.zeros(len(texts))
-    for row, text in enumerate(texts):
-        try:
-            found[row] = float(text) if text.strip() else 0.0
-        except ValueError:
-            found[row] = math.nan
-        if not 0.0 <= found[row] <= DISTANCE_MOST_m:
-            raise PointsFileError(
-                f"{path}, line {row + 2}, column {DISTANCE}: got {text!r}, expected a distance from 0 to {DISTANCE_MOST_m:g} m"
-            )
-    return found

@@ -27,7 +27,9 @@ from calib.arm_problem.problem import TOOL_NAMES
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, UnusablePointsError
 from calib.points.points import Points
+from calib.points.reading import beyond
 from control.model.arm import Arm
+from control.tables import TableColumn, TableContent, TableFormat
 
 # Readings of lengths in a points.csv: columns `distance_of`, `distance_m` and, optionally, `distance_sd_m`.
 #
@@ -39,6 +41,29 @@ from control.model.arm import Arm
 OF, LENGTH, SD = "distance_of", "distance_m", "distance_sd_m"
 WIRE, GAUGE, BETWEEN = KINDS = ("wire", "gauge", "between")
 LONGEST_m = 20.0
+DEVICE = "wire:NAME, gauge:NAME or between:NAME"
+LENGTHS = TableFormat(
+    "point",
+    (
+        TableColumn(OF, "what measured", is_required=True, is_name=True, may_be_empty=True),
+        TableColumn(
+            LENGTH,
+            "the length",
+            is_required=True,
+            may_be_empty=True,
+            lower=-LONGEST_m,
+            upper=LONGEST_m,
+            expected=f"a length within +-{LONGEST_m:g} m",
+        ),
+        TableColumn(
+            SD,
+            "its standard deviation; empty: not stated",
+            lower=math.ulp(0.0),
+            upper=1.0,
+            expected="a number above 0, up to 1 m",
+        ),
+    ),
+)
 Rows = npt.NDArray[np.intp]
 
 
@@ -85,86 +110,57 @@ def has_readings(points: Points) -> bool:
 
 def readings_of(arm: Arm, points: Points, where: Path) -> Readings:
     """The readings of a file. PointsFileError or UnusablePointsError names line and column."""
-    if OF not in points.extra or LENGTH not in points.extra:
-        missing = OF if OF not in points.extra else LENGTH
-        raise PointsFileError(f"{where}, line 1: required column {missing} is missing (docs/distances.md)")
+    table = beyond(points, where, LENGTHS, PointsFileError)
     if np.abs(points.q_rad).max() > TURNS_LIMIT_rad:
         raise UnusablePointsError(f"{where}: the joint angles look like degrees: expected radians")
-    rows = [k for k, text in enumerate(points.extra[OF]) if text]
+    devices, length_m = table.words(OF), table.number(LENGTH)
+    rows = [k for k, text in enumerate(devices) if text]
     if not rows:
-        raise PointsFileError(
-            f"{where}, column {OF}: every cell is empty: expected wire:NAME, gauge:NAME or between:NAME"
-        )
+        raise PointsFileError(f"{where}, column {OF}: every cell is empty: expected {DEVICE}")
     for row in rows:
-        _require_device(where, row, points.extra[OF][row])
-    poses, firsts = _poses(where, points, rows)
-    length = [_number(where, points, row, LENGTH, required=True) for row in firsts]
-    sd = [_number(where, points, row, SD, required=False) for row in firsts]
+        kind, colon, name = devices[row].partition(":")
+        if kind not in KINDS or not colon or not name.strip():
+            raise table.bad_cell(row, OF, devices[row], DEVICE)
+        if math.isnan(length_m[row]):
+            raise table.bad_cell(row, LENGTH, "", f"a length within +-{LONGEST_m:g} m")
+    poses = _poses(table, devices, length_m, rows)
+    firsts = [first for first, _ in poses]
     names = [":".join((points.setup[k], points.point[k], str(points.repeat[k]))) for k in firsts]
     return Readings(
-        tuple(points.extra[OF][k] for k in firsts),
+        tuple(devices[k] for k in firsts),
         tuple(names),
         np.array(poses, dtype=np.intp),
         frozen(points.q_rad + known_corrections(arm, points)),
-        frozen(length),
-        frozen(sd),
+        frozen(length_m[firsts]),
+        frozen(table.number(SD)[firsts]),
     )
 
 
-def _require_device(where: Path, row: int, text: str) -> None:
-    kind, colon, name = text.partition(":")
-    if kind not in KINDS or not colon or not name.strip():
-        raise PointsFileError(
-            f'{where}, line {row + 2}, column {OF}: got "{text}", expected wire:NAME, gauge:NAME or between:NAME'
-        )
-
-
-def _poses(where: Path, points: Points, rows: list[int]) -> tuple[list[tuple[int, int]], list[int]]:
-    """Both poses of each reading, and the row that states it."""
-    poses, firsts, open_pairs = [], [], dict[str, int]()
+def _poses(
+    table: TableContent, devices: Sequence[str], length_m: Array, rows: Sequence[int]
+) -> list[tuple[int, int]]:
+    """Both poses of each reading; the first states it."""
+    poses, open_pairs = [], dict[str, int]()
     for row in rows:
-        device = points.extra[OF][row]
+        device = devices[row]
         if not device.startswith(BETWEEN):
             poses.append((row, row))
-            firsts.append(row)
         elif device in open_pairs:
             first = open_pairs.pop(device)
-            _require_one_length(where, points, first, row)
+            if length_m[first] != length_m[row]:
+                raise PointsFileError(
+                    f"{table.path}, lines {table.lines[first]} and {table.lines[row]}, column {LENGTH}: got"
+                    f" {length_m[first]:g} and {length_m[row]:g} m, expected the same distance in both lines of a pair"
+                )
             poses.append((first, row))
-            firsts.append(first)
         else:
             open_pairs[device] = row
     if open_pairs:
         device, row = next(iter(open_pairs.items()))
         raise PointsFileError(
-            f'{where}, line {row + 2}: "{device}" has no second pose: expected two lines with this name'
+            f'{table.place(row)}: "{device}" has no second pose: expected two lines with this name'
         )
-    return poses, firsts
-
-
-def _require_one_length(where: Path, points: Points, first: int, second: int) -> None:
-    lengths = [_number(where, points, row, LENGTH, required=True) for row in (first, second)]
-    if lengths[0] != lengths[1]:
-        raise PointsFileError(
-            f"{where}, lines {first + 2} and {second + 2}, column {LENGTH}: got {lengths[0]:g} and {lengths[1]:g} m,"
-            " expected the same distance in both lines of a pair"
-        )
-
-
-def _number(where: Path, points: Points, row: int, column: str, required: bool) -> float:
-    """A finite number; a standard deviation is above 0, and NaN if it is not stated."""
-    text = points.extra[column][row].strip() if column in points.extra else ""
-    if not text and not required:
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    is_sd = column == SD
-    if not (0.0 < value <= 1.0 if is_sd else -LONGEST_m <= value <= LONGEST_m):
-        expected = "a number above 0, up to 1 m" if is_sd else f"a length within +-{LONGEST_m:g} m"
-        raise PointsFileError(f'{where}, line {row + 2}, column {column}: got "{text}", expected {expected}')
-    return value
+    return poses
 
 
 # The devices of readings, as unknowns: a wire's fixed point, a gauge's direction and zero.

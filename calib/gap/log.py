@@ -1,17 +1,11 @@
-"""log.csv: time series of an arm, read strictly as the interchange format says.
+"""log.csv: time series of an arm, read strictly by the declaration of its columns.
 
-Required columns: run, t_s, q1_rad ... qn_rad. Optional: q1_set_rad ..., i1_A ..., u1_V ... (empty: driver off),
-payload_kg, x_m, y_m, z_m (empty between camera frames). Other columns are kept as text and warned about.
-Comma-separated, .csv or .csv.gz. Runs are separate recordings, each from rest.
+Runs are separate recordings, each from rest. Columns that the format does not know are kept as text and warned about.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
-import re
-import sys
-from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,12 +15,31 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, frozen
-from calib.errors import CalibrationError, PointsFileError
-from calib.points.reading import require_commas
-from control.tables import SAMPLES_MOST, opened_rows
+from calib.errors import CalibrationError
+from calib.points.reading import IMPORT
+from control.tables import SAMPLES_MOST, ColumnGroup, TableColumn, TableFormat, read_table
 
-REQUIRED = ("run", "t_s")
 TIP = ("x_m", "y_m", "z_m")
+JOINTS = {"q_rad": "q{}_rad", "q_set_rad": "q{}_set_rad", "current_A": "i{}_A", "voltage_V": "u{}_V"}
+LOG = TableFormat(
+    "sample",
+    (
+        TableColumn(
+            "run", "name or number of the run", is_required=True, is_name=True, expected="a name or number"
+        ),
+        TableColumn("t_s", "time", is_required=True),
+        TableColumn("q{}_rad", "encoder angles, through nominal ratio and zero", is_required=True),
+        TableColumn("q{}_set_rad", "set-points"),
+        TableColumn("i{}_A", "motor current; `gap --current-unit` reads other units"),
+        TableColumn("u{}_V", "commanded motor voltage; empty: driver off, open circuit"),
+        TableColumn("payload_kg", "mass at the tip, not below 0", lower=0.0, expected="a mass not below 0"),
+        *(TableColumn(name, "measured tip, base frame; empty between camera frames") for name in TIP),
+    ),
+    groups=(ColumnGroup(TIP),),
+    unknown="kept",
+    most_rows=SAMPLES_MOST,
+    separated=IMPORT,
+)
 SAME_RAD = 1e-6  # set-points that are printed with six digits and differ by less are the same
 
 
@@ -128,150 +141,41 @@ def is_repeat(first: LoggedRun, second: LoggedRun) -> bool:
 
 def read_log(path: Path, joint_count: int | None = None) -> tuple[Log, tuple[str, ...]]:
     """The runs of a file and warnings about it. LogFileError names file, line and column."""
-    try:
-        with opened_rows(path, LogFileError, SAMPLES_MOST) as reader:
-            table = _Table(path, next(reader, []), joint_count)
-            for row in reader:
-                if row:
-                    table.add(row, reader.line_num)
-    except PointsFileError as error:  # of its header
-        raise LogFileError(str(error)) from error
-    if not table.names:
-        raise LogFileError(f"{path}: a header and no samples: expected one line per sample")
-    return Log(table.runs(), (str(path),)), table.warnings()
+    table = read_table(path, LOG, LogFileError, joint_count)
+    names, t_s = table.words("run"), table.number("t_s")
+    begins = [0, *(k for k in range(1, len(table)) if names[k] != names[k - 1]), len(table)]
+    runs = dict[str, slice]()
+    for begin, end in itertools.pairwise(begins):
+        name, rows = names[begin], slice(begin, end)
+        if name in runs:
+            raise table.bad_cell(begin, "run", name, "each run in one piece: this one ended before another")
+        if len(backwards := np.flatnonzero(np.diff(t_s[rows]) <= 0.0)):
+            last, row = t_s[begin + backwards[0]], begin + int(backwards[0]) + 1
+            raise table.bad_cell(row, "t_s", f"{t_s[row]:g}", f"a time after {last:g}")
+        runs[name] = rows
+    values = {
+        "t_s": t_s,
+        **{key: table.joints(form) for key, form in JOINTS.items()},
+        "payload_kg": np.nan_to_num(table.number("payload_kg")),
+        "tip_m": table.numbers(*TIP),
+    }
+    for array in values.values():
+        array.flags.writeable = False  # so that runs can be views of it: a log takes gigabytes
+    extra = {name: table.words(name) for name in table.unknown}
+    return Log(
+        tuple(
+            LoggedRun(
+                name,
+                **{key: array[rows] for key, array in values.items()},
+                extra=MappingProxyType({key: tuple(texts[rows]) for key, texts in extra.items()}),
+                is_commanded="u1_V" in table,
+            )
+            for name, rows in runs.items()
+        ),
+        (str(path),),
+    ), table.warnings
 
 
 def joined_logs(logs: tuple[Log, ...]) -> Log:
     """The runs of several files as one log."""
     return Log(tuple(run for log in logs for run in log.runs), tuple(s for log in logs for s in log.sources))
-
-
-def _each(n: int, form: str) -> tuple[str, ...]:
-    return tuple(form.format(joint) for joint in range(1, n + 1))
-
-
-class _Table:
-    """Rows as they are read, in compact arrays."""
-
-    def __init__(self, path: Path, header: list[str], joint_count: int | None) -> None:
-        self._path = path
-        self._header = tuple(name.strip() for name in header)
-        self._n = self._checked_header(joint_count)
-        groups = [_each(self._n, form) for form in ("q{}_rad", "q{}_set_rad", "i{}_A", "u{}_V")]
-        numeric = ("t_s", "payload_kg", *TIP, *(name for group in groups for name in group))
-        self._place = {name: k for k, name in enumerate(self._header)}
-        self._never_empty = {"t_s", *groups[0]}
-        self._columns = {name: array("d") for name in self._header if name in numeric}
-        self._extra: dict[str, list[str]] = {
-            name: [] for name in self._header if name != "run" and name not in numeric
-        }
-        self.names: list[str] = []
-        self._ended: set[str] = set()
-
-    def _checked_header(self, joint_count: int | None) -> int:
-        names = self._header
-        require_commas(self._path, names)
-        for k, name in enumerate(names):
-            if name in names[:k]:
-                raise LogFileError(f"{self._path}, line 1: column {name} appears twice")
-        n = sum(re.fullmatch(r"q\d+_rad", name) is not None for name in names)
-        wanted = joint_count or n
-        for name in (*REQUIRED, *_each(wanted or 1, "q{}_rad")):
-            if name not in names:
-                raise LogFileError(f"{self._path}, line 1: required column {name} is missing")
-        if n != wanted:
-            raise LogFileError(
-                f"{self._path}, line 1: joint angles of {n} joints, expected {wanted} (q1_rad to q{wanted}_rad)"
-            )
-        for group in (TIP, *(_each(n, form) for form in ("q{}_set_rad", "i{}_A", "u{}_V"))):
-            present = [name for name in group if name in names]
-            if present and len(present) < len(group):
-                absent = next(name for name in group if name not in present)
-                raise LogFileError(f"{self._path}, line 1: column {absent} is missing beside {present[0]}")
-        for name in names:
-            match = re.fullmatch(r"q(\d+)_set_rad|i(\d+)_A|u(\d+)_V", name)
-            if match and int(next(text for text in match.groups() if text)) not in range(1, n + 1):
-                raise LogFileError(f"{self._path}, line 1: column {name} belongs to no joint: there are {n}")
-        return n
-
-    def add(self, row: list[str], line: int) -> None:
-        """One line of the file."""
-        if len(row) != len(self._header):
-            raise LogFileError(
-                f"{self._path}, line {line}: {len(row)} values, line 1 names {len(self._header)}"
-            )
-        name = row[self._place["run"]].strip()
-        if not name:
-            raise LogFileError(f"{self._path}, line {line}: run: expected a name or number, got nothing")
-        begins = not self.names or name != self.names[-1]
-        if begins and name in self._ended:
-            raise LogFileError(
-                f"{self._path}, line {line}: run {name} again after another run: expected each run in one piece"
-            )
-        for column, values in self._columns.items():
-            values.append(self._number(row[self._place[column]], line, column))
-        for column, texts in self._extra.items():
-            texts.append(sys.intern(row[self._place[column]].strip()))  # most are alike
-        times = self._columns["t_s"]
-        if not begins and times[-1] <= times[-2]:
-            raise LogFileError(
-                f"{self._path}, line {line}: t_s: expected a time after {times[-2]:g}, got {times[-1]:g}"
-            )
-        seen = sum(not math.isnan(self._columns[name][-1]) for name in TIP if name in self._columns)
-        if seen not in (0, 3):
-            raise LogFileError(
-                f"{self._path}, line {line}: x_m, y_m, z_m: expected all three or none, got {seen}"
-            )
-        self.names.append(sys.intern(name))
-        self._ended.add(name)
-
-    def _number(self, text: str, line: int, column: str) -> float:
-        text = text.strip()
-        if not text and column not in self._never_empty:
-            return math.nan
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            got = f'"{text}"' if text else "nothing"
-            raise LogFileError(f"{self._path}, line {line}: {column}: expected a finite number, got {got}")
-        if column == "payload_kg" and value < 0.0:
-            raise LogFileError(
-                f"{self._path}, line {line}: payload_kg: expected a mass not below 0, got {text}"
-            )
-        return value
-
-    def warnings(self) -> tuple[str, ...]:
-        """One sentence about columns that the format does not know, if there are any."""
-        names = ", ".join(self._extra)
-        return (f"{self._path}: unknown columns ignored: {names}",) if names else ()
-
-    def runs(self) -> tuple[LoggedRun, ...]:
-        """The runs in the file's order."""
-        changes = enumerate(itertools.pairwise(self.names), 1)
-        begins = [0, *(k for k, (before, name) in changes if name != before), len(self.names)]
-        return tuple(self._run(slice(a, b)) for a, b in itertools.pairwise(begins))
-
-    def _run(self, rows: slice) -> LoggedRun:
-        count = rows.stop - rows.start
-
-        def column(name: str, absent: float = math.nan) -> Array:
-            values = self._columns.get(name)
-            return np.full(count, absent) if values is None else np.array(values[rows])
-
-        def group(form: str) -> Array:
-            return frozen(np.stack([column(name) for name in _each(self._n, form)], axis=1))
-
-        return LoggedRun(
-            self.names[rows.start],
-            frozen(column("t_s")),
-            group("q{}_rad"),
-            group("q{}_set_rad"),
-            group("i{}_A"),
-            group("u{}_V"),
-            frozen(np.nan_to_num(column("payload_kg", 0.0))),
-            frozen(np.stack([column(name) for name in TIP], axis=1)),
-            MappingProxyType({name: tuple(texts[rows]) for name, texts in self._extra.items()}),
-            "u1_V" in self._columns,
-        )

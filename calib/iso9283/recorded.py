@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,12 +14,19 @@ from calib.arm_problem.frames import mean_rotation
 from calib.arrays import Array, frozen
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.points.points import TIP, Points, make_points
-from calib.points.reading import IMPORT
+from calib.points.reading import IMPORT, beyond
 from control.files import parsed_json, read_text
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
-from control.tables import SAMPLES_MOST, TableColumn, TableFormat, read_table
+from control.tables import (
+    SAMPLES_MOST,
+    ColumnGroup,
+    TableColumn,
+    TableContent,
+    TableFormat,
+    read_table,
+)
 
 SET = ("x_set_m", "y_set_m", "z_set_m")
 ANGLES, ANGLES_SET, FORCE = (
@@ -34,6 +39,21 @@ TARGET_NOTE = "orientation: measured quaternions, with the target where it fits 
 CAMERA, ENCODERS = "camera", "encoders"
 NO_LOG = "a recording of runs (--log with log.csv): "
 STILL_m = 1e-9  # between two rows: a smaller change of the set-point is rest
+
+
+BESIDE = TableFormat(
+    "point",
+    (
+        *(TableColumn(name, "commanded tip", may_be_empty=False) for name in SET),
+        *(TableColumn(name, "commanded orientation", may_be_empty=False) for name in ANGLES_SET),
+        *(TableColumn(name, "measured orientation", may_be_empty=False) for name in ANGLES),
+        *(TableColumn(name, "load at the tip", may_be_empty=False) for name in FORCE),
+        TableColumn("joint{}_set_rad", "commanded joint angles", may_be_empty=False),
+        TableColumn("q{}_set_rad", "commanded encoder angles", may_be_empty=False),
+    ),
+    groups=tuple(ColumnGroup(names) for names in (SET, ANGLES_SET, ANGLES, FORCE)),
+)
+"""Columns of a test that points.csv may have beside its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,22 +118,24 @@ class RecordedRun:
         return float(self.time_s[moving[0]]), float(self.time_s[moving[-1] + 1])
 
 
-def pose_groups(points: Points, arm: Arm, path: str) -> tuple[list[PoseGroup], tuple[str, ...]]:
+def pose_groups(points: Points, arm: Arm, path: Path) -> tuple[list[PoseGroup], tuple[str, ...]]:
     """Poses by setup and point, in order, and the source of the commanded positions as text.
 
     UnusablePointsError for points in other units or of another arm.
     """
-    commanded, source = _commanded(points, arm, path)
+    given = beyond(points, path, BESIDE, Iso9283Error)
+    commanded, source = _commanded(points, given, arm)
     measured = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1))
     is_checked = len(measured) > 0 and points.joint_count == arm.joint_count
     warnings = require_of_arm(arm, points.chosen(measured)) if is_checked else ()
-    force = _columns(points, FORCE, path)
-    if force is None:
-        force = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
-    angle_set, angle = _columns(points, ANGLES_SET, path), _columns(points, ANGLES, path)
+    weight_N = np.outer(np.nan_to_num(points.payload_kg), arm.gravity_m_s2)
+    force = given.numbers(*FORCE) if FORCE[0] in given else weight_N
+    angle_set, angle = (
+        given.numbers(*names) if names[0] in given else None for names in (ANGLES_SET, ANGLES)
+    )
     if angle is None and points.joint_count == arm.joint_count:
-        angle_set, angle = _turned(points, arm, path)
-    turns = (TARGET_NOTE,) if angle is not None and ANGLES[0] not in points.extra else ()
+        angle_set, angle = _turned(points, given, arm)
+    turns = (TARGET_NOTE,) if angle is not None and ANGLES[0] not in given else ()
     keys = list(zip(points.setup, points.point, strict=True))
     groups = []
     for key in dict.fromkeys(keys):
@@ -140,7 +162,7 @@ def _angles_of(angle_set: Array, angle: Array, rows: npt.NDArray[np.intp]) -> tu
     return (angle_set[seen].mean(axis=0), angle[seen]) if len(seen) else None
 
 
-def _turned(points: Points, arm: Arm, path: str) -> tuple[Array | None, Array | None]:
+def _turned(points: Points, given: TableContent, arm: Arm) -> tuple[Array | None, Array | None]:
     """Angles (m, 3) about x, y, z of the base by which measured orientations are off the commanded ones, whose are 0.
 
     The target sits on the last link where it fits all poses best.
@@ -148,7 +170,7 @@ def _turned(points: Points, arm: Arm, path: str) -> tuple[Array | None, Array | 
     seen = np.flatnonzero(np.isfinite(points.orientation).all(axis=1))
     if not len(seen):
         return None, None
-    q_rad, _ = _commanded_rad(points, arm, path)
+    q_rad, _ = _commanded_rad(points, given)
     commanded = ForwardKinematics(arm).link_transforms(q_rad[seen])[:, -1, :3, :3]
     measured = matrices(points.orientation[seen])
     target = mean_rotation(np.swapaxes(commanded, 1, 2) @ measured)
@@ -157,54 +179,26 @@ def _turned(points: Points, arm: Arm, path: str) -> tuple[Array | None, Array | 
     return np.zeros_like(angle), angle
 
 
-def _commanded(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
+def _commanded(points: Points, given: TableContent, arm: Arm) -> tuple[Array, str]:
     """Commanded positions (m, 3): from columns, or by forward kinematics of set-points or encoders."""
-    given = _columns(points, SET, path)
-    if given is not None:
-        return given, "commanded positions: columns x_set_m, y_set_m, z_set_m"
+    if SET[0] in given:
+        return given.numbers(*SET), "commanded positions: columns x_set_m, y_set_m, z_set_m"
     if points.joint_count != arm.joint_count:
         raise Iso9283Error(
-            f"{path}: no commanded positions: columns {', '.join(SET)} are missing, and arm {arm.name} has {arm.joint_count}"
-            f" joints, the file {points.joint_count}: add the columns, or give the right --arm"
+            f"{given.path}: no commanded positions: columns {', '.join(SET)} are missing, and arm {arm.name} has"
+            f" {arm.joint_count} joints, the file {points.joint_count}: add the columns, or give the right --arm"
         )
-    q_rad, source = _commanded_rad(points, arm, path)
-    return ForwardKinematics(arm).tips(
-        q_rad
-    ), f"commanded positions: forward kinematics of arm {arm.name} at the {source}"
+    q_rad, source = _commanded_rad(points, given)
+    tips_m = ForwardKinematics(arm).tips(q_rad)
+    return tips_m, f"commanded positions: forward kinematics of arm {arm.name} at the {source}"
 
 
-def _commanded_rad(points: Points, arm: Arm, path: str) -> tuple[Array, str]:
+def _commanded_rad(points: Points, given: TableContent) -> tuple[Array, str]:
     """Commanded joint angles (m, n), and where they are from."""
-    of_joints, of_encoders = (
-        tuple(form.format(j) for j in range(1, arm.joint_count + 1))
-        for form in ("joint{}_set_rad", "q{}_set_rad")
-    )
-    q_rad = _columns(points, of_joints, path)
-    q_rad = _columns(points, of_encoders, path) if q_rad is None else q_rad
-    return (points.q_rad, "encoder angles at rest") if q_rad is None else (q_rad, "set-points")
-
-
-def _columns(points: Points, names: Sequence[str], path: str) -> Array | None:
-    """Extra columns as numbers (m, len(names)); None unless all of them exist."""
-    present = [name for name in names if name in points.extra]
-    if not present:
-        return None
-    if len(present) < len(names):
-        absent = next(name for name in names if name not in present)
-        raise Iso9283Error(f"{path}, line 1: column {absent} is missing beside {present[0]}")
-    return np.column_stack(
-        [[_number(path, k, n, v) for k, v in enumerate(points.extra[n], 2)] for n in names]
-    )
-
-
-def _number(path: str, line: int, name: str, value: str) -> float:
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise Iso9283Error(f'{path}, line {line}, column {name}: got "{value}", expected a finite number')
-    return number
+    for form in ("joint{}_set_rad", "q{}_set_rad"):
+        if form.format(1) in given:
+            return given.joints(form), "set-points"
+    return points.q_rad, "encoder angles at rest"
 
 
 RUNS = TableFormat(

@@ -37,7 +37,7 @@ class Points:
     measured. covariance (m, 12): of the position and of the orientation, upper triangles as in calib.points.covariance, NaN where
     unknown. `extra` holds columns beyond the format, as text. is_as_given: the user said that the file means what it says,
     whatever it looks like (`calib.doubt`). began_s: when the recording began of which these are poses, by default the earliest
-    of them, NaN without times.
+    of them, NaN without times. lines (m,): of the poses in their file, for errors.
     """
 
     setup: tuple[str, ...]
@@ -54,9 +54,12 @@ class Points:
     covariance: Array = field(default_factory=lambda: frozen(np.zeros((0, 12))))  # empty: none is known
     is_as_given: bool = False
     began_s: float = math.nan
+    lines: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # empty: from 2
 
     def __post_init__(self) -> None:
         """Without any orientation or covariance, a row of NaN for each pose."""
+        if not len(self.lines):
+            object.__setattr__(self, "lines", np.arange(2, len(self.setup) + 2))
         if math.isnan(self.began_s) and np.isfinite(self.t_s).any():
             object.__setattr__(self, "began_s", float(np.nanmin(self.t_s)))
         for name, width in (("orientation", 4), ("covariance", 12)):
@@ -99,7 +102,7 @@ class Points:
             self.orientation[k],
             self.covariance[k],
         )
-        return replace(some, is_as_given=self.is_as_given, began_s=self.began_s)
+        return replace(some, is_as_given=self.is_as_given, began_s=self.began_s, lines=self.lines[k])
 
 
 def make_points(
@@ -168,4 +171,9 @@ def joined(parts: Sequence[Points]) -> Points:
         np.concatenate([part.covariance for part in parts]),
     )
     began_s = float(np.fmin.reduce([part.began_s for part in parts]))
-    return replace(whole, is_as_given=all(part.is_as_given for part in parts), began_s=began_s)
+    return replace(
+        whole,
+        is_as_given=all(part.is_as_given for part in parts),
+        began_s=began_s,
+        lines=np.concatenate([part.lines for part in parts]),
+    )

@@ -11,8 +11,15 @@ import numpy as np
 from calib.errors import PointsFileError
 from calib.points.covariance import COVARIANCE, POSITION, TURN, is_covariance
 from calib.points.points import ORIENTATION, TIP, Points, make_points
-from control import tables
-from control.tables import ColumnGroup, TableColumn, TableContent, TableFormat, read_table
+from control.tables import (
+    WHOLE_LARGEST,
+    ColumnGroup,
+    TableColumn,
+    TableContent,
+    TableFormat,
+    Wrong,
+    read_table,
+)
 
 IMPORT = ": `armwright import-points` reads it and makes a points.csv"
 ORIENTATION_MEANING = (
@@ -40,8 +47,8 @@ POINTS = TableFormat(
             "whole number",
             is_required=True,
             is_whole=True,
-            lower=-tables.WHOLE_LARGEST,
-            upper=tables.WHOLE_LARGEST,
+            lower=-WHOLE_LARGEST,
+            upper=WHOLE_LARGEST,
         ),
         TableColumn("q{}_rad", "encoder angles, through nominal ratio and zero", is_required=True),
         TableColumn("t_s", "time of the record"),
@@ -92,13 +99,14 @@ POINTS = TableFormat(
 
 
 def read_points(
-    path: Path, joint_count: int | None = None, also: str = "(?!)"
+    path: Path, joint_count: int | None = None, also: TableFormat | None = None
 ) -> tuple[Points, tuple[str, ...]]:
     """Read the points of a file; also returns warnings. PointsFileError names file, line and column.
 
-    also: a pattern of columns beyond the format that the caller reads, which are not warned about.
+    also: columns beyond the format that the caller reads by `beyond`; they are not warned about.
     """
-    form = replace(POINTS, unwarned=f"{POINTS.unwarned}|{also}")
+    known = (POINTS.unwarned, *(column.name.format(r"\d+") for column in (also.columns if also else ())))
+    form = replace(POINTS, unwarned="|".join(known))
     table = read_table(path, form, PointsFileError, joint_count)
     points = make_points(
         table.words("setup"),
@@ -116,7 +124,16 @@ def read_points(
     )
     for group in (POSITION, TURN):
         _require_covariances(table, group)
-    return points, table.warnings
+    return replace(points, lines=np.array(table.lines, dtype=np.intp)), table.warnings
+
+
+def beyond(
+    points: Points, path: Path, form: TableFormat, wrong: Wrong, joint_count: int | None = None
+) -> TableContent:
+    """The columns of `form` among those that the points keep as text, checked as those of the format are."""
+    table = TableContent(path, form, wrong, tuple(points.extra), 1, joint_count or points.joint_count)
+    table.add([*zip(*points.extra.values(), strict=True)] or [()] * len(points), points.lines.tolist())
+    return table
 
 
 def _require_covariances(table: TableContent, names: Sequence[str]) -> None:
@@ -128,8 +145,3 @@ def _require_covariances(table: TableContent, names: Sequence[str]) -> None:
             raise PointsFileError(
                 f"{table.place(row)}: {names[0]} to {names[-1]}: expected a positive definite covariance, got {numbers}"
             )
-
-
-def require_commas(path: Path, header: Sequence[str]) -> None:
-    """PointsFileError for a header line that is not separated by commas."""
-    tables.require_commas(header, lambda text: PointsFileError(f"{path}, line 1: {text}"), IMPORT)

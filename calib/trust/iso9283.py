@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -39,7 +40,7 @@ class PoseFigures:
 
 
 def pose_figures(
-    predictor: Predictor, arm: Arm, points: Points, path: str, seed: int = 0
+    predictor: Predictor, arm: Arm, points: Points, path: Path, seed: int = 0
 ) -> tuple[PoseFigures, ...]:
     """Of every pose of the plain programmes in points.csv of `armwright iso9283`."""
     groups, _ = pose_groups(points, arm, path)

@@ -123,8 +123,8 @@ def _about_time(points: Points) -> Iterator[str]:
     elif (np.diff(time) < 0.0).any():
         row = int(np.argmax(np.diff(time) < 0.0)) + 1
         yield (
-            f"t_s runs backwards at pose {row + 1} (line {row + 2}): if that is not the order in which files were joined, drift"
-            " and steps in time cannot be believed"
+            f"t_s runs backwards at pose {row + 1} (line {points.lines[row]}): if that is not the order in which files were"
+            " joined, drift and steps in time cannot be believed"
         )
 
 
@@ -188,7 +188,7 @@ def about_outliers(points: Points, out: Mask) -> Iterator[str]:
     rows = np.flatnonzero(out)
     if len(rows):
         told = ", ".join(
-            f"{row + 1} ({points.setup[row]}, {points.point[row]}, line {row + 2})"
+            f"{row + 1} ({points.setup[row]}, {points.point[row]}, line {points.lines[row]})"
             for row in rows[:5].tolist()
         )
         more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""

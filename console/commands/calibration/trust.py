@@ -80,7 +80,7 @@ def _request(given: argparse.Namespace) -> MapRequest:
 
 def _pose_figures(trust: Trust, file: Path, recorded: Points) -> tuple[PoseFigures, ...]:
     """Of a recorded programme; CalibrationError if it has no plain poses."""
-    found = pose_figures(trust.predictor, trust.arm, recorded, str(file))
+    found = pose_figures(trust.predictor, trust.arm, recorded, file)
     if not found:
         raise CalibrationError(
             f"--visits {file}: no visits of poses (setup pose, P1 to P5): record them with `armwright iso9283`"

@@ -134,7 +134,7 @@ def broken(change: str) -> Points:
     [
         ("distance_of=wirr:A", 'lengths.csv, line 3, column distance_of: got "wirr:A", expected wire:NAME'),
         ("distance_of=wire:", 'got "wire:"'),
-        ("distance_m=", 'column distance_m: got "", expected a length within'),
+        ("distance_m=", "column distance_m: got an empty cell, expected a length within"),
         ("distance_m=812", "expected a length within"),
         ("distance_sd_m=-1", "expected a number above 0"),
         ("degrees", "look like degrees"),

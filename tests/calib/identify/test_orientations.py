@@ -238,7 +238,7 @@ def test_iso_9283_takes_the_angles_from_quaternions() -> None:
     tips = ForwardKinematics(arm).tips(q) + rng.normal(0, 1e-4, (len(rows), 3))
     names = [f"P{k + 1}" for k in rows]
     made = make_points(["normal"] * len(rows), names, list(range(len(rows))), q, tips, orientation=seen)
-    groups, notes = pose_groups(made, arm, "points.csv")
+    groups, notes = pose_groups(made, arm, Path("points.csv"))
     figures = pose_criterion(groups).figures
     for letter, angle in zip("abc", turn, strict=True):
         values = {f.where.split()[0]: f.value for f in figures if f.symbol == f"AP_{letter}"}

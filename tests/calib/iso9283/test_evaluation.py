@@ -15,10 +15,10 @@ from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.cube import TestCube
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import summary_text, write_page
-from calib.iso9283.recorded import SET, RecordedRun, pose_groups, read_rectangle, read_runs
+from calib.iso9283.recorded import BESIDE, SET, RecordedRun, pose_groups, read_rectangle, read_runs
 from calib.iso9283.result import CRITERIA, Criterion, Evaluation, document
 from calib.iso9283.workspace import solver_of
-from calib.points.points import Points, make_points
+from calib.points.points import Points, joined, make_points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter, Record
 from control.kinematics.kinematics import ForwardKinematics
@@ -53,7 +53,7 @@ def visits(
 
 
 def found(arm: Arm, points: Points, runs: Sequence[RecordedRun] = (), **keys: object) -> dict[int, Criterion]:
-    groups, _ = pose_groups(points, arm, "points.csv")
+    groups, _ = pose_groups(points, arm, Path("points.csv"))
     return {c.number: c for c in evaluate(groups, runs, **keys).criteria}  # type: ignore[arg-type]
 
 
@@ -135,7 +135,7 @@ def test_commanded_positions_are_the_columns_else_the_angles_through_the_arm(arm
         ),
     ):
         points = make_points(plain.setup, plain.point, plain.repeat, plain.q_rad, plain.tip_m, extra=extra)
-        groups, notes = pose_groups(points, arm, "points.csv")
+        groups, notes = pose_groups(points, arm, Path("points.csv"))
         assert says in notes[0]
         assert groups[0].commanded_m == pytest.approx(wanted)
 
@@ -147,12 +147,24 @@ def test_commanded_positions_that_cannot_be_had_are_said(arm: Arm) -> None:
     def refused(q: np.ndarray, extra: dict[str, tuple[str, ...]], says: str) -> None:
         points = make_points(plain.setup, plain.point, plain.repeat, q, plain.tip_m, extra=extra)
         with pytest.raises(Iso9283Error, match=says):
-            pose_groups(points, arm, "points.csv")
+            pose_groups(points, arm, Path("points.csv"))
 
     refused(np.zeros((n, 2)), {}, "columns x_set_m.*the file 2")
     refused(plain.q_rad, {"x_set_m": ("0.1",) * n}, "column y_set_m is missing beside x_set_m")
     axes = {"y_set_m": ("0.1",) * n, "z_set_m": ("0.1",) * n}
     refused(plain.q_rad, {"x_set_m": ("oops",) * n, **axes}, 'points.csv, line 2, column x_set_m: got "oops"')
+
+
+def test_a_wrong_cell_is_named_by_its_line_whatever_lines_are_empty(arm: Arm, tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    rows = ["setup,point,repeat,q1_rad,q2_rad,q3_rad,x_set_m,y_set_m,z_set_m"]
+    rows += ["", "pose,P1,1,0,-0.2,-0.3,0.4,0,0.3", "", "pose,P1,2,0,-0.2,-0.3,0.4,oops,0.3"]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    points, warnings = read_points(path, also=BESIDE)
+    assert not warnings
+    for some in (points, points.chosen([1]), joined([points, points]).chosen([3])):
+        with pytest.raises(Iso9283Error, match=r'points\.csv, line 5, column y_set_m: got "oops"'):
+            pose_groups(some, arm, path)
 
 
 def test_directions_drift_and_loads_are_known_by_their_setups(arm: Arm) -> None:
@@ -180,7 +192,7 @@ def test_directions_drift_and_loads_are_known_by_their_setups(arm: Arm) -> None:
 def test_exchangeability_compares_arms_at_the_same_commanded_pose(arm: Arm) -> None:
     mine = visits(arm)
     other = make_points(mine.setup, mine.point, mine.repeat, mine.q_rad, mine.tip_m + np.array((0, 0, 0.01)))
-    groups, _ = pose_groups(other, arm, "other.csv")
+    groups, _ = pose_groups(other, arm, Path("other.csv"))
     of = found(arm, mine, others={"other.csv": groups})
     assert of[7].headlines[0].value == pytest.approx(0.01)
     assert "got 1" in of[7].needs[0]
@@ -301,7 +313,7 @@ def test_a_programme_file_of_something_else_is_refused(tmp_path: Path) -> None:
 
 
 def test_json_and_page_hold_every_criterion_and_no_outside_resource(arm: Arm, tmp_path: Path) -> None:
-    groups, notes = pose_groups(visits(arm), arm, "points.csv")
+    groups, notes = pose_groups(visits(arm), arm, Path("points.csv"))
     runs = [line_run(arm, k, noise_m=1e-5) for k in (1, 2)] + [line_run(arm, 3, "approach", noise_m=1e-5)]
     result: Evaluation = evaluate(groups, runs, notes=notes)
     read = json.loads(json.dumps(document(result, {"arm": "right"}), allow_nan=False))
@@ -324,6 +336,6 @@ def test_columns_of_a_recording_are_read_back_as_points(arm: Arm, tmp_path: Path
         writer.append(Record("pose", "P1", 1, q, (1e-5,) * 3, sides, amperes, 0.5, 0.0, tip, more=more))
     points, warnings = read_points(path)
     assert not warnings
-    groups, _ = pose_groups(points, arm, str(path))
+    groups, _ = pose_groups(points, arm, path)
     assert groups[0].commanded_m == pytest.approx(wanted)
     assert groups[0].attained_m[0] == pytest.approx(tip)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,7 +201,7 @@ def test_iso9283_figures_of_a_programme_lie_in_their_intervals() -> None:
     seen_m = made.true_m + rng.normal(0.0, NOISE_m, made.true_m.shape)
     points = make_points(["pose"] * len(names), names, [1] * len(names), at, seen_m, made.unseen.direction)
     trust = trusted()
-    found = pose_figures(trust.predictor, ARM, points, "points.csv")
+    found = pose_figures(trust.predictor, ARM, points, Path("points.csv"))
     assert [(one.where, one.visits) for one in found] == [("pose P1", visits), ("pose P2", visits)]
     for one in found:
         assert one.measured_accuracy_m is not None
