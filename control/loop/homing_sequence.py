@@ -7,8 +7,9 @@ fails stops all.
 
     RELEASE  the switch is active: move back until it is not, and a little further
     SEEK     move forward until the switch becomes active; forward is from `switch_rad` to `index_rad`
-    CHECK    as RELEASE, then SEEK again: a glitch, or a wire that came off, is no cam, and would cost whole motor turns
-    INDEX    continue more slowly until the index latches
+    CHECK    as RELEASE, then SEEK again: a glitch, or a wire that came off, is no cam, and would cost whole motor turns. Now
+             slowly: without an index, the edge is the zero, and it is seen some cycles late
+    INDEX    continue slowly until the index latches
     SETTLE   slow down; at rest, shift the counter
     SHIFTED  the next cycle reads counts from the new zero
     DONE
@@ -26,7 +27,7 @@ from control.motion.setpoint import SetPoint
 
 DITHER_counts = 2  # a held joint without friction hunts by one count, which still is rest
 SETTLE_S = 0.1
-INDEX_SPEED_FRACTION = 0.3  # of the seeking speed: the joint must stop soon after the latch
+SLOW_FRACTION = 0.3  # of the seeking speed, at the edge and the index that give the zero
 TURN_TOLERANCE = (
     0.35  # of a motor turn, between the index and its position in arm.toml; half a turn is ambiguous
 )
@@ -142,7 +143,8 @@ class JointHoming:
         return step
 
     def _seek(self, is_active: bool, elapsed_s: float) -> float:
-        step = self._go(self._forth * self._home.speed_rad_s, elapsed_s)
+        share = 1.0 if self._edge_rad is None else SLOW_FRACTION
+        step = self._go(self._forth * self._home.speed_rad_s * share, elapsed_s)
         self._check(
             self._way_rad(), "its home switch never became active", "check the switch, its cam and its wire"
         )
@@ -174,7 +176,7 @@ class JointHoming:
             )
 
     def _find_index(self, elapsed_s: float) -> float:
-        step = self._go(self._forth * self._home.speed_rad_s * INDEX_SPEED_FRACTION, elapsed_s)
+        step = self._go(self._forth * self._home.speed_rad_s * SLOW_FRACTION, elapsed_s)
         if self._counter.index_count(self._joint) is not None:
             self._check_turn()
             self._enter(Phase.SETTLE)
