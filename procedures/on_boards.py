@@ -15,7 +15,9 @@ REFERENCE: Final = "reference"
 NAMES: Final = (*KINDS, MIXED)
 
 STALE_CYCLES = 6  # a board that is asked in turn answers every cycle or two
-HOMING_SPEED_rad_s = 0.1  # a switch is seen a cycle late at most: a tenth of a millimetre at the tip
+HOMING_SPEED_rad_s: Final = 0.3  # up to the switch; the index that gives the zero is latched by the board
+# Where the edge gives the zero, it is seen some 25 ms late, at 0.3 of this: below a milliradian.
+EDGE_SPEED_rad_s: Final = 0.1
 BAUD: Final = {"roboclaw": 460_800, "dynamixel": 1_000_000, "feetech": 1_000_000}
 
 
@@ -92,7 +94,10 @@ def _on_board(drive: Drive, board: Board, channel: int) -> Drive:
     if board.absolute:
         return replace(moved, home=None)
     # No index pulse: the edge of the switch is the zero.
-    home = drive.home and replace(drive.home, index_rad=drive.home.switch_rad, speed_rad_s=HOMING_SPEED_rad_s)
+    home = drive.home
+    if home:
+        speed_rad_s = min(home.speed_rad_s, EDGE_SPEED_rad_s)
+        home = replace(home, index_rad=home.switch_rad, speed_rad_s=speed_rad_s)
     return replace(moved, home=home)
 
 

@@ -18,7 +18,7 @@ from control.model import servos
 from control.model.arm import Arm, Drive, Home
 from control.model.board_kinds import KINDS
 from procedures.new_arm.answers import ChosenParts
-from procedures.on_boards import REFERENCE
+from procedures.on_boards import REFERENCE, HOMING_SPEED_rad_s
 
 POSES: Final = 400
 RESERVE: Final = (
@@ -39,7 +39,6 @@ MISMATCH: Final = (
 ACCELERATING: Final = 0.5  # share of the torque beyond gravity that accelerates
 JERK_PER_ACCELERATION_1_s: Final = 20.0
 WITHOUT_LIMIT_rad: Final = math.pi  # range of a joint whose file has no limits
-HOMING_SPEED_rad_s: Final = 0.3
 SWITCH_BEFORE_REST_rad: Final = 0.1
 TURN_SPARE_rad: Final = 0.1  # that a range leaves of the one turn that an absolute encoder knows
 
