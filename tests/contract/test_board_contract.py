@@ -1,12 +1,14 @@
 """Every kind of board keeps the same promises behind the loop's Protocol: what is safe does not depend on the board."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 
 from control.hardware.interface import OutputMode
 from control.safety.fault import Reaction
 from control.safety.table import Mode
+from control.server.client import ArmFaulted
 from hil_mocks.firmware.library import compiler
 from hil_mocks.scenario import Scenario
 from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
@@ -45,6 +47,22 @@ def holding(on_boards: OnBoards) -> Iterator[Cell]:
 def volts(cell: Cell) -> list[float]:
     """Mean terminal voltages of the motors, as the plant has them."""
     return [abs(value) if kind == "voltage" else 0.0 for kind, value in cell.rig.robot.outputs]
+
+
+def test_an_arm_that_falls_is_caught_by_enable_whether_or_not_that_is_a_fault(on_boards: OnBoards) -> None:
+    """Without friction, and stretched: where windings are open in OFF, joint 2 falls at 1.5 to 3.7 rad/s by then."""
+    falling = scenario(homed=True, firmware=on_boards.firmware)
+    with open_cell(falling, on_boards.arm, period_s=on_boards.period_s) as cell:
+        speeds = cell.true_speeds()
+        cell.run(0.2)
+        fell_rad_s, here_rad = max(speeds), cell.rig.joint_rad()
+        with suppress(ArmFaulted):
+            cell.client.enable()
+        cell.run(1.0)
+        assert cell.connection.hardware.is_any_enabled()
+        assert max(speeds) <= 1.2 * fell_rad_s + 0.2
+        assert speeds[-1] < 0.01
+        assert cell.rig.joint_rad() == pytest.approx(here_rad, abs=0.25)
 
 
 @pytest.mark.usefixtures("nobody_below")
