@@ -162,8 +162,8 @@ def as_markdown() -> str:
     """The table as docs/state_machine.md: modes, and a row per event with the next mode of each mode."""
     lines = [
         "# Modes of the arm",
-        "What the drives do in each mode, and the next mode for each event. An event without an entry for the present mode",
-        "raises `IllegalTransition` and changes nothing (`control.safety.table`).",
+        "An event without an entry for the present mode raises `IllegalTransition` and changes nothing",
+        "(`control.safety.table`).",
         "",
         "| mode | drives |",
         "| --- | --- |",
@@ -191,14 +191,13 @@ def _transitions_in_words(event: Event) -> str:
 
 
 _NOTES: Final = (
-    "Beyond the table (what faults lead to: [safety.md](safety.md); jogs, and ways on and off: [socket.md](socket.md)):",
+    "Beyond the table ([faults](safety.md), [jogs, ways on and off](socket.md)):",
     "",
     "- CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.",
     "- A jog that is not renewed slows to rest (ARRIVED); one whose connection closes gets a STOP.",
     "- PAUSED begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED.",
-    "- A person acknowledges, after the controlled stop. It switches no drive on; in OFF it only clears the list.",
+    "- Acknowledging, after the controlled stop, switches no drive on; in OFF it only clears the list.",
     "- Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest. Ctrl-C in HELD leaves the arm held.",
-    "- A drive that has torque in OFF is switched off, and is a fault after a second.",
-    "- From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then, and there is no step;",
-    "  what is asked meanwhile, `stop` or `off`, is done from HOLDING.",
+    "- From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then; `stop` or `off`",
+    "  meanwhile is done from HOLDING.",
 )
