@@ -5,7 +5,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Final, Protocol
 
-from firmware_iface.errors import BoardRefused, BoardReset, LinkError, MisuseError, Problems
+from firmware_iface.errors import (
+    BoardRefused,
+    BoardReset,
+    BoardSilent,
+    LinkError,
+    MisuseError,
+    Problems,
+    WrongIdentity,
+)
 from firmware_iface.servo_line import ForceLimit, ServoLine, ServoQuestion, StatusPacket
 
 
@@ -122,6 +130,16 @@ class SmartServo(ABC):
 
     def _force_written(self, value: int, confirm: Callable[[], None]) -> ServoQuestion:
         return self._writing(self._force_at, lambda: value.to_bytes(2, "little"), confirm)
+
+    def _require_answers(self, expected: str, level: int, spare: int, tool: str) -> None:
+        """WrongIdentity unless it answers writing although its level of answers says otherwise: `spare` is written as it is."""
+        try:
+            self._write(spare, self._read(spare, 1))
+        except BoardSilent as silent:
+            raise WrongIdentity(
+                f"{self.where}: expected {expected}, so that writing is answered; it is {level}, and writing is not answered: set"
+                f" it with {tool}"
+            ) from silent
 
     def _read(self, address: int, count: int) -> bytes:
         return self._converse(lambda: self.WIRE.read(self.number, address, count), count, f"READ {address}")

@@ -14,13 +14,22 @@ from firmware_iface.smart_servo import ServoWire, SmartServo
 
 REBOOT_s = 0.5
 STORED_SPAN = (0, 69)  # address and length: model to status return level
-RETURN_DELAY, TORQUE_ENABLE, GOAL_PWM, GOAL_POSITION, PROFILE, GOAL_CURRENT = 9, 64, 100, 116, 108, 102
+RETURN_DELAY, TORQUE_ENABLE, LED, GOAL_PWM, GOAL_POSITION, PROFILE, GOAL_CURRENT = (
+    9,
+    64,
+    65,
+    100,
+    116,
+    108,
+    102,
+)
 # Address and length: torque to bus watchdog; current to temperature.
 STATE_SPAN, VALUES_SPAN = (64, 35), (126, 21)
 HARDWARE_ERROR, BUS_WATCHDOG = 70, 98
 WATCHDOG_STEP_s, LONGEST_WATCHDOG = 0.02, 127
 WATCHDOG_ERROR = 0xFF
-WATCHDOG_SINCE: Final = 38  # firmware that has a bus watchdog; in the XL330 all have
+WATCHDOG_SINCE: Final = 38  # firmware that has a bus watchdog; in the XL330 and XC330 all have
+TORQUE_AT_POWER_UP: Final = 0x01  # bit of the startup configuration; in older firmware that register is 0
 DELAY_STEP_s: Final = 2e-6
 ALL_ANSWERED: Final = 2  # status return level
 COUNTS_PER_TURN: Final = 4096
@@ -34,21 +43,30 @@ POSITION_MODES: Final = {
     EXTENDED: "extended position",
     WITH_FORCE: "current-based position",
 }
-# Unit of the present current by model number (e-Manual).
-XL330: Final = (1190, 1200)  # -M077, -M288
-CURRENT_UNIT_A: Final = {**dict.fromkeys(XL330, 0.001), **dict.fromkeys((1020, 1030, 1120, 1130), 0.00269)}
-MODELS: Final = {
-    1190: "XL330-M077", 1200: "XL330-M288", 1060: "XL430-W250",
-    1020: "XM430-W350", 1030: "XM430-W210", 1120: "XM540-W270", 1130: "XM540-W150",
+# Models by number (e-Manual), and the unit of their present current (Dynamixel2Arduino of 2025, its table of each model).
+SMALL: Final = {
+    1190: "XL330-M077", 1200: "XL330-M288", 1210: "XC330-T181", 1220: "XC330-T288", 1230: "XC330-M181", 1240: "XC330-M288",
 }  # fmt: skip
-# Models that measure no current: at its place they have the load, the share of the supply that is on the motor, in 0.1 %.
-WITH_LOAD: Final = (1060,)  # XL430-W250
+_FINE: Final = {1040: "XH430-V350", 1050: "XH430-V210"}
+_COARSE: Final = {
+    1000: "XH430-W350", 1010: "XH430-W210", 1020: "XM430-W350", 1030: "XM430-W210", 1100: "XH540-W270", 1110: "XH540-W150",
+    1120: "XM540-W270", 1130: "XM540-W150", 1140: "XH540-V270", 1150: "XH540-V150", 1001: "XD430-T350", 1011: "XD430-T210",
+    1101: "XD540-T270", 1111: "XD540-T150", 1170: "XW540-T260", 1180: "XW540-T140", 1270: "XW430-T333", 1280: "XW430-T200",
+}  # fmt: skip
+# They measure no current: at its place they have the load, the share of the supply that is on the motor, in 0.1 %.
+WITH_LOAD: Final = {
+    1060: "XL430-W250", 1070: "XC430-W150", 1080: "XC430-W240", 1090: "2XL430-W250", 1160: "2XC430-W250",
+}  # fmt: skip
+CURRENT_UNIT_A: Final = {
+    **dict.fromkeys(SMALL, 0.001), **dict.fromkeys(_FINE, 0.00134), **dict.fromkeys(_COARSE, 0.00269)
+}  # fmt: skip
+MODELS: Final = {**SMALL, **_FINE, **_COARSE, **WITH_LOAD}
 LOAD_UNIT: Final = 0.001
 FULL_PWM: Final = 885
 SPEED_UNIT_rad_s: Final = 0.229 * 2.0 * math.pi / 60.0
-# Model; firmware; return delay, drive mode, operating mode; homing offset; highest and lowest voltage; position limits; shutdown;
-# status return level
-_STORED = struct.Struct("<H4xB2xBBB8xi8xHH12xii7xB4xB")
+# Model; firmware; return delay, drive mode, operating mode; homing offset; highest and lowest voltage; position limits; startup
+# configuration, shutdown; status return level
+_STORED = struct.Struct("<H4xB2xBBB8xi8xHH12xii4xB2xB4xB")
 _VALUES = struct.Struct("<hiiiiHB")  # current, velocity, position, two of a trajectory, voltage, temperature
 
 
@@ -105,13 +123,13 @@ class DynamixelServo(SmartServo):
             lowest_100mV,
             most,
             least,
+            startup,
             self.frees_at,
             level,
         ) = _STORED.unpack(self._read(*STORED_SPAN))
         if self.model not in MODELS:
-            known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
             raise WrongIdentity(
-                f"{self.where}: expected a model that measures its current or its load (model numbers {known}), it is model"
+                f"{self.where}: expected a Dynamixel X that measures its current or its load (docs/dynamixel.md), it is model"
                 f" {self.model}"
             )
         self.model_name, self.bears_V = MODELS[self.model], (lowest_100mV * 0.1, highest_100mV * 0.1)
@@ -119,26 +137,34 @@ class DynamixelServo(SmartServo):
         self._mode = mode
         for is_right, expected, found, remedy in (
             (
-                firmware >= WATCHDOG_SINCE or self.model in XL330,
+                firmware >= WATCHDOG_SINCE or self.model in SMALL or not firmware,
                 f"firmware {WATCHDOG_SINCE} or newer (bus watchdog)", firmware, "update it",
             ),
             (mode in POSITION_MODES, "operating mode 3, 4 or 5 (position)", mode, "set it"),
-            (level == ALL_ANSWERED, "status return level 2 (register 68: writing is answered)", level, "set it"),
+            (
+                not startup & TORQUE_AT_POWER_UP,
+                "no torque at power-up (register 60, bit 0)", f"{startup} there", "set it to 0",
+            ),
         ):  # fmt: skip
             if not is_right:
                 raise WrongIdentity(
                     f"{self.where}: expected {expected}, it is {found}: {remedy} with Dynamixel Wizard"
                 )
+        if level != ALL_ANSWERED:
+            self._require_answers(
+                f"status return level {ALL_ANSWERED} (register 68)", level, LED, "Dynamixel Wizard"
+            )
         self.return_delay_s = delay * DELAY_STEP_s
         notes = [f"model {self.model_name}", f"firmware {firmware}", f"{POSITION_MODES[mode]} mode"]
         notes += ["current reckoned from its load"] if self.has_load else []
         if mode == WITHIN_LIMITS:
             offset = min(max(offset, -COUNTS_PER_TURN // 4), COUNTS_PER_TURN // 4)
-            self.reached = range(least, most + 1)
+            self.reached = range(least, most + 1) if most > least else self.reached
             notes += [f"goals {least} to {most}"] if (least, most) != (0, COUNTS_PER_TURN - 1) else []
         self.known = range(offset, offset + COUNTS_PER_TURN)
         notes += [f"homing offset {offset}"] if offset else []
         notes += ["sense of its position reversed"] if drive_mode & REVERSED else []
+        notes += [f"status return level {level}"] if level != ALL_ANSWERED else []
         return ", ".join(notes) + "; " + self.at_errors()
 
     def set_up(self, watchdog_s: float) -> None:

@@ -16,12 +16,17 @@ RETURN_DELAY, TORQUE, ACCELERATION, GOAL_POSITION, GOAL_SPEED, TORQUE_LIMIT = 7,
 STATE_SPAN = (40, 31)  # address and length: torque to current
 CURRENT_UNIT_A: Final = 0.0065
 MODELS: Final = {777: "STS3215", 2825: "STS3250"}
+SERIES: Final = 9  # low byte of the model: all STS have one memory table
+ON: Final = 1  # of the torque switch: 2 only damps, 128 sets the position's zero
 # Torque; acceleration to lock; position, speed, load; voltage, temperature; asynchronous write; error; moving; two bytes; current
 DELAY_STEP_s: Final = 2e-6
+ALL_ANSWERED: Final = 1  # response level
 COUNTS_PER_TURN: Final = 4096
 FURTHEST: Final = 7 * COUNTS_PER_TURN  # of a goal without position limits: seven turns
 BEYOND_A_TURN: Final = 0x10  # bit of the phase: the position counts on beyond a turn until the supply is cut
 REVERSED: Final = 0x80  # bit of the phase: the position has the other sense
+SPEED_0_IS_FULL: Final = 0x08  # bit of the phase; without it a goal speed of 0 lets it stand
+NO_SPEED_LIMIT: Final = {True: 0, False: 0x7FFF}  # the goal speed, by that bit
 OVERLOAD: Final = 0x20  # of the errors: load above a share of the torque for a time; it keeps another share
 # Firmware; model; return delay, response level; least and greatest position; highest and lowest voltage; phase, unloading
 # condition; resolution; position correction with its sign in bit 11; mode; protective torque, protection time, overload torque
@@ -61,6 +66,7 @@ class FeetechServo(SmartServo):
         super().__init__(line, number, name)
         self._is_wanted = self._must_be_on = False  # the torque
         self._has_turns = False  # it counts on, and has no position limits
+        self._speed_0_is_full = True
         self.values_question = self.state_question = self._reading(STATE_SPAN, self._take_state)
         line.servos.append(self)
 
@@ -82,26 +88,34 @@ class FeetechServo(SmartServo):
             major, minor, model, delay, level, least, most, highest_100mV, lowest_100mV, phase, unloads_at,
             resolution, correction, mode, kept_percent, protection_10ms, overload_percent,
         ) = _STORED.unpack(self._read(*STORED_SPAN))  # fmt: skip
-        if model not in MODELS:
+        if model & 0xFF != SERIES:
             known = ", ".join(f"{number} ({name})" for number, name in MODELS.items())
-            raise WrongIdentity(f"{self.where}: expected model {known}, it is model {model}")
+            raise WrongIdentity(
+                f"{self.where}: expected an STS, model {known} or another {SERIES}.x, it is model {model}"
+                f" ({model & 0xFF}.{model >> 8})"
+            )
         for what, is_right, expected, found in (
             ("mode", mode == 0, "0 (position)", mode),
-            ("response level (register 8)", level == 1, "1 (writing is answered)", level),
             ("angular resolution (register 30)", resolution <= 1, f"1 ({COUNTS_PER_TURN} counts a turn)", resolution),
         ):  # fmt: skip
             if not is_right:
                 raise WrongIdentity(
                     f"{self.where}: expected {what} {expected}, it is {found}: set it with Feetech's FD tool"
                 )
-        self.model_name, self.bears_V = MODELS[model], (lowest_100mV * 0.1, highest_100mV * 0.1)
+        if level != ALL_ANSWERED:
+            self._require_answers(
+                f"response level {ALL_ANSWERED} (register 8)", level, ACCELERATION, "Feetech's FD tool"
+            )
+        self.model_name, self.bears_V = MODELS.get(model, ""), (lowest_100mV * 0.1, highest_100mV * 0.1)
+        self._speed_0_is_full = bool(phase & SPEED_0_IS_FULL)
         self.return_delay_s = delay * DELAY_STEP_s
         self.known = range(COUNTS_PER_TURN)
         self.reached = range(least, most + 1) if most > least else range(-FURTHEST, FURTHEST + 1)
         self._has_turns = most <= least and bool(phase & BEYOND_A_TURN)
         self.weakens_at = unloads_at & OVERLOAD if kept_percent else 0
         self.frees_at = unloads_at & ~self.weakens_at
-        notes = [f"model {MODELS[model]}", f"firmware {major}.{minor}", "position mode"]
+        called = self.model_name or f"{SERIES}.{model >> 8}, not known here: taken for one as the STS3215"
+        notes = [f"model {called}", f"firmware {major}.{minor}", "position mode"]
         if most <= least:
             notes.append("no position limits: goals of several turns")
         elif (least, most) != (0, COUNTS_PER_TURN - 1):
@@ -109,13 +123,14 @@ class FeetechServo(SmartServo):
         notes += [f"position correction {wire.signed(correction, 11)}"] if correction else []
         notes += ["counts on beyond a turn until its supply is cut"] if phase & BEYOND_A_TURN else []
         notes += ["sense of its position reversed"] if phase & REVERSED else []
+        notes += [f"response level {level}"] if level != ALL_ANSWERED else []
         overload = f" (above {overload_percent} % for {protection_10ms / 100:g} s; {kept_percent} % are left)"
         return ", ".join(notes) + "; " + self.at_errors(overload)
 
     def set_up(self, watchdog_s: float) -> None:
         """No ramp and no speed limit. Nothing is stored, the torque stays as it is; there is no watchdog to set."""
         self._write(ACCELERATION, b"\0")
-        self._write(GOAL_SPEED, b"\0\0")
+        self._write(GOAL_SPEED, wire.raw(NO_SPEED_LIMIT[self._speed_0_is_full]))
         self._force.forget()
         self.read_state()
 
@@ -145,7 +160,7 @@ class FeetechServo(SmartServo):
         torque, position, _, _, tenths_V, self.temperature_degC, error, _, current = _STATE.unpack(data[1:])
         self.position, self.current_A = wire.signed(position), wire.signed(current) * CURRENT_UNIT_A
         self.supply_V, self.hardware_error, self.at_s = tenths_V * 0.1, error, sent_at_s
-        self.is_torque_on = bool(torque)
+        self.is_torque_on = torque == ON
         if self.is_torque_on:
             self._must_be_on = self._is_wanted  # not by an answer from before it was switched off
         elif self._must_be_on:

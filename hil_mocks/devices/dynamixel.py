@@ -32,6 +32,7 @@ from hil_mocks.devices.dynamixel_table import (
     RETURN_DELAY,
     RETURN_LEVEL,
     SHUTDOWN,
+    STARTUP,
     STORED_END,
     TABLE_BYTES,
     TORQUE,
@@ -137,6 +138,7 @@ class DynamixelMock:
         self._deaf_until_s = now_s
         self._heard_s = now_s
         self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
+        self.write(TORQUE, bytes((self.table[STARTUP] & 1,)))
 
     @property
     def limit_A(self) -> float:

@@ -20,22 +20,33 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import reduce
 
-from hil_mocks.devices.motor_inputs import OPEN
+from hil_mocks.devices.motor_inputs import OPEN, Output
 from hil_mocks.devices.servo_motor import ServoMotor
 
 COUNTS_PER_TURN = 4096
 BROADCAST = 0xFE
 VOLTAGE, OVER_HEATED, OVERLOAD = 0x01, 0x04, 0x20
 RETURN_DELAY, RETURN_LEVEL, MIN_POSITION, MAX_POSITION, HIGHEST_VOLTAGE, LOWEST_VOLTAGE = 7, 8, 9, 11, 14, 15
-PHASE, UNLOADING, RESOLUTION, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = 18, 19, 30, 34, 35, 36
+PHASE, UNLOADING, RESOLUTION, CORRECTION, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = (
+    18,
+    19,
+    30,
+    31,
+    34,
+    35,
+    36,
+)
 STORED_END = 40  # what is below is kept without supply
 STORED = {  # at delivery
-    0: 3, 1: 10, RETURN_LEVEL: 1, PHASE: 0x0C, UNLOADING: 44, RESOLUTION: 1, PROTECTIVE_TORQUE: 20, PROTECTION_TIME: 200,
-    OVERLOAD_TORQUE: 80,
+    0: 3, 1: 10, RETURN_LEVEL: 1, LOWEST_VOLTAGE: 40, PHASE: 0x0C, UNLOADING: 44, RESOLUTION: 1, PROTECTIVE_TORQUE: 20,
+    PROTECTION_TIME: 200, OVERLOAD_TORQUE: 80,
 }  # fmt: skip
 FULL_ANGLE = 0x10  # bit of the phase: the position counts on beyond a turn
-LOWEST_OF_NOMINAL, HIGHEST_OF_NOMINAL = 8.0 / 12.0, 14.0 / 12.0  # as stored in servos of 12 V
-TORQUE, GOAL, TORQUE_LIMIT, LOCK = 40, 42, 48, 55
+SPEED_0_IS_FULL = 0x08  # bit of the phase: else it stands
+HIGHEST_OF_NOMINAL = 14.0 / 12.0  # as stored in servos of 12 V
+TORQUE, GOAL, GOAL_SPEED, TORQUE_LIMIT, LOCK = 40, 42, 46, 48, 55
+ON, DAMPED, CENTRED = 1, 2, 128  # of the torque switch
+FULL_SPEED = 3400  # counts/s, at power-up
 POSITION, REGISTERED, ERROR, MOVING, CURRENT, TABLE_BYTES = 56, 64, 65, 66, 69, 71
 DELAY_STEP_S = 2e-6
 CURRENT_UNIT_A = 0.0065
@@ -77,7 +88,6 @@ class FeetechMock:
         self.table = bytearray(TABLE_BYTES)
         struct.pack_into("<H", self.table, 3, setup.model)
         self.table[5] = setup.number
-        self.table[LOWEST_VOLTAGE] = round(10.0 * LOWEST_OF_NOMINAL * setup.supply_V)
         self.table[HIGHEST_VOLTAGE] = min(round(10.0 * HIGHEST_OF_NOMINAL * setup.supply_V), 254)
         for address, value in STORED.items():
             self.table[address] = value
@@ -90,7 +100,7 @@ class FeetechMock:
         """State after power-up or a restart: torque off, deaf while it boots."""
         self.table[STORED_END:] = bytes(TABLE_BYTES - STORED_END)
         self.table[LOCK] = 1
-        struct.pack_into("<H", self.table, TORQUE_LIMIT, 1000)
+        struct.pack_into("<HH", self.table, GOAL_SPEED, FULL_SPEED, 1000)  # and the torque limit
         self.output = OPEN
         self._registered: tuple[int, bytes] | None = None
         self._deaf_until_s = now_s + BOOT_S
@@ -131,19 +141,34 @@ class FeetechMock:
             return
         if address in _EEPROM and self.table[LOCK]:
             return
-        was_on = self.table[TORQUE]
+        was = self.table[TORQUE]
         self.table[address:end] = data
+        if self.table[TORQUE] == CENTRED:
+            self.table[TORQUE] = was
+            self._centre()
         if address <= GOAL < end and not address <= TORQUE < end:
-            self.table[TORQUE] = 1
-        if self.table[TORQUE] and not was_on:
+            self.table[TORQUE] = ON
+        if self.table[TORQUE] == ON and was != ON:
             self._motor.engage()
             if not address <= GOAL < end:
                 struct.pack_into("<H", self.table, GOAL, _raw(self.position))
-        if self.table[TORQUE]:
-            least, most = struct.unpack_from("<HH", self.table, MIN_POSITION)
-            goal = _signed(struct.unpack_from("<H", self.table, GOAL)[0])
-            goal = min(max(goal, least), most) if most > least else goal
-            self._motor.goal_turns = (goal + self._turned_on - self.position) / COUNTS_PER_TURN
+        if self.table[TORQUE] == ON:
+            self._aim()
+
+    def _aim(self) -> None:
+        """The loop goes to the goal, within the position limits."""
+        least, most = struct.unpack_from("<HH", self.table, MIN_POSITION)
+        goal, _, speed = struct.unpack_from("<HHH", self.table, GOAL)
+        wanted = _signed(goal)
+        wanted = min(max(wanted, least), most) if most > least else wanted
+        stands = not speed and not self.table[PHASE] & SPEED_0_IS_FULL
+        far = 0 if stands else wanted - self.position
+        self._motor.goal_turns = self._read_turns() if stands else (self._encoder + far) / COUNTS_PER_TURN
+
+    def _centre(self) -> None:
+        """Make the position 2048 here, by the correction."""
+        off = (self._encoder - COUNTS_PER_TURN // 2 + 2048) % COUNTS_PER_TURN - 2048
+        struct.pack_into("<H", self.table, CORRECTION, abs(off) | (1 << 11 if off < 0 else 0))
 
     def switch_torque(self, is_on: bool, now_s: float) -> None:
         """Another program writes the switch."""
@@ -157,8 +182,14 @@ class FeetechMock:
         return self._turned_on if self.table[PHASE] & FULL_ANGLE else self._turned_on % COUNTS_PER_TURN
 
     @property
-    def _turned_on(self) -> int:
+    def _encoder(self) -> int:
         return round(self._read_turns() * COUNTS_PER_TURN)
+
+    @property
+    def _turned_on(self) -> int:
+        """The encoder less the correction, whose sign is in bit 11."""
+        raw = int.from_bytes(self.table[CORRECTION : CORRECTION + 2], "little")
+        return self._encoder + (raw & 0x7FF if raw & 0x800 else -(raw & 0x7FF))
 
     def _status(self, parameters: bytes = b"") -> bytes:
         inside = bytes((self.setup.number, len(parameters) + 2, self.table[ERROR])) + parameters
@@ -183,11 +214,13 @@ class FeetechMock:
         self.table[MOVING] = int(speed != 0)
         struct.pack_into("<H", self.table, CURRENT, _raw(round(current_A / CURRENT_UNIT_A)))
         protected = self.table[ERROR] & self.table[UNLOADING]
-        is_driven = self.table[TORQUE] and not protected & ~OVERLOAD and now_s >= self._deaf_until_s
+        is_driven = self.table[TORQUE] == ON and not protected & ~OVERLOAD and now_s >= self._deaf_until_s
         (permille,) = struct.unpack_from("<H", self.table, TORQUE_LIMIT)
         if protected & OVERLOAD:
             permille = min(permille, 10 * self.table[PROTECTIVE_TORQUE])
         self.output = motor.controlled(supply_V * min(permille, 1000) / 1000) if is_driven else OPEN
+        if self.table[TORQUE] == DAMPED and not protected:
+            self.output = Output("voltage", 0.0)
 
     def _load(self, supply_V: float) -> int:
         """The duty of its output, in thousandths; its sign in bit 10."""

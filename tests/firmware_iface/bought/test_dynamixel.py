@@ -112,7 +112,11 @@ def test_a_model_without_a_current_tells_its_load_and_speed_and_limits_its_duty(
     ("address", "value", "expected"),
     [
         (6, 36, r"firmware 38 or newer \(bus watchdog\), it is 36: update it with Dynamixel Wizard"),
-        (68, 1, r"status return level 2 \(register 68: .*\), it is 1: set it with Dynamixel Wizard"),
+        (
+            68,
+            1,
+            r"status return level 2 \(register 68\), .*; it is 1, and writing is not answered: set it with Dynamixel Wizard",
+        ),
     ],
 )
 def test_what_the_watchdog_and_the_answers_need_is_compared(address: int, value: int, expected: str) -> None:
@@ -120,6 +124,35 @@ def test_what_the_watchdog_and_the_answers_need_is_compared(address: int, value:
     cable.servo.table[address] = value
     with pytest.raises(WrongIdentity, match=expected):
         DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
+
+
+def test_torque_that_comes_by_itself_at_power_up_is_refused() -> None:
+    cable = Cable()
+    cable.servo.table[60] = 1
+    cable.servo.power_up()
+    assert cable.servo.table[64] == 1
+    with pytest.raises(
+        WrongIdentity, match=r"no torque at power-up \(register 60, bit 0\), it is 1 there: set it to 0"
+    ):
+        DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow").identify()
+
+
+def test_registers_that_are_not_set_stop_no_servo(monkeypatch: pytest.MonkeyPatch) -> None:
+    cable = Cable()
+    answer = cable.servo.answer
+
+    def answers_all(instruction: int, parameters: bytes, now_s: float) -> bytes | None:
+        return answer(instruction, parameters, now_s) or cable.servo.status(0)
+
+    cable.servo.table[6] = 0  # firmware
+    cable.servo.table[20:64] = bytes(44)  # limits of voltage and position, shutdown
+    cable.servo.table[68] = 1
+    monkeypatch.setattr(cable.servo, "answer", answers_all)
+    servo = DynamixelServo(DynamixelLine(cable.link, cable), 3, "elbow")
+    assert re.search(
+        "firmware 0, position mode, goals 0 to 0, status return level 1; holds on at", servo.identify()
+    )
+    assert (servo.bears_V, 4095 in servo.reached, cable.servo.table[65]) == ((0.0, 0.0), True, 0)
 
 
 def test_every_xl330_has_a_watchdog() -> None:

@@ -76,8 +76,10 @@ def test_a_servo_is_identified_set_up_and_read(echoes: bool) -> None:
 
 
 def test_another_model_or_mode_and_a_silent_line_say_what_to_do() -> None:
-    cable = Cable(model=1029)
-    with pytest.raises(WrongIdentity, match=r"expected model 777 \(STS3215\), 2825 .*, it is model 1029"):
+    cable = Cable(model=0x050A)  # an HLS
+    with pytest.raises(
+        WrongIdentity, match=r"expected an STS, model 777 \(STS3215\), .*, it is model 1290 \(10.5\)"
+    ):
         FeetechServo(FeetechLine(cable.link, cable), 3, "elbow").identify()
     wheel = Cable()
     wheel.servo.table[33] = 1
@@ -159,9 +161,56 @@ def test_what_it_does_at_an_error_is_what_is_stored_in_it() -> None:
     assert (servo.frees_at, servo.weakens_at, servo.return_delay_s) == (0x21, 0, pytest.approx(5e-4))
     table[8] = 0
     with pytest.raises(
-        WrongIdentity, match=r"response level \(register 8\) 1 \(writing is answered\), it is 0"
+        WrongIdentity, match=r"response level 1 \(register 8\), .*; it is 0, and writing is not answered"
     ):
         servo.identify()
+
+
+def test_a_response_level_of_0_is_told_where_writing_is_answered_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cable = Cable()
+    answer = cable.servo.answer
+
+    def answers_all(instruction: int, parameters: bytes, now_s: float) -> bytes | None:
+        return answer(instruction, parameters, now_s) or cable.servo._status()
+
+    monkeypatch.setattr(cable.servo, "answer", answers_all)
+    cable.servo.table[8], cable.servo.table[41] = 0, 7
+    assert "response level 0" in FeetechServo(FeetechLine(cable.link, cable), 3, "elbow").identify()
+    assert cable.servo.table[40:42] == b"\0\x07"
+
+
+def test_another_sts_is_taken_and_told() -> None:
+    cable = Cable(model=0x0E09)
+    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
+    assert servo.identify().startswith(
+        "model 9.14, not known here: taken for one as the STS3215, firmware 3.10"
+    )
+
+
+@pytest.mark.parametrize("phase", [0x00, 0x0C], ids=["a speed of 0 stands", "a speed of 0 is the fastest"])
+def test_no_speed_limit_is_what_the_phase_takes_for_it(phase: int) -> None:
+    cable = Cable()
+    cable.servo.table[18] = phase
+    line = FeetechLine(cable.link, cable)
+    servo = FeetechServo(line, 3, "elbow")
+    servo.identify()
+    servo.set_up(0.2)
+    servo.goal = 1100
+    for _ in range(4):
+        line.post_cycle()
+        line.update()
+        cable.wait_until_s(cable.now_s() + 0.005)
+    assert cable.servo.output.value > 0.1  # it pulls towards its goal
+
+
+def test_a_servo_that_only_damps_does_not_count_as_holding() -> None:
+    cable = Cable()
+    servo = FeetechServo(FeetechLine(cable.link, cable), 3, "elbow")
+    cable.servo.write(40, b"\x02", cable.now_s())
+    servo.read_state()
+    assert (servo.is_torque_on, cable.servo.output.value) == (False, 0.0)
 
 
 def test_a_gripper_needs_counts_and_goals_beyond_a_turn() -> None:

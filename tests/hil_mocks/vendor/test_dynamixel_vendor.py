@@ -1,11 +1,13 @@
 """The vendor's SDK (dynamixel-sdk, from PyPI) drives the mock servos, and its bytes are ours."""
 
 import struct
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from firmware_iface.dynamixel import wire
+from firmware_iface.dynamixel.servo import MODELS, WITH_LOAD
 from firmware_iface.servo_line import Instruction
 from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
 
@@ -275,3 +277,30 @@ def test_any_single_flipped_bit_of_a_status_packet_is_noticed(line: DynamixelLin
             assert wire.status_in(bytes(flipped)) is None
         except ValueError:
             continue
+
+
+def test_models_and_where_they_have_their_values_are_those_of_the_vendors_tables() -> None:
+    tables = pytest.importorskip("dynamixel_easy_sdk").__path__[0]
+    folder = Path(tables) / "control_table"
+    numbers = dict(line.split() for line in (folder / "dynamixel.model").read_text().splitlines()[1:])
+    for number, name in MODELS.items():
+        if not (file := numbers.get(str(number))):
+            assert number == 1280  # in its Arduino library alone
+            continue
+        assert file == name.lower().replace("-", "_") + ".model"
+        items = {line.split("\t")[2]: tuple(map(int, line.split("\t")[:2])) for line in _items(folder / file)}
+        effort = "Present Load" if number in WITH_LOAD else "Present Current"
+        assert (items[effort], items["Present Position"], items["Goal Position"]) == (
+            (126, 2),
+            (132, 4),
+            (116, 4),
+        )
+        assert (items["Present Input Voltage"], items["Bus Watchdog"], items["Shutdown"]) == (
+            (144, 2),
+            (98, 1),
+            (63, 1),
+        )
+
+
+def _items(file: Path) -> list[str]:
+    return [line for line in file.read_text().split("[control table]")[1].splitlines()[2:] if line.strip()]
