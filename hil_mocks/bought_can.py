@@ -68,7 +68,7 @@ class CanKind(NamedTuple):
 
 def _cia402(node: int, joint: int, drive: Drive, shaft: EncoderShaft) -> Cia402Mock:
     """Every second joint has an EPOS4, the others a plain drive."""
-    is_epos4 = joint % 2 == 1
+    maker: dict[str, Any] = {"vendor": MAXON, "product": EPOS4} if joint % 2 == 1 else {}
     setup = Cia402Setup(
         node=node,
         serial_number=0xC402_0000 + joint,
@@ -77,7 +77,7 @@ def _cia402(node: int, joint: int, drive: Drive, shaft: EncoderShaft) -> Cia402M
         resistance_ohm=drive.resistance_ohm,
         current_limit_A=drive.current_limit_A,
         rotor_inertia_kg_m2=drive.rotor_inertia_kg_m2,
-        **({"vendor": MAXON, "product": EPOS4} if is_epos4 else {}),
+        **maker,
     )
     return Cia402Mock(setup, shaft.own_count)
 

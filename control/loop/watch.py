@@ -22,7 +22,10 @@ DRIVE_FAULTS = {
     2: ("supply too low", "check the supply and the emergency-stop switch"),
     3: ("supply too high", "a braking motor feeds the supply: add a brake resistor"),
     4: ("watchdog", "the board received no command in time: check for late cycles, and the CAN cable"),
-    5: ("its encoder", "check the motor encoder's cable at the drive"),
+    5: (
+        "its encoder, or it did not follow",
+        "check the motor encoder's cable at the drive, and for a blocked joint",
+    ),
     6: ("bad command", "firmware and program do not match: compare protocol versions"),
     7: ("emergency stop", "release the emergency stop when it is safe"),
 }

@@ -39,8 +39,11 @@ RATED_CURRENT, RATED_TORQUE = DictionaryObject(0x6075, 0, "u32"), DictionaryObje
 MAX_TORQUE = DictionaryObject(0x6072, 0, "u16")
 SUPPLY, INPUTS = DictionaryObject(0x6079, 0, "u32"), DictionaryObject(0x60FD, 0, "u32")
 CYCLE_TIME, CYCLE_UNIT = DictionaryObject(0x60C2, 1, "u8"), DictionaryObject(0x60C2, 2, "i8")
+MODES, POSITION_UNIT = DictionaryObject(0x6502, 0, "u32"), DictionaryObject(0x60A8, 0, "u32")
+INCREMENTS: Final = 0x00B5_0000  # of 0x60A8
 QUICK_STOP_WITHOUT_HOST, STAY_IN_QUICK_STOP = 3, 6  # of options 0x6007 and 0x605A
 EVERY_SYNC = 1  # transmission type
+NO_REMOTE_REQUESTS: Final = 1 << 30  # of a COB-ID
 _RPDO_1 = struct.Struct("<Hbi")
 _RPDO_2 = struct.Struct("<h")
 _TPDO_1 = struct.Struct("<Hih")
@@ -268,8 +271,9 @@ class Cia402Drive:
         self._map(0x1401, 0x1601, wire.RPDO_2, (TARGET_TORQUE,))
         self._map(0x1800, 0x1A00, wire.TPDO_1, (STATUSWORD, POSITION, TORQUE))
         self._map_slow_values()
-        self.write(CYCLE_TIME, max(1, round(period_s * 1e3)))
-        self.write(CYCLE_UNIT, -3)
+        if self.read_if_there(CYCLE_TIME) is not None:
+            self.write(CYCLE_TIME, max(1, round(period_s * 1e3)))
+            self.write(CYCLE_UNIT, -3)
         self.write(QUICK_STOP_OPTION, STAY_IN_QUICK_STOP)
         self.write(ABORT_CONNECTION, QUICK_STOP_WITHOUT_HOST)
         self.write(HEARTBEAT_CONSUMER, HOST_NODE << 16 | round(watchdog_s * 1e3))
@@ -293,15 +297,16 @@ class Cia402Drive:
     def _map(
         self, communication: int, mapping: int, base: int, entries: tuple[DictionaryObject, ...]
     ) -> None:
-        """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid."""
+        """Configure a PDO as CiA 301 has it: invalid, empty, filled, valid. Its bit for remote requests stays as it is."""
         cob, count = DictionaryObject(communication, 1, "u32"), DictionaryObject(mapping, 0, "u8")
-        self.write(cob, base + self.node | 1 << 31)
+        cob_id = base + self.node | self.read(cob) & NO_REMOTE_REQUESTS
+        self.write(cob, cob_id | 1 << 31)
         self.write(DictionaryObject(communication, 2, "u8"), EVERY_SYNC)
         self.write(count, 0)
         for sub, entry in enumerate(entries, start=1):
             self.write(DictionaryObject(mapping, sub, "u32"), entry.mapping)
         self.write(count, len(entries))
-        self.write(cob, base + self.node)
+        self.write(cob, cob_id)
 
     def acknowledge_fault(self, timeout_s: float = 0.5) -> None:
         """Reset a fault by a rising edge of bit 7; ends in SWITCH ON DISABLED and never beyond. Raises BoardFaulted.

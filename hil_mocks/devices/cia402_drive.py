@@ -17,10 +17,19 @@ INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05
 CSP, CSV, CST = 8, 9, 10
 POSITION_RATE, SPEED_RATE, SPEED_GAIN, SPEED_INTEGRAL = 20.0, 430.0, 2.0, 40.0  # 1/s; 1/s; - at most; 1/s
 SPEED_FILTER_S = 0.0015
-OVER_CURRENT, OVER_HEATED, SUPPLY_LOW, HEARTBEAT_LOST = 0x2310, 0x4310, 0x3220, 0x8130
+OVER_CURRENT, OVER_HEATED, SUPPLY_LOW, HEARTBEAT_LOST, FOLLOWING_ERROR = (
+    0x2310,
+    0x4310,
+    0x3220,
+    0x8130,
+    0x8611,
+)
+NO_WINDOW, DID_NOT_FOLLOW = 0xFFFF_FFFF, 0x2000  # of 0x6065; bit 13 of the statusword in the position modes
+NO_REMOTE_REQUESTS = 0x4000_0000  # bit of a TPDO's COB-ID that a drive without them keeps
 _LOWEST_SUPPLY_V = 9.0
 _FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i"}
 NO_OBJECT, NO_SUB, READ_ONLY, LENGTH, STATE = 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x08000022
+OUT_OF_RANGE = 0x06090030
 NOT_MAPPABLE = 0x06040041
 MAXON, EPOS4 = 0x0000_00FB, 0x6050_0000
 _READ_ONLY = {
@@ -43,7 +52,11 @@ class Cia402Setup:
     vendor: int = 0x0000_0402
     product: int = 0x0000_0001
     fault_reaction: int = 2  # 0x605E: slow down by the quick stop ramp
-    following_error_window: int = 0xFFFF_FFFF  # 0x6065: none
+    following_error_window: int = NO_WINDOW  # 0x6065
+    following_error_ms: int = 0  # 0x6066: so long out of the window, and it is a following error
+    modes: int = 0x0380  # 0x6502: cyclic synchronous position, velocity, torque
+    position_unit: int = 0x00B5_0000  # 0x60A8: increments
+    has_cycle_time: bool = True  # 0x60C2
 
     @property
     def is_epos4(self) -> bool:
@@ -87,7 +100,7 @@ class Cia402Mock:
         self.objects = _defaults(self.setup)
         for pdo, base in ((0, 0x200), (1, 0x300)):
             self.objects[0x1400 + pdo, 1] = ("u32", base + node)
-            self.objects[0x1800 + pdo, 1] = ("u32", 0x8000_0000 | base - 0x80 + node)
+            self.objects[0x1800 + pdo, 1] = ("u32", 0x8000_0000 | NO_REMOTE_REQUESTS | base - 0x80 + node)
         self.nmt_state = PRE_OPERATIONAL
         self.state = MotorState.NOT_READY
         self.error = 0
@@ -103,6 +116,8 @@ class Cia402Mock:
         self._held = 0
         self._aim = self._since = self._target = 0  # of the interpolation
         self._share = 1.0
+        self._followed_s = 0.0  # when it was within its following error window last
+        self._is_behind = False
         self.outgoing.append((0x700 + node, bytes((INITIALISING,))))
 
     @property
@@ -214,6 +229,8 @@ class Cia402Mock:
             return NO_OBJECT
         if 0x1A00 <= at <= 0x1BFF and sub and value >> 16 == 0x2200:
             return NOT_MAPPABLE
+        if 0x1800 <= at <= 0x19FF and sub == 1 and not value & NO_REMOTE_REQUESTS:
+            return OUT_OF_RANGE
         self._write(at, sub, kind, value)
         return 0
 
@@ -225,7 +242,7 @@ class Cia402Mock:
     # ---- states
 
     def _statusword(self) -> int:
-        word = self.state.value
+        word = self.state.value | (DID_NOT_FOLLOW if self._is_behind else 0)
         return word | 0x200 | (0x10 if self.state in (MotorState.SWITCHED_ON, MotorState.ENABLED) else 0)
 
     def _control(self, controlword: int) -> None:
@@ -276,11 +293,24 @@ class Cia402Mock:
             self.state = MotorState.SWITCH_ON_DISABLED
         elif self.state is MotorState.FAULT_REACTION:
             self.state = MotorState.FAULT
+        self._watch_following(now_s)
         if (cause := self._cause()) and self.state not in (MotorState.FAULT, MotorState.FAULT_REACTION):
             self._fault(cause)
         self._watch_host(now_s)
         self._beat(now_s)
         self._drive(step_s)
+
+    def _watch_following(self, now_s: float) -> None:
+        """Out of the window about the demand for the time-out: bit 13, and in an EPOS4 a fault (its firmware specification)."""
+        window, most_s = self.objects[0x6065, 0][1], 1e-3 * self.objects[0x6066, 0][1]
+        is_controlled = self.state is MotorState.ENABLED and self.objects[0x6060, 0][1] == CSP
+        error = abs(_signed32(self._aim - self.position))
+        if not is_controlled or window == NO_WINDOW or error <= window:
+            self._followed_s, self._is_behind = now_s, False
+        elif now_s - self._followed_s > most_s:
+            self._is_behind = True
+            if self.setup.is_epos4:
+                self._fault(FOLLOWING_ERROR)
 
     def _watch_host(self, now_s: float) -> None:
         timeout_s = (self.objects[0x1016, 1][1] & 0xFFFF) * 1e-3
@@ -330,7 +360,8 @@ class Cia402Mock:
 
     def _interpolated(self, target: int, step_s: float) -> int:
         """From one target to the next within the interpolation time (0x60C2)."""
-        period_s = self.objects[0x60C2, 1][1] * 10.0 ** self.objects[0x60C2, 2][1]
+        _, unit = self.objects.get((0x60C2, 2), ("i8", 0))
+        period_s = self.objects.get((0x60C2, 1), ("u8", 0))[1] * 10.0**unit
         if target != self._target:
             self._since, self._target, self._share = self._aim, target, 0.0
         self._share = min(self._share + step_s / period_s, 1.0) if period_s > 0.0 else 1.0
@@ -360,12 +391,14 @@ def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
         (0x1018, 3): ("u32", 0x0001_0000), (0x1018, 4): ("u32", setup.serial_number),
         (0x6007, 0): ("i16", 1), (0x603F, 0): ("u16", 0), (0x6040, 0): ("u16", 0), (0x6041, 0): ("u16", 0),
         (0x605A, 0): ("i16", 2), (0x605E, 0): ("i16", setup.fault_reaction), (0x6065, 0): ("u32", setup.following_error_window),
+        (0x6066, 0): ("u16", setup.following_error_ms), (0x60A8, 0): ("u32", setup.position_unit),
         (0x6060, 0): ("i8", 0), (0x6061, 0): ("i8", 0), (0x6064, 0): ("i32", 0),
         (0x606C, 0): ("i32", 0), (0x6071, 0): ("i16", 0), (0x6077, 0): ("i16", 0), (0x607A, 0): ("i32", 0),
         **(_of_epos4(setup) if setup.is_epos4 else _plain(setup)),
-        (0x60C2, 0): ("u8", 2), (0x60C2, 1): ("u8", 1), (0x60C2, 2): ("i8", -3),
-        (0x60FD, 0): ("u32", 0), (0x60FF, 0): ("i32", 0), (0x6502, 0): ("u32", 0x0380),
+        (0x60FD, 0): ("u32", 0), (0x60FF, 0): ("i32", 0), (0x6502, 0): ("u32", setup.modes),
     }  # fmt: skip
+    if setup.has_cycle_time:
+        objects |= {(0x60C2, 0): ("u8", 2), (0x60C2, 1): ("u8", 1), (0x60C2, 2): ("i8", -3)}
     for pdo in (0, 1):
         for communication, mapping in ((0x1400, 0x1600), (0x1800, 0x1A00)):
             objects[communication + pdo, 0] = ("u8", 2)

@@ -27,7 +27,18 @@ from control.model.joint_map import JointMap
 from control.model.limits import Limits
 from firmware_iface.can_link import open_can
 from firmware_iface.canopen.bus import CanOpenBus
-from firmware_iface.canopen.drive import FAULT_REACTION, FOLLOWING_ERROR_WINDOW, NO_WINDOW, Cia402Drive
+from firmware_iface.canopen.drive import (
+    CYCLE_TIME,
+    CYCLIC_POSITION,
+    CYCLIC_TORQUE,
+    FAULT_REACTION,
+    FOLLOWING_ERROR_WINDOW,
+    INCREMENTS,
+    MODES,
+    NO_WINDOW,
+    POSITION_UNIT,
+    Cia402Drive,
+)
 from firmware_iface.clock import Clock
 from firmware_iface.errors import MisuseError, WrongIdentity
 from firmware_iface.link import FrameLink
@@ -220,6 +231,27 @@ def _require_wide_window(node: Cia402Drive, drive: Drive, following_error_rad: f
     )
 
 
+def _require_mode(node: Cia402Drive, drive: Drive) -> None:
+    """WrongIdentity where the drive says that it does not have the mode that it is to be driven in."""
+    mode, called = {
+        "position": (CYCLIC_POSITION, "cyclic synchronous position"),
+        "current": (CYCLIC_TORQUE, "cyclic synchronous torque"),
+    }[drive.pid.mode]
+    has = node.read_if_there(MODES)
+    if has and not has >> (mode - 1) & 1:
+        raise WrongIdentity(
+            f"{node.where}: expected {called} (bit {mode - 1} of 0x6502), it has 0x{has:08X}: choose another [drive.pid] mode"
+        )
+
+
+def _doubts(node: Cia402Drive) -> str:
+    """What else is told of a drive: what it says of its units and its interpolation."""
+    unit = node.read_if_there(POSITION_UNIT)
+    doubts = [] if unit in (None, 0, INCREMENTS) else [f"its positions are in units of 0x60A8 = 0x{unit:08X}"]
+    doubts += ["it has no 0x60C2"] if node.read_if_there(CYCLE_TIME) is None else []
+    return "".join(f"; {doubt}" for doubt in doubts)
+
+
 def _open_drive(
     bus: CanOpenBus, described: Board, joint: int, drive: Drive, period_s: float, limits: Limits, opened: Opened
 ) -> None:  # fmt: skip
@@ -232,6 +264,7 @@ def _open_drive(
             f"{node.where}: its motor rated torque (0x6076) is 0: set the motor's data in the drive"
         )
     _require_same_motor(node, drive)
+    _require_mode(node, drive)
     _require_wide_window(node, drive, limits.following_error_rad)
     reaction = node.read_if_there(FAULT_REACTION)
     encoder = NodeEncoder(node, joint, is_asked=True)
@@ -243,6 +276,6 @@ def _open_drive(
         (
             node.where,
             f"vendor 0x{identity.vendor:08X}, product 0x{identity.product:08X}, serial number {identity.serial_number};"
-            f" at a fault it {_REACTIONS.get(reaction, f'does as its maker says of 0x605E = {reaction}')}",
+            f" at a fault it {_REACTIONS.get(reaction, f'does as its maker says of 0x605E = {reaction}')}{_doubts(node)}",
         )
     )

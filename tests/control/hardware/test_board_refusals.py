@@ -112,6 +112,55 @@ def test_what_a_drive_does_at_a_fault_is_told(code: int, said: str, monkeypatch:
         assert all(said in identity for identity in told)
 
 
+def test_a_drive_that_does_not_have_the_mode_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil_mocks.bought_can.Cia402Setup", partial(Cia402Setup, modes=0x0300))
+    with (
+        pytest.raises(
+            ConnectionFailed,
+            match=r"expected cyclic synchronous position \(bit 7 of 0x6502\), it has 0x00000300",
+        ),
+        open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004),
+    ):
+        pass
+
+
+def test_what_a_drive_says_of_units_and_interpolation_is_told_and_stops_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    doubtful = partial(Cia402Setup, modes=0, position_unit=0x0041_0000, has_cycle_time=False)
+    monkeypatch.setattr("hil_mocks.bought_can.Cia402Setup", doubtful)
+    with holding_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
+        told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
+        assert all(
+            text.endswith("; its positions are in units of 0x60A8 = 0x00410000; it has no 0x60C2")
+            for text in told
+        )
+        cell.run(0.2)
+        assert cell.mode is Mode.HOLDING
+
+
+def test_a_drive_that_leaves_its_following_error_window_trips_and_the_loop_says_so() -> None:
+    """Windows made too narrow while `serve` runs: the EPOS4 of joint 2 trips, a plain drive says it by bit 13 and goes on."""
+    with holding_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
+        (drives,) = cell.rig.robot.bought.on_can
+        first, second, _ = drives.mocks
+        assert isinstance(first, Cia402Mock)
+        assert isinstance(second, Cia402Mock)
+        behind: list[bool] = []
+        cell.watchers.append(lambda: behind.append(bool(first.value(0x6041) & 0x2000)))
+        cell.run(1.0)
+        for drive in (first, second):
+            drive.objects[0x6065, 0], drive.objects[0x6066, 0] = ("u32", 20), ("u16", 10)
+        cell.run(0.1)
+        assert (cell.mode, any(behind)) == (Mode.HOLDING, False)
+        cell.client.ask("jog", joint=1, by_rad=0.3, speed_rad_s=0.3)
+        cell.run(1.0)
+        assert (cell.mode, any(behind), first.error) == (Mode.HOLDING, True, 0)
+        cell.client.ask("jog", joint=2, by_rad=0.3, speed_rad_s=0.3)
+        cell.until_fault(2.0)
+        assert (second.error, cell.faults) == (0x8611, [("drive_fault", "joint 2")])
+
+
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_drive_whose_supply_is_told_no_more_is_silent(joint: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The plain drive's PDO, and the EPOS4's answers to SDO, end; all other values go on."""

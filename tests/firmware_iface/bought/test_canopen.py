@@ -212,6 +212,24 @@ def test_silence_and_a_bad_node_id_are_errors_that_say_where() -> None:
         Cia402Drive(CanOpenBus(wired, wired), 127, "x")
 
 
+@pytest.mark.parametrize("vendor", [0x402, MAXON])
+def test_a_tpdo_keeps_its_bit_for_remote_requests(vendor: int) -> None:
+    """A drive without them refuses to be told that it has them (CiA 301: 0x06090030)."""
+    cell = Cell(vendor=vendor)
+    cell.drive.identify()
+    cell.drive.set_up(0.002, 0.2)
+    assert [cell.mock.objects[0x1800 + pdo, 1][1] for pdo in (0, 1)] == [0x4000_0185, 0x4000_0285]
+
+
+def test_a_drive_without_an_interpolation_time_is_set_up_all_the_same() -> None:
+    cell = Cell(has_cycle_time=False)
+    cell.drive.identify()
+    cell.drive.set_up(0.002, 0.2)
+    for _ in range(6):
+        cell.cycle(DriveState.OPERATION_ENABLED)
+    assert cell.drive.state is DriveState.OPERATION_ENABLED
+
+
 class Server:
     """canopen's own SDO server, on our wire."""
 
