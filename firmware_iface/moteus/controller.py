@@ -24,7 +24,9 @@ SETTLE_s = 0.02  # in which a fault whose cause persists comes back
 DRIVEN_FOR = 3  # commands of position mode in a row; replies of commands before them have come
 LATER_s, LATER_REPLIES = 0.05, 3  # a start that moves by so much, in so many replies, is another one
 _HALF: Final = 1 << 31  # of the counter's range
-_IDENTITY: Final = {Register.HOME_STATE, Register.FIRMWARE, *(Register.SERIAL + k for k in range(3))}
+OPTIONAL: Final = frozenset(
+    (Register.AUX1_INPUTS, Register.MILLISECONDS)
+)  # older firmware does not have them
 _NOT_RUNNING: Final = (MoteusMode.STOPPED, MoteusMode.FAULT, MoteusMode.TIMEOUT)
 
 
@@ -59,7 +61,8 @@ class Moteus:
         self._milliseconds = 0
         self._started_s = math.inf  # of its counter of milliseconds, on the host's clock; not yet known
         self._later = 0  # replies in a row by which it started later than that
-        self._identity: dict[int, float] = {}
+        self._identity: dict[int, float] | None = None
+        self._unknown: frozenset[int] = frozenset()  # of OPTIONAL
         self._text: bytes | None = None  # the last answer of its console
         self._bus = bus
         bus.nodes[number] = self
@@ -101,20 +104,24 @@ class Moteus:
 
         `must_be_referenced`: its position must be that of the output since power-up.
         """
-        self._identity = {}
-        self._asks(wire.ask(self.number, wire.IDENTITY_QUERY), lambda: self._identity.keys() >= _IDENTITY)
-        state = self._identity[Register.HOME_STATE]
+        self._identity = None
+        self._asks(wire.ask(self.number, wire.IDENTITY_QUERY), lambda: self._identity is not None)
+        known: dict[int, float] = self._identity or {}
+        state = known.get(Register.HOME_STATE, math.nan)
         if must_be_referenced and state != wire.REFERENCED_TO_OUTPUT:
             raise MisuseError(
                 f"{self.where}: `absolute` in arm.toml, but its position is not referenced to the output (home state"
                 f" {state:.0f}, not {wire.REFERENCED_TO_OUTPUT}): set up an output encoder, or remove `absolute`"
             )
         self.await_status(is_asked_only=True)
-        version, serial = (
-            int(self._identity[Register.FIRMWARE]),
-            (int(self._identity[Register.SERIAL + k]) & 0xFFFF_FFFF for k in (2, 1, 0)),
-        )
-        return f"firmware 0x{version:06x}, serial number {''.join(f'{word:08x}' for word in serial)}"
+        words = [int(known.get(Register.SERIAL + k, 0)) & 0xFFFF_FFFF for k in (2, 1, 0)]
+        said = f"firmware 0x{int(known.get(Register.FIRMWARE, 0)):06x}, serial number {''.join(f'{word:08x}' for word in words)}"
+        lacks = [
+            f"0x{register:03X}"
+            for register in (Register.AUX1_INPUTS, Register.MILLISECONDS)
+            if register in self._unknown
+        ]
+        return said + (f", without registers {', '.join(lacks)}" if lacks else "")
 
     def setting(self, name: str) -> float:
         """A setting by its name in tview; NaN, too, if its firmware has none of this name. BoardSilent, WrongIdentity."""
@@ -178,7 +185,7 @@ class Moteus:
                 self._text = text
                 return
             found = wire.values(payload)
-            if Register.SERIAL in found:
+            if Register.MODE not in found:
                 self._identity = found
                 return
             problem = self._measured(found, now_s)
@@ -196,9 +203,10 @@ class Moteus:
         self.current_A = found[Register.Q_CURRENT]
         self.supply_V = 0.1 * found[Register.VOLTAGE]
         self.temperature_degC = found[Register.TEMPERATURE]
-        self.is_switch_on = bool(int(found[Register.AUX1_INPUTS]) & 1)
+        self._unknown = OPTIONAL - found.keys()
+        self.is_switch_on = bool(int(found.get(Register.AUX1_INPUTS, 0)) & 1)
         self.at_s, self.counted_at_s = now_s, self._bus.sent_at_s
-        if self._has_restarted(int(found[Register.MILLISECONDS]), now_s):
+        if Register.MILLISECONDS in found and self._has_restarted(int(found[Register.MILLISECONDS]), now_s):
             self.resets += 1
             self.wanted = wire.brake(self.number)
             return BoardReset(

@@ -12,7 +12,8 @@ number of bytes as varuint; "conf get NAME" is answered by a line with the value
 registers: 0x000 mode, 0x001 position in turns, 0x002 turns/s, 0x003 torque Nm, 0x004 Q current A, 0x00C how the position
 is referenced (2: to the output), 0x00D supply (int16: 0.1 V), 0x00E degC, 0x00F fault, 0x05E inputs of aux1, 0x070 ms since
 the start; commands of position mode: 0x020 turns, 0x021 turns/s, 0x022 Nm, 0x023 kp and 0x024 kd scale, 0x025 most Nm,
-0x027 watchdog s, 0x02B scale of the integral; 0x101 firmware, 0x120 to 0x122 serial number
+0x027 watchdog s, 0x028 and 0x029 limits of speed and acceleration (negative: none, whatever is stored), 0x02B scale of the
+integral; 0x101 firmware, 0x120 to 0x122 serial number
 """
 
 import math
@@ -76,8 +77,9 @@ REFERENCED_TO_OUTPUT: Final = 2  # a HOME_STATE
 QUERY: Final = bytes.fromhex("11 00 1c 04 01 15 0d 12 0e 11 5e 19 70")
 # int8 home state; int32 firmware; int32 serial number
 IDENTITY_QUERY: Final = bytes.fromhex("11 0c 19 81 02 1b a0 02")
-_POSITION: Final = struct.Struct("<6B6f2Bf2Bf")
+_POSITION: Final = struct.Struct("<6B6f2B3f2Bf")
 _MODE: Final = b"\x01\x00"
+_NO_LIMIT: Final = -1.0  # of 0x028 and 0x029
 
 
 def position(controller: int, command: Position) -> Frame:
@@ -85,7 +87,7 @@ def position(controller: int, command: Position) -> Frame:
     c = command
     written = _POSITION.pack(
         *_MODE, MoteusMode.POSITION, 0x0C, 6, 0x20, c.turns, c.speed_turns_s, c.torque_Nm, c.gain, c.gain, c.most_Nm,
-        0x0D, 0x27, c.watchdog_s, 0x0D, 0x2B, c.gain,
+        0x0F, 0x27, c.watchdog_s, _NO_LIMIT, _NO_LIMIT, 0x0D, 0x2B, c.gain,
     )  # fmt: skip
     return _frame(controller, written + QUERY)
 
@@ -146,7 +148,10 @@ def _padded(subframes: bytes) -> bytes:
 
 
 def values(payload: bytes) -> dict[int, float]:
-    """The registers of a reply, integers as they are. ValueError if it is no reply; struct.error if it is cut short."""
+    """The registers of a reply, integers as they are; without those that the firmware does not know.
+
+    ValueError if it is no reply, or tells that something was not written; struct.error if it is cut short.
+    """
     return dict(_registers(payload))
 
 
@@ -159,7 +164,10 @@ def _registers(payload: bytes) -> Iterator[tuple[int, float]]:
             continue
         if kind in (_WRITE_ERROR, _READ_ERROR):
             register, at = _varuint(payload, at)
-            raise ValueError(f"register 0x{register:03x} is not known to it")
+            _, at = _varuint(payload, at)
+            if kind == _WRITE_ERROR:
+                raise ValueError(f"register 0x{register:03x} cannot be written")
+            continue
         if kind & 0xF0 != _REPLY:
             raise ValueError(f"subframe 0x{kind:02x}")
         count = kind & 3

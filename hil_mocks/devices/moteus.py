@@ -15,7 +15,7 @@ from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Frame, Output
 from hil_mocks.devices.servo_motor import ServoMotor
 
 STOPPED, FAULT, POSITION, TIMEOUT, ZERO_VELOCITY, BRAKED = 0, 1, 10, 11, 12, 15
-DRIVER_FAULT, OVER_VOLTAGE, OVER_HEATED, SUPPLY_LOW = 33, 34, 38, 40
+DRIVER_FAULT, OVER_VOLTAGE, OVER_HEATED, SUPPLY_LOW, NO_ACCEL_LIMIT = 33, 34, 38, 40, 47
 LIMITED_SHARE = 0.98  # of the current limit: more is at the limit
 NOP, TEXT_TO, TEXT_FROM, ASK_TEXT = 0x50, 0x40, 0x41, 0x42
 _HALF = 1 << 31  # of the range of the counter of milliseconds
@@ -27,7 +27,8 @@ SCALES = {  # of a register's integers: int8, int16, int32
     0x001: (1e-2, 1e-4, 1e-5), 0x002: (0.1, 2.5e-4, 1e-5), 0x003: (0.5, 1e-2, 1e-3), 0x004: (1.0, 0.1, 1e-3),
     0x00D: (0.5, 0.1, 1e-3), 0x00E: (1.0, 0.1, 1e-3), 0x020: (1e-2, 1e-4, 1e-5), 0x021: (0.1, 2.5e-4, 1e-5),
     0x022: (0.5, 1e-2, 1e-3), 0x023: (1 / 127, 1 / 32767, 1 / 2147483647), 0x024: (1 / 127, 1 / 32767, 1 / 2147483647),
-    0x025: (0.5, 1e-2, 1e-3), 0x027: (1e-2, 1e-3, 1e-6), 0x02B: (1 / 127, 1 / 32767, 1 / 2147483647),
+    0x025: (0.5, 1e-2, 1e-3), 0x027: (1e-2, 1e-3, 1e-6), 0x028: (0.1, 2.5e-4, 1e-5),
+    0x029: (0.05, 1e-3, 1e-5), 0x02B: (1 / 127, 1 / 32767, 1 / 2147483647),
 }  # fmt: skip
 COMMAND = {
     0x020: 0.0,
@@ -37,6 +38,8 @@ COMMAND = {
     0x024: 1.0,
     0x025: math.nan,
     0x027: 0.0,
+    0x028: math.nan,
+    0x029: math.nan,
     0x02B: 1.0,
 }
 
@@ -54,6 +57,10 @@ class MoteusSetup:
     timeout_s: float = 0.1
     timeout_mode: int = POSITION  # slow down and hold
     home_switch: bool = True
+    accel_limit_turns_s2: float = 50.0  # as delivered; a command may carry another one
+    bemf_feedforward: float = 0.0  # 1 as delivered by older firmware
+    unknown: tuple[int, ...] = ()  # registers that its firmware does not have
+    has_console: bool = True
 
     def stored(self) -> dict[str, str]:
         """Its settings, as `conf get` gives them. Kv: peak voltage between two phases, as moteus_tool finds it."""
@@ -62,7 +69,9 @@ class MoteusSetup:
             "motor.Kv": f"{kv:.6f}", "motor_position.rotor_to_output_ratio": "1.000000",
             "servo.timeout_mode": str(self.timeout_mode), "servo.default_timeout_s": f"{self.timeout_s:.6f}",
             "servo.voltage_mode_control": "0", "servo.fixed_voltage_mode": "0",
-            "servo.default_velocity_limit": "nan", "servo.default_accel_limit": "nan",
+            "servo.default_velocity_limit": "nan",
+            "servo.default_accel_limit": f"{self.accel_limit_turns_s2:.6f}",
+            "servo.bemf_feedforward": f"{self.bemf_feedforward:.6f}",
             "servo.max_current_A": f"{self.limit_A:.6f}", "aux1.pins.0.mode": "14" if self.home_switch else "0",
         }  # fmt: skip
 
@@ -96,6 +105,7 @@ class MoteusMock:
         self._now_s = self._began_s
         self._command = dict(COMMAND)
         self._expires_s = math.inf
+        self._target = self._goal_turns_s = 0.0  # of a position that is gone to by the limit of acceleration
         self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns)
         self._typed = self._says = b""  # to its console and by it
 
@@ -136,7 +146,9 @@ class MoteusMock:
             if kind in (TEXT_TO, ASK_TEXT):
                 _, at = _varuint(payload, at)  # the channel
                 length, at = _varuint(payload, at)
-                if kind == ASK_TEXT:
+                if not self.setup.has_console:
+                    at += 0 if kind == ASK_TEXT else length
+                elif kind == ASK_TEXT:
                     said, self._says = self._says[:length], self._says[length:]
                     texts += bytes((TEXT_FROM, 1, len(said))) + said
                 else:
@@ -186,16 +198,38 @@ class MoteusMock:
         motor = self._motor
         if self.mode != POSITION:
             motor.engage()
-            motor.goal_turns = motor.turns
+            motor.goal_turns, self._goal_turns_s = motor.turns, 0.0
         self.mode, self._command = POSITION, command
-        if not math.isnan(command[0x020]):
-            motor.goal_turns = command[0x020]
+        if self.setup.bemf_feedforward and math.isinf(self._accel_turns_s2):
+            self.mode, self.fault = FAULT, NO_ACCEL_LIMIT
+        self._target = motor.goal_turns if math.isnan(command[0x020]) else command[0x020]
+        if math.isinf(self._accel_turns_s2):
+            motor.goal_turns = self._target
         motor.goal_turns_s = 0.0 if math.isnan(command[0x021]) else command[0x021]
         timeout_s = command[0x027] or self.setup.timeout_s
         self._expires_s = math.inf if math.isnan(timeout_s) else now_s + timeout_s
 
+    @property
+    def _accel_turns_s2(self) -> float:
+        """By which it goes to a position: of the command, else as stored; negative: at once."""
+        commanded = self._command[0x029]
+        limit = self.setup.accel_limit_turns_s2 if math.isnan(commanded) else commanded
+        return math.inf if math.isnan(limit) or limit < 0.0 else limit
+
+    def _follow_ramp(self, step_s: float) -> None:
+        """The goal goes to the target, faster and slower by the limit of acceleration."""
+        limit, motor = self._accel_turns_s2, self._motor
+        way = self._target - motor.goal_turns
+        wanted = math.copysign(min(math.sqrt(2.0 * limit * abs(way)), abs(way) / step_s), way)
+        self._goal_turns_s += min(max(wanted - self._goal_turns_s, -limit * step_s), limit * step_s)
+        motor.goal_turns += self._goal_turns_s * step_s
+
     def _reply(self, type_: int, first: int, count: int) -> bytes:
-        values = self._registers()
+        values = {
+            register: value
+            for register, value in self._registers().items()
+            if register not in self.setup.unknown
+        }
         packed = b""
         for register in range(first, first + count):
             if register not in values:
@@ -228,7 +262,10 @@ class MoteusMock:
             motor.goal_turns, motor.goal_turns_s = motor.turns, 0.0
         if self.mode not in (STOPPED, FAULT) and (cause := self._cause(supply_V)):
             self.mode, self.fault = FAULT, cause
-        motor.goal_turns += motor.goal_turns_s * max(step_s, 0.0)
+        if self.mode == POSITION and math.isfinite(self._accel_turns_s2) and step_s > 0.0:
+            self._follow_ramp(step_s)
+        else:
+            motor.goal_turns += motor.goal_turns_s * max(step_s, 0.0)
         self.output = self._driven(supply_V)
 
     def _cause(self, supply_V: float) -> int:

@@ -26,7 +26,7 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_fd_can
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted, WrongIdentity
+from firmware_iface.errors import BoardFaulted, BoardSilent, WrongIdentity
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.controller import Moteus, MoteusBus
 from firmware_iface.moteus.wire import MoteusMode
@@ -38,15 +38,11 @@ _FAULT_OF: Final = {
 
 
 class RequiredSetting(NamedTuple):
-    """A setting by its name in tview, and what is expected of it; `is_right` is given NaN where it is not set, or not known."""
+    """A setting by its name in tview, and what is expected of it. One that is not set, or not known to the firmware, is told."""
 
     name: str
     is_right: Callable[[float, Drive], bool]
     expected: str
-
-
-def _goes_at_once(most: float, drive: Drive) -> bool:
-    return math.isnan(most) or drive.pid.mode != "position"
 
 
 def _reaches(most_A: float, drive: Drive) -> bool:
@@ -57,10 +53,9 @@ TOLD: Final = 1e-5  # it tells six decimals of a number of 32 bits
 _DIGITAL_INPUT: Final = 14
 SETTINGS: Final = (
     RequiredSetting("servo.timeout_mode", lambda mode, _: mode in (10, 15), "10 (holds without the host) or 15 (brakes)"),
-    RequiredSetting("servo.voltage_mode_control", lambda is_on, _: not is_on > 0, "0"),
-    RequiredSetting("servo.fixed_voltage_mode", lambda is_on, _: not is_on > 0, "0"),
-    RequiredSetting("servo.default_velocity_limit", _goes_at_once, "nan"),
-    RequiredSetting("servo.default_accel_limit", _goes_at_once, "nan"),
+    RequiredSetting("servo.voltage_mode_control", lambda is_on, _: is_on == 0, "0"),
+    RequiredSetting("servo.fixed_voltage_mode", lambda is_on, _: is_on == 0, "0"),
+    RequiredSetting("servo.bemf_feedforward", lambda share, _: share == 0, "0 (else it asks for a limit of acceleration)"),
     RequiredSetting("servo.max_current_A", _reaches, "current_limit_A or more"),
     RequiredSetting(
         "aux1.pins.0.mode", lambda mode, drive: drive.home is None or mode == _DIGITAL_INPUT,
@@ -72,15 +67,21 @@ KT_Kv: Final = 60.0 / (2.0 * math.pi) * math.sqrt(3.0) / 2.0
 ALIKE: Final = 1.1  # below the 1.155 by which the constant of other makers' currents is off
 
 
-def _require_settings(board: Moteus, drive: Drive) -> None:
-    """WrongIdentity where what is stored in the board contradicts arm.toml, or what is commanded here."""
-    found = [(setting, board.setting(setting.name)) for setting in SETTINGS]
+def _require_settings(board: Moteus, drive: Drive) -> str:
+    """What cannot be looked up of its settings, in words.
+
+    WrongIdentity where what is stored in the board contradicts arm.toml, or what is commanded here.
+    """
+    try:
+        found = {setting: board.setting(setting.name) for setting in SETTINGS}
+        kv, turns = board.setting("motor.Kv"), board.setting("motor_position.rotor_to_output_ratio")
+    except BoardSilent:
+        return "; its console is silent: look at " + ", ".join(setting.name for setting in SETTINGS)
     wrong = [
         f"expected {setting.name} {setting.expected}, it is {value:g}"
-        for setting, value in found
-        if not setting.is_right(value, drive)
+        for setting, value in found.items()
+        if not (math.isnan(value) or setting.is_right(value, drive))
     ]
-    kv, turns = board.setting("motor.Kv"), board.setting("motor_position.rotor_to_output_ratio")
     given_Nm_A, kv_of_joint = drive.torque_constant_Nm_A, kv * turns
     its_own_Nm_A = KT_Kv / kv_of_joint if kv_of_joint and math.isfinite(kv_of_joint) else math.nan
     if max(given_Nm_A / its_own_Nm_A, its_own_Nm_A / given_Nm_A) > ALIKE:
@@ -91,6 +92,8 @@ def _require_settings(board: Moteus, drive: Drive) -> None:
         raise WrongIdentity(
             f"{board.where}: {'; '.join(wrong)}: correct it in tview (then `conf write`) or in arm.toml"
         )
+    unknown = [setting.name for setting, value in found.items() if math.isnan(value)]
+    return f"; it does not say {', '.join(unknown)}" if unknown else ""
 
 
 class MoteusDrive(PositionLoopDrive):
@@ -186,11 +189,11 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
     def open_one(described: Board, joint: int, drive: Drive) -> None:
         board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
         said = board.identify(described.absolute)
-        _require_settings(board, drive)
+        unsaid = _require_settings(board, drive)
         encoder = own_encoder(board, joint, drive, opened, described.absolute, is_asked=True)
         opened.drives.append(
             MoteusDrive(board, encoder, joint, drive, clock, period_s, arm.limits.watchdog_s)
         )
-        opened.identities.append((board.where, f"{said}, supply {board.supply_V:.1f} V"))
+        opened.identities.append((board.where, f"{said}, supply {board.supply_V:.1f} V{unsaid}"))
 
     each(arm, boards, opened, open_one)

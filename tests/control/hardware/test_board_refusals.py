@@ -190,7 +190,7 @@ def test_a_drive_whose_supply_is_told_no_more_is_silent(joint: int, monkeypatch:
             "12",
             r"expected servo.timeout_mode 10 \(holds without the host\) or 15 \(brakes\), it is 12",
         ),
-        ("servo.default_accel_limit", "20.0", "expected servo.default_accel_limit nan, it is 20"),
+        ("servo.bemf_feedforward", "1.0", r"expected servo.bemf_feedforward 0 \(.*\), it is 1"),
         ("servo.voltage_mode_control", "1", "expected servo.voltage_mode_control 0, it is 1"),
         ("servo.max_current_A", "0.5", "expected servo.max_current_A current_limit_A or more, it is 0.5"),
         ("aux1.pins.0.mode", "0", r"expected aux1.pins.0.mode 14 \(the home switch\), it is 0"),
@@ -226,6 +226,15 @@ def test_a_kv_that_is_none_is_not_compared(kv: str, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(MoteusSetup, "stored", lambda setup: {**as_set_up(setup), "motor.Kv": kv})
     with open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004) as cell:
         assert cell.mode is Mode.OFF
+
+
+def test_a_moteus_without_a_console_is_taken_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "hil_mocks.bought_can.MoteusSetup", partial(MoteusSetup, has_console=False, timeout_mode=10)
+    )
+    with open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004) as cell:
+        told = [identity for where, identity in cell.connection.others if "moteus" in where]
+        assert all("its console is silent: look at servo.timeout_mode, " in text for text in told)
 
 
 def test_a_moteus_of_older_firmware_which_says_no_kv_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:

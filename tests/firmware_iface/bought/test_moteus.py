@@ -118,6 +118,18 @@ def test_a_silent_controller_and_a_position_that_is_not_the_outputs_say_what_to_
         Moteus(cell.bus, 128, "elbow", CPR)
 
 
+def test_registers_that_older_firmware_does_not_have_are_told_and_stop_nothing() -> None:
+    cell = Cell(unknown=(0x00C, 0x05E, 0x070, 0x101, 0x121))
+    said = cell.board.identify(False)
+    assert said.startswith("firmware 0x000000, ")
+    assert said.endswith(", without registers 0x05E, 0x070")
+    cell.board.wanted = wire.position(ID, HOLD)
+    cell.run(0.1)
+    assert (cell.board.is_running, cell.board.resets, cell.board.is_switch_on) == (True, 0, False)
+    with pytest.raises(MisuseError, match=r"home state nan, not 2"):
+        cell.board.identify(True)
+
+
 @pytest.mark.parametrize("up_s", [0.1, 5.0])
 def test_a_restart_is_noticed_however_long_it_was_up_and_does_not_lead_back_into_operation(
     up_s: float,
@@ -171,7 +183,7 @@ def test_a_fault_and_a_time_out_end_by_a_stop_alone_and_a_persistent_cause_comes
 @pytest.mark.parametrize(
     ("payload", "said"),
     [
-        (b"\x31\x5e\x01", "register 0x05e is not known"),
+        (b"\x30\xab\x02\x01", "register 0x12b cannot be written"),
         (b"\x2c\x04\x01\x00\x00", "cannot be read"),
         (b"\x21\x00\x0a", "of 3 bytes cannot be read"),
         (b"\x77", "subframe 0x77"),

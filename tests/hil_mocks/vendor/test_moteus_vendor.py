@@ -58,12 +58,12 @@ def test_commands_and_questions_are_the_clients_byte_for_byte() -> None:
     client = controller()
     at = client.make_position(
         position=1.5, velocity=-0.25, feedforward_torque=0.1, kp_scale=1.0, kd_scale=1.0, maximum_torque=0.6,
-        watchdog_timeout=0.1, ilimit_scale=1.0, query=True,
+        watchdog_timeout=0.1, velocity_limit=-1.0, accel_limit=-1.0, ilimit_scale=1.0, query=True,
     )  # fmt: skip
     assert unpadded(wire.position(ID, wire.Position(1.5, -0.25, 0.1, 1.0, 0.6, 0.1))) == at.data
     torque = client.make_position(
         position=math.nan, velocity=0.0, feedforward_torque=-0.2, kp_scale=0.0, kd_scale=0.0, maximum_torque=0.6,
-        watchdog_timeout=0.1, ilimit_scale=0.0, query=True,
+        watchdog_timeout=0.1, velocity_limit=-1.0, accel_limit=-1.0, ilimit_scale=0.0, query=True,
     )  # fmt: skip
     assert unpadded(wire.position(ID, wire.torque(-0.2, 0.6, 0.1))) == torque.data
     for ours, theirs in (
@@ -119,3 +119,19 @@ def test_the_clients_stream_reads_a_setting_of_the_mock_and_its_frames_are_ours(
         assert await stream.command(b"conf get no.such", allow_any_response=True) == b"ERR error reading"
 
     asyncio.run(talk())
+
+
+def test_a_position_without_a_limit_of_its_own_is_gone_to_by_the_stored_acceleration() -> None:
+    turns = [0.0]
+    mock = MoteusMock(MoteusSetup(ID, 0.05, 8.0), lambda: turns[0])
+    client = controller(mock)
+
+    async def goal_after(**limits: float) -> float:
+        await client.set_stop()
+        await client.set_position(position=1.0, watchdog_timeout=math.nan, query=True, **limits)
+        for _ in range(50):
+            await client.query()
+        return mock._motor.goal_turns
+
+    assert asyncio.run(goal_after()) == pytest.approx(0.5 * 50.0 * 0.05**2, rel=0.1)
+    assert asyncio.run(goal_after(accel_limit=-1.0)) == 1.0
