@@ -25,8 +25,8 @@ from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, objective_named
 from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import minimise
+from calib.studies.cluster import executor
 from calib.studies.executor import Executor, InProcess, task_rng
-from calib.studies.opening import executor
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.table import board_cavities, board_origin, board_rotation, table_of

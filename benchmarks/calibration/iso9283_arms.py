@@ -23,7 +23,7 @@ from calib.errors import UnusablePointsError
 from calib.iso9283.programme import Visit, pose_programme
 from calib.iso9283.workspace import largest_cube
 from calib.points.points import make_points
-from calib.studies.opening import executor
+from calib.studies.cluster import executor
 from calib.trust.iso9283 import PoseFigures, pose_figures
 from calib.trust.trust import MapRequest, trust_in
 from control.kinematics.inverse import InverseKinematics

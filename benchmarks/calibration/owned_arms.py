@@ -26,7 +26,7 @@ from calib.arm_import import arm_links, read_arm
 from calib.arrays import Array
 from calib.design.candidates import joint_box, spread_poses
 from calib.export import export_text
-from calib.studies.opening import executor
+from calib.studies.cluster import executor
 from control.model.arm import Arm, Camera
 from hil_mocks.scenario import EveryJoint, load_scenario
 from procedures.mock import scenario_bytes

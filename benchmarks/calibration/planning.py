@@ -26,7 +26,7 @@ from calib.planning.path import Freedom, WayOfPath, planned_path
 from calib.planning.stops import WayOfStops, planned_stops
 from calib.points.points import Points
 from calib.points.reading import read_points
-from calib.studies.opening import executor
+from calib.studies.cluster import executor
 from calib.trust.trust import MapRequest, trust_in
 from control.model.arm import Arm, Vector3
 from control.model.description import load_arm

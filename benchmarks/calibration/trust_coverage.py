@@ -24,11 +24,10 @@ from calib.arrays import Array
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.design.candidates import workspace_poses
 from calib.points.points import Points, make_points
-from calib.studies.opening import executor
+from calib.studies.cluster import executor
 from calib.trust.discrepancy import Conditions
-from calib.trust.held_out import ELLIPSOID_95
 from calib.trust.prediction import TipError
-from calib.trust.trust import MapRequest, trust_in
+from calib.trust.trust import ELLIPSOID_95, MapRequest, trust_in
 
 AMONG = (
     "backlash",

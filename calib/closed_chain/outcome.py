@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from calib.arm_problem.frames import Frame
 from calib.arrays import Array
 from calib.closed_chain.calibrate import PairFound
 from calib.closed_chain.pair_problem import names_of
-from calib.closed_chain.remarks import remarks
 from calib.identify.estimates import Estimate
 from calib.identify.open_combinations import open_in_words
 from control.files import write_whole
@@ -22,6 +22,10 @@ from control.kinematics.rotation import quaternion_of, quaternions
 from control.model.arm import Arm, Calibration
 from control.model.cell import Cell, Placed
 from control.model.description import save_arm
+
+if TYPE_CHECKING:
+    from calib.closed_chain.calibrate import PairFound
+
 
 FORMAT = "pair/1"
 SCALE = (
@@ -176,3 +180,44 @@ def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
 
 def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+# What a reader of a pair's calibration must know: whether it explains the contacts, which the others contradict, bounds.
+
+EXPLAINED = 0.5  # of the error of contacts left out: a calibration that leaves more has not understood them
+CONTRADICTED = 6.0  # times the median error of contacts left out
+LEAST_m = 5e-4  # below it a contact is as good as hands and backlash allow
+NAMED = 6  # contacts, and parameters
+SPARE = 1.5  # rows of three numbers over the numbers that they determine
+
+
+def remarks(found: PairFound) -> Iterator[str]:
+    """Sentences, the gravest first; none for a result without reproach."""
+    before, after = found.held_before_m, found.held_after_m
+    is_enough = found.numbers_count >= SPARE * found.known.rank
+    if len(after):
+        left_m, nominal_m = float(np.median(after)), float(np.median(before))  # some contacts may be none
+        if left_m > max(EXPLAINED * nominal_m, LEAST_m):
+            yield (
+                f"This does not explain the contacts: left out, half of them stay open by {1e3 * left_m:.2f} mm or more, with"
+                f" nominal arms by {1e3 * nominal_m:.2f} mm. Check distance_m (in m), the order of the joints, and that both tips"
+                " touched"
+            )
+        wrong = np.flatnonzero(after > max(CONTRADICTED * float(np.median(after)), LEAST_m))
+        if len(wrong) and is_enough:
+            worst = wrong[np.argsort(-after[wrong])]
+            named = [f"{found.names[row]} ({1e3 * after[row]:.2f} mm)" for row in worst[:NAMED]]
+            more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
+            yield f"Contradicted by the others: {', '.join(named)}{more}. Look at them; remove what was not a contact"
+    at_bound = [one.parameter.name for one in found.estimates if one.is_at_bound]
+    if at_bound:
+        more = f" and {len(at_bound) - NAMED} more" if len(at_bound) > NAMED else ""
+        yield (
+            f"At their bounds: {', '.join(at_bound[:NAMED])}{more}. If parts may be that far off, give a larger --bound;"
+            " else look for a wrong contact"
+        )
+    if not is_enough:
+        yield (
+            f"{found.numbers_count} numbers determine {found.known.rank} parameters: the errors at the contacts of the fit say"
+            " nothing, and more contacts are needed"
+        )

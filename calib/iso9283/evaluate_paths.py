@@ -1,4 +1,4 @@
-"""Criteria 8 to 11 and 14 of recorded runs: paths, corners, speeds, weaving."""
+"""Criteria 8 to 11 and 14 of recorded runs: paths, corners, speeds, path."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from calib.arrays import Array, frozen, norms
-from calib.iso9283.criteria import cornering, path, velocity, weaving
+from calib.iso9283.criteria import path
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.recorded import CAMERA, NO_LOG, RecordedRun
 from calib.iso9283.result import Criterion, Figure, PathTrace, criterion, with_headlines
@@ -81,9 +81,9 @@ def cornering_criterion(runs: Runs, corners: Sequence[Array] | None) -> Criterio
             arriving, leaving = corner - before, after - corner
             near = [_near(path_m, corner, before, after) for path_m in seen]
             where = f"E{k + 1}, {name}"
-            figures.append(Figure("CR", cornering.corner_round_off(corner, near), "m", where, len(near)))
+            figures.append(Figure("CR", path.corner_round_off(corner, near), "m", where, len(near)))
             length_m = 0.5 * float(np.linalg.norm(leaving))
-            value = cornering.corner_overshoot(corner, arriving, leaving, length_m, near)
+            value = path.corner_overshoot(corner, arriving, leaving, length_m, near)
             figures.append(Figure("CO", value, "m", where, len(near)))
     return criterion(10, with_headlines(figures), ())
 
@@ -111,21 +111,21 @@ def velocity_criterion(runs: Runs) -> Criterion:
     return criterion(11, with_headlines(figures), needs)
 
 
-def _velocity(cycles: Runs) -> tuple[velocity.PathVelocity, float, str]:
+def _velocity(cycles: Runs) -> tuple[path.PathVelocity, float, str]:
     measured, commanded = [], []
     for run in cycles:
         first, last = _middle(run)
         window_s = min(SPEED_WINDOW_s, 0.25 * (last - first))
-        at, speed = velocity.speeds(*run.measured(CAMERA), window_s)
+        at, speed = path.speeds(*run.measured(CAMERA), window_s)
         measured.append(speed[(first <= at) & (at <= last)])
-        at, speed = velocity.speeds(run.time_s, run.set_m, window_s)
+        at, speed = path.speeds(run.time_s, run.set_m, window_s)
         commanded.append(float(speed[(first <= at) & (at <= last)].mean()))
     wanted = float(np.mean(commanded))
     remark = f"camera speeds over {window_s:.2f} s, in the middle half of the run"
     asked = cycles[0].speed_m_s
     if np.isfinite(asked) and wanted < 0.98 * asked:
         remark += f"; {asked:.3f} m/s were requested; the planner slowed the path to the arm's limits"
-    return velocity.path_velocity(wanted, measured), wanted, remark
+    return path.path_velocity(wanted, measured), wanted, remark
 
 
 def weaving_criterion(runs: Runs) -> Criterion:
@@ -141,9 +141,9 @@ def weaving_criterion(runs: Runs) -> Criterion:
             time_s, tip_m = run.measured(CAMERA)
             moving = (time_s >= began) & (time_s <= ended)
             commanded_rows = (run.time_s >= began) & (run.time_s <= ended)
-            commanded = weaving.weave_of(run.time_s[commanded_rows], run.set_m[commanded_rows], across)
-            attained = weaving.weave_of(time_s[moving], tip_m[moving], across)
-            deviations.append(weaving.weaving_deviations(commanded, attained))
+            commanded = path.weave_of(run.time_s[commanded_rows], run.set_m[commanded_rows], across)
+            attained = path.weave_of(time_s[moving], tip_m[moving], across)
+            deviations.append(path.weaving_deviations(commanded, attained))
         except Iso9283Error as error:
             needs.append(f"run {run.number}: {error}")
     figures = []

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from importlib.metadata import version
 from types import TracebackType
 from typing import Final
 
 from calib.errors import CalibrationError
-from calib.studies.executor import AHEAD, S, T, Work
+from calib.studies.executor import AHEAD, Executor, InProcess, ProcessPool, S, T, Work, usual_workers
 
 CONNECT_s: Final = 10.0  # a scheduler in the same building answers in milliseconds
 
@@ -76,3 +76,23 @@ class DaskCluster(AbstractContextManager["DaskCluster"]):
     ) -> None:
         """The cluster goes on; its tasks of this study are dropped."""
         self._client.close()
+
+
+# Chooses what runs a study.
+@contextmanager
+def executor(tasks: int, workers: int | None = None, cluster: str | None = None) -> Iterator[Executor]:
+    """A cluster where its address is given; else `workers` processes (default: as many as processors, at most `tasks`)."""
+    if cluster is not None and workers is not None:
+        raise CalibrationError("--workers and --cluster: give one; a cluster has its own workers")
+    if workers is not None and workers < 1:
+        raise CalibrationError(f"--workers: expected 1 or more, got {workers}")
+    if cluster is not None:
+        with DaskCluster(cluster) as of_cluster:
+            yield of_cluster
+        return
+    count = min(tasks, usual_workers() if workers is None else workers)
+    if count <= 1:
+        yield InProcess()
+        return
+    with ProcessPool(count) as pool:
+        yield pool

@@ -4,24 +4,26 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from console.commands.connection import connected, with_present_tool
 from console.places import find_place, save_place
-from console.relative import beside
 from console.waiting import shown
 from control.errors import ArmError
 from control.files import changing, read_text, write_whole
 from control.model.arm import Arm
+from control.model.cell import load_cell
 from control.model.description import load_arm
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.setpoint import at_rest
-from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, read_waypoints
-from control.server.channel import RuntimeGone
+from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, Waypoints, read_waypoints
+from control.server.channel import RuntimeGone, SocketChannel
 from control.server.client import ArmClient
+from control.server.sockets import default_path
 
 HEADER = ",".join(POSITION_COLUMNS)
 FULL_HEADER = ",".join((*POSITION_COLUMNS, *ORIENTATION_COLUMNS))
@@ -238,3 +240,34 @@ MOTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "run": _run,
     "teach": _teach,
 }
+
+
+# Way-points relative to the tip of another arm of the cell.
+AT_REST = ("HOLDING", "OFF", "BRAKED", "HELD")
+
+
+def beside(given: argparse.Namespace, arm: Arm, waypoints: Waypoints) -> Waypoints:
+    """The way-points in the base frame of `arm`: as they are, offsets from the other arm's tip along the axes of the cell.
+
+    ArmError unless the other arm is at rest, and homed.
+    """
+    cell = load_cell(given.cell)
+    own, other = cell.placed(arm.name), cell.placed(given.relative_to)
+    if own.name == other.name:
+        raise ArmError(f"run: --relative-to: expected another arm than {own.name!r}")
+    if waypoints.orientations is not None:
+        raise ArmError("run: --relative-to: expected way-points without orientation (qw,qx,qy,qz)")
+    client = ArmClient(SocketChannel(default_path(other.name)))
+    try:
+        client.require_arm(other.arm, cell)
+        status = client.status()
+    finally:
+        client.close()
+    if status["tip_set_m"] is None or status["mode"] not in AT_REST:
+        homed = "homed" if status["is_homed"] else "not homed"
+        raise ArmError(
+            f"run: --relative-to {other.name}: expected the arm homed and at rest, since the path begins from where its tip is;"
+            f" it is {status['mode']} and {homed}"
+        )
+    points = cell.beside_tip(own.name, other.name, status["tip_set_m"], waypoints.points)
+    return replace(waypoints, points=points)

@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,12 +18,23 @@ from console.places import PlacesError, read_places
 from console.screen.dashboard import Dashboard
 from console.screen.dialogs import AskText, Choose, Confirm, HelpDialog
 from console.screen.drawing import EventLog, Panel, clock, row
-from console.screen.files import Files
 from console.screen.jogging import RENEW_S, Jogger, neighbour
 from console.screen.link import Message, RuntimeLink
 from console.screen.operator import ScreenOperator
 from console.screen.widgets import CommandBox, HeldButton, JogPad
 from console.user_config import remember_degrees
+
+
+# Paths of the console's files.
+@dataclass(frozen=True, slots=True)
+class Files:
+    """Named places, taught way-points, the record of executed lines, the folder of sessions."""
+
+    places: Path
+    taught: Path
+    lines: Path | None = None
+    sessions: Path = Path("sessions")
+
 
 OVERRIDES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 GUIDING = {

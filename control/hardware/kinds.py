@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from control.hardware.bought import cia402, dynamixel, feetech, moteus, odrive, roboclaw, vesc
+from control.hardware.bought import cia402, moteus, odrive, roboclaw, vesc
+from control.hardware.bought.smart_servo import DYNAMIXEL, FEETECH
 from control.hardware.opened import Opened
 from control.model.arm import Arm, Board
 from firmware_iface.clock import Clock
@@ -15,8 +16,8 @@ Opener = Callable[[Arm, Sequence[Board], Clock, float, Opened], None]
 OPENERS: Final[Mapping[str, Opener]] = {
     "roboclaw": roboclaw.open_boards,
     "cia402": cia402.open_boards,
-    "dynamixel": dynamixel.open_boards,
-    "feetech": feetech.open_boards,
+    "dynamixel": DYNAMIXEL.open_boards,
+    "feetech": FEETECH.open_boards,
     "moteus": moteus.open_boards,
     "odrive": odrive.open_boards,
     "vesc": vesc.open_boards,

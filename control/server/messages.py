@@ -113,7 +113,7 @@ class MoveTogether(Owned, tag="move_together", kw_only=True):
 
 
 class StartJog(_Message, tag="jog", kw_only=True):
-    """A velocity, or a step; control.server.jog_requests checks which keys belong together."""
+    """A velocity, or a step; control.server.requests checks which keys belong together."""
 
     joint_speed_rad_s: Numbers | msgspec.UnsetType = msgspec.UNSET
     tip_velocity_m_s: tuple[float, float, float] | msgspec.UnsetType = msgspec.UNSET

@@ -12,7 +12,7 @@ class PeriodicTimer:
     """Deadlines every `period_s` on a clock.
 
     `wait` sets `skipped` (deadlines that passed unserved just now), `missed_in_row` and `missed` (all of them). `trim_s` makes
-    each period that much longer: see control.server.phase.
+    each period that much longer: see control.server.process.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:

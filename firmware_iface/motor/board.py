@@ -18,8 +18,7 @@ from firmware_iface.motor import wire
 from firmware_iface.motor.bus import MotorBus
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, DriveState, next_command
 from firmware_iface.motor.parameters import ANSWER_TIMEOUT_s, ParameterChannel
-from firmware_iface.motor.reply_order import ReplyOrder
-from firmware_iface.motor.wire import MotorParameter, SetpointMode
+from firmware_iface.motor.wire import SEQUENCE_MASK, MotorParameter, SetpointMode
 
 __all__ = ["MotorBoard", "MotorBus", "MotorIdentity"]
 
@@ -386,3 +385,45 @@ class MotorBoard:
 
     def _violation(self, what: str, received: bytes) -> None:
         self._problems.append(ProtocolViolation(f"{self.where}: {what}", received))
+
+
+# Assigns each REPLY to its COMMAND by the 5-bit echoed sequence.
+_LATEST_LAG = 16  # half of the 5-bit sequence: an older reply is ambiguous
+
+
+class ReplyOrder:
+    """Distinguishes new replies from late, duplicated and foreign ones, and counts missing ones."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.stale = 0
+        self.doubled = 0
+        """Duplicate replies since the last COMMAND that was answered exactly once."""
+        self._last: int | None = None
+        self._was_doubled = False
+
+    def forget(self) -> None:
+        """Reset after a restart of the board."""
+        self._last = None
+
+    def is_newer(self, echoed: int, last_sent: int, commands_sent: int) -> bool:
+        """Whether a reply answers a newer COMMAND than the latest one answered."""
+        lag = (last_sent - echoed) & SEQUENCE_MASK
+        if lag >= commands_sent or lag >= _LATEST_LAG:
+            self.stale += 1  # to a previous host, or from before a pause
+            return False
+        step = 1 if self._last is None else (echoed - self._last) & SEQUENCE_MASK
+        if step == 0:
+            self.stale += 1
+            self.doubled += 1
+            self._was_doubled = True
+            return False
+        if step >= _LATEST_LAG:
+            self.stale += 1
+            return False
+        if not self._was_doubled:
+            self.doubled = 0
+        self._was_doubled = False
+        self._last = echoed
+        self.lost += step - 1
+        return True

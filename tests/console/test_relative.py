@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from console.commands.cell.clients import connected_arms
-from console.relative import beside
+from console.commands.moving import beside
 from control.errors import ArmError
 from control.model.fingerprint import fingerprint
 from control.motion.waypoints import Waypoints

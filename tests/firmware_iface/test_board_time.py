@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_iface.encoder.board_time import BoardTime
+from firmware_iface.encoder.board import BoardTime
 
 WRAP_s = 2**32 / 1e6
 

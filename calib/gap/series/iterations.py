@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.gap.effects.catalogue import series_terms
+from calib.gap.effects.catalogue import comes_round, is_gear, series_of, series_terms, usual
+from calib.gap.effects.departures import departures
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import REMAINS, UNTOLD
-from calib.gap.posterior.term import Key
+from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT, IMMATERIAL, MARGIN, NEARLY, REMAINS, UNTOLD
+from calib.gap.posterior.evidence import Evidence
+from calib.gap.posterior.search import Search, Weighed
+from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.scene import SeriesScene
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.term import SeriesTerm, scaled
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.blocks import blocks_of
 from calib.gap.series.fit import SeriesFit, weighed
-from calib.gap.series.linear import SeriesLinear, cross_validated, noises_of
-from calib.gap.series.nuisances import nuisances
-from calib.gap.series.rivals import against_rivals
+from calib.gap.series.linear import SeriesLinear, cross_validated, marginalised, noises_of
 from calib.gap.series.settling import remains, settled
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
@@ -101,3 +102,121 @@ def fitted(
     scene.keep(last.kept)
     advance("rivals of what was found", 0.94)
     return against_rivals(last.fit, split, linearised)
+
+
+# Names that explain nearly the same rows, compared each at the operating point of its own.
+#
+# What a law does to the rows depends on the laws beside it: cogging follows the motor's angle, which an encoder's error
+# shifts. At the operating point of one name its rival therefore lacks what the neighbours would make up for.
+RIVALS_MOST = 3  # that are looked into: each costs a linearisation
+
+
+def against_rivals(
+    fit: SeriesFit, split: RowSplit, linearise: Callable[[OperatingPoint], SeriesLinear]
+) -> SeriesFit:
+    """The likeliest of a fit and its rivals' own; what leads by too little for a name is ambiguous with its rival."""
+    scene = fit.around.scene
+    near: list[tuple[EffectName, EffectName]] = []
+    tried: set[frozenset[EffectName]] = set()
+    for _ in range(RIVALS_MOST):
+        open_ = (one for one in rivals(fit) if frozenset(one[:2]) not in tried)
+        if (found := next(open_, None)) is None:
+            break
+        name, rival, members = found
+        tried.add(frozenset((name, rival)))
+        kept = scene.kept
+        around = settled(_with(fit, members), split)
+        keys = frozenset(fit.linear.terms[number].key for number, _ in members.members)
+        other = weighed(around, linearise(around), fit.noises, split, [keys])
+        rows = fit.rows & other.rows
+        lead = _log(fit, rows) - _log(other, rows)
+        if rival not in other.names or name in other.names or lead >= MARGIN:
+            scene.keep(kept)
+        elif lead > 0.0:
+            near.append((name, rival))
+            scene.keep(kept)
+        else:
+            fit = other
+            near += [(rival, name)] if lead > -MARGIN else []
+    # of pairs whose name has made room for another rival nothing is left to say
+    still = [(name, rival) for name, rival in near if name in fit.decision.names]
+    return replace(fit, decision=fit.decision.with_sets(still))
+
+
+def rivals(fit: SeriesFit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
+    """Each name with another that, in its place, adds nearly what it adds, and the likeliest such set."""
+    terms, best = fit.linear.terms, fit.best
+    for (number, _), gain in zip(best.members, best.gains, strict=True):
+        name = terms[number].key
+        if name not in fit.decision.names or not isinstance(name, EffectName):
+            continue
+        seen: set[EffectName] = set()
+        for one in fit.found:
+            if one.log < best.log - max(NEARLY * gain, MARGIN):
+                break
+            own = {terms[k].key for k, _ in one.members}
+            new = [key for key in own - fit.names if isinstance(key, EffectName)]
+            if name not in own and len(new) == 1 and new[0] not in seen:
+                seen.add(new[0])
+                yield name, new[0], one
+
+
+def _with(fit: SeriesFit, members: Weighed) -> SeriesFit:
+    return replace(fit, decision=replace(fit.decision, best=members))
+
+
+def _log(fit: SeriesFit, rows: Picked) -> float:
+    """Log posterior of a fit's best set on thin rows, that of another operating point may be compared with."""
+    gram = marginalised(fit.linear.gram(fit.noises, rows), fit.linear.first)
+    evidence = Evidence(gram, fit.linear.terms, FLOOR_DOUBT)
+    return Search(evidence).weigh(fit.best.members).log - 0.5 * gram.left
+
+
+# What is never known better: integrated out of every set, so that nothing of it is taken for an effect.
+#
+# Nominal values are right to a part of the smallest size that is worth a name, and parts whose laws the file has depart from
+# them as all real parts do.
+KNOWN_DEPARTURE = DEPARTURES[2]
+NUISANCES = Block(0, "nuisances")
+
+
+def nuisances(around: OperatingPoint, terms: Sequence[SeriesTerm]) -> Iterator[SeriesTerm]:
+    """Terms of prior standard deviation one.
+
+    Of a gear that gives way a little only what the tip shows: what its link does to the currents follows the noise of the
+    measured accelerations, which the residual has, too.
+    """
+    variants: dict[tuple[Key, str], list[SeriesTerm]] = {}
+    for one in terms:
+        variants.setdefault((one.key, one.words), []).append(one)
+    for some in variants.values():
+        one = some[len(some) // 2]
+        is_small = isinstance(one.key, EffectName) and not comes_round(one.key.effect)
+        if is_small or (isinstance(one.key, Block) and one.count == 1):
+            own = {
+                cell: columns[:, : one.laws]
+                for cell, columns in one.response.items()
+                if not (isinstance(one.key, EffectName) and is_gear(one.key.effect))
+                or around.scene.cells[cell].joint < 0
+            }
+            effect = one.key.effect if isinstance(one.key, EffectName) else one.key.variable
+            if own:
+                yield _nuisance(str(one.key), scaled(own, IMMATERIAL / usual(effect)), one.laws)
+    for law in around.known:
+        yield from _departing(around, law)
+
+
+def _departing(around: OperatingPoint, law: Law) -> Iterator[SeriesTerm]:
+    series = series_of(law.name.effect)
+    if law.form.acts != "motor" or series is None or law.name.joint is None:
+        return
+    column = around.scene.split(around.scene.columns.friction_slope(law)[:, None])
+    bent, _ = departures(around.scene, series.departs, law.name.joint - 1, column)
+    if bent:
+        yield _nuisance(
+            f"{law.name}, as it departs", scaled(bent, KNOWN_DEPARTURE), next(iter(bent.values())).shape[1]
+        )
+
+
+def _nuisance(words: str, response: dict[int, np.ndarray], width: int) -> SeriesTerm:
+    return SeriesTerm(NUISANCES, words, width, 0, 1.0, response=response, width=width)

@@ -13,9 +13,8 @@ from control.model.description import save_arm
 from procedures.bringup.findings import Diagnosis
 from procedures.bringup.journal import Journal, brought_up
 from procedures.bringup.opening import Setting, open_bench, opened
-from procedures.bringup.operator import BringupOperator, Stopped
+from procedures.bringup.operator import BringupOperator, Stopped, TerminalOperator
 from procedures.bringup.procedure import BringupOptions, BringupOutcome, bring_up, caution_of
-from procedures.bringup.terminal import TerminalOperator
 from procedures.folders import require_writable
 
 FASTEST_rad_s = 1.0
@@ -69,7 +68,7 @@ def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> BringupOp
 @contextlib.contextmanager
 def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[BringupOperator]:
     if setting.rig is not None:
-        from procedures.bringup.mock_operator import MockOperator
+        from procedures.bringup.operator import MockOperator
 
         yield MockOperator(setting.rig)
         return

@@ -12,7 +12,7 @@ from calib.errors import CalibrationError
 from calib.points.arm_points import points_for
 from calib.points.writer import replace_file
 from calib.studies.chunks import ChunkStore, run_study
-from calib.studies.opening import executor
+from calib.studies.cluster import executor
 from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.tolerances.report import tolerances_report
 from calib.tolerances.result import Made, as_text, made_json, made_of, warnings_about, write_json, write_map

@@ -7,8 +7,9 @@ switch it on by that alone.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol, TypeVar
+from typing import Final, Generic, TypeVar
 
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines, require_fit
 from control.hardware.interface import Feedback, OutputMode
@@ -18,6 +19,10 @@ from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,
     OPERATION_ENABLED,
+    OVER_CURRENT,
+    OVER_TEMPERATURE,
+    OWN_ENCODER,
+    SUPPLY_LOW,
     SWITCH_ON_DISABLED,
     WATCHDOG,
     ZERO_SET,
@@ -27,7 +32,9 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
+from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardFaulted, WrongIdentity
+from firmware_iface.feetech.servo import FeetechLine, FeetechServo
 from firmware_iface.link import ByteLink
 from firmware_iface.servo_line import ServoLine
 from firmware_iface.smart_servo import SmartServo
@@ -241,51 +248,77 @@ class ServoDrive:
             self._servo.goal = self._held = self._servo.position
 
 
-def line_s(
-    servos: int, baud: int, line_bytes: int, servo_bytes: int, questions: int, delays_s: Sequence[float]
-) -> float:
-    """How long a cycle's packets take: bytes for the line and for each servo, and questions that are answered.
+@dataclass(frozen=True, slots=True)
+class ServoMake(Generic[L]):
+    """A make of servos: how line and servo are opened, the loop's faults for bits of its hardware error, and what a cycle costs.
 
-    `delays_s`: by which each servo waits with its answer. All answer one of the questions, one of them each other.
+    line_bytes, servo_bytes: that a cycle sends and receives, for the line and for each servo; questions: that are answered.
     """
-    packets_s = (line_bytes + servos * servo_bytes) * 10 / baud
-    waits_s = sum(delays_s) + (questions - 1) * max(delays_s, default=0.0)
-    return packets_s + questions * TURN_AROUND_S + servos * ANSWER_GAP_S + waits_s
+
+    line: Callable[[ByteLink, Clock], L]
+    servo: Callable[[L, int, str], SmartServo]
+    faults: FaultMap
+    line_bytes: int
+    servo_bytes: int
+    questions: int
+
+    def cycle_s(self, servos: int, baud: int, delays_s: Sequence[float] = ()) -> float:
+        """How long the packets of one cycle take on a line of so many servos: the shortest period of the loop.
+
+        `delays_s`: by which each servo waits with its answer. All answer one of the questions, one of them each other.
+        """
+        packets_s = (self.line_bytes + servos * self.servo_bytes) * 10 / baud
+        waits_s = sum(delays_s) + (self.questions - 1) * max(delays_s, default=0.0)
+        return packets_s + self.questions * TURN_AROUND_S + servos * ANSWER_GAP_S + waits_s
+
+    def open_boards(
+        self, arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened
+    ) -> None:
+        """Open the lines of these servos and identify every one."""
+        joints = {drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)}
+
+        def open_on(link: ByteLink, on_it: Sequence[Board]) -> PolledBoards:
+            line = self.line(link, clock)
+            servos: list[SmartServo] = []
+            for described in on_it:
+                with collect(opened.failures):
+                    servos.append(self.servo(line, described.address, described.name))
+                    joint, drive = joints[described.name]
+                    _join(servos[-1], joint, drive, arm.limits.watchdog_s, self.faults, opened)
+            delays_s = [servo.return_delay_s for servo in servos]
+            if link.baud and any(delays_s):
+                waiting = ", ".join(str(servo.number) for servo in servos if servo.return_delay_s)
+                fastest_Hz = math.floor(1.0 / self.cycle_s(len(servos), link.baud))
+                remedy = f"set return delay time (register {servos[0].DELAY}) of id {waiting} to 0: up to {fastest_Hz} Hz"
+                needed_s = self.cycle_s(len(servos), link.baud, delays_s)
+                opened.identities.append((line.name, f"carries {math.floor(1.0 / needed_s)} Hz; {remedy}"))
+                require_fit("servo", line.name, len(servos), link.baud, needed_s, period_s, remedy)
+            return PolledBoards(line, servos, line.post_cycle)
+
+        open_lines(boards, opened, period_s, "servo", "raise the servos' baud rate", self.cycle_s, open_on)
 
 
-class CycleTime(Protocol):
-    """How long the packets of one cycle take on a line of so many servos: the shortest period of the loop."""
-
-    def __call__(self, servos: int, baud: int, delays_s: Sequence[float] = ()) -> float: ...
-
-
-def open_servos(
-    arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened,
-    line_of: Callable[[ByteLink, Clock], L], servo_of: Callable[[L, int, str], SmartServo],
-    cycle_s: CycleTime, fault_of: FaultMap,
-) -> None:  # fmt: skip
-    """Open the lines of these servos and identify every one."""
-    joints = {drive.board: (joint, drive) for joint, drive in enumerate(arm.drives)}
-
-    def open_on(link: ByteLink, on_it: Sequence[Board]) -> PolledBoards:
-        line = line_of(link, clock)
-        servos: list[SmartServo] = []
-        for described in on_it:
-            with collect(opened.failures):
-                servos.append(servo_of(line, described.address, described.name))
-                joint, drive = joints[described.name]
-                _join(servos[-1], joint, drive, arm.limits.watchdog_s, fault_of, opened)
-        delays_s = [servo.return_delay_s for servo in servos]
-        if link.baud and any(delays_s):
-            waiting = ", ".join(str(servo.number) for servo in servos if servo.return_delay_s)
-            fastest_Hz = math.floor(1.0 / cycle_s(len(servos), link.baud))
-            remedy = f"set return delay time (register {servos[0].DELAY}) of id {waiting} to 0: up to {fastest_Hz} Hz"
-            needed_s = cycle_s(len(servos), link.baud, delays_s)
-            opened.identities.append((line.name, f"carries {math.floor(1.0 / needed_s)} Hz; {remedy}"))
-            require_fit("servo", line.name, len(servos), link.baud, needed_s, period_s, remedy)
-        return PolledBoards(line, servos, line.post_cycle)
-
-    open_lines(boards, opened, period_s, "servo", "raise the servos' baud rate", cycle_s, open_on)
+DYNAMIXEL: Final = ServoMake(
+    DynamixelLine,
+    DynamixelServo,
+    # bits of the hardware error status (e-Manual)
+    faults=((0x01, SUPPLY_LOW), (0x04, OVER_TEMPERATURE), (0x08, OWN_ENCODER), (0x30, OVER_CURRENT)),
+    # a sync write of the goals (14 bytes and 5 a servo), one servo's state (14 + 46), a sync read of the values (14 and 1 a
+    # servo) and its answers (32 each)
+    line_bytes=14 + 60 + 14,
+    servo_bytes=5 + 1 + 32,
+    questions=2,
+)
+FEETECH: Final = ServoMake(
+    FeetechLine,
+    FeetechServo,
+    # bits of the servo status: voltage, angle sensor, heat, current, overload
+    faults=((0x01, SUPPLY_LOW), (0x02, OWN_ENCODER), (0x04, OVER_TEMPERATURE), (0x28, OVER_CURRENT)),
+    # a sync write of the goals (8 bytes and 3 a servo), a sync read of the states (8 and 1 a servo), its answers (37 each)
+    line_bytes=8 + 8,
+    servo_bytes=3 + 1 + 37,
+    questions=1,
+)
 
 
 def _require_type(servo: SmartServo, drive: Drive) -> None:

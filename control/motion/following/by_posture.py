@@ -1,6 +1,6 @@
 """Arms of any number of joints: the tip is held as the task says, and free joints stay near a reference posture.
 
-The reference is found once, along the path in small steps from the start (posture_rule.py). Every pose of the path is then the
+The reference is found once, along the path in small steps from the start. Every pose of the path is then the
 one nearest to it that holds the tip. So a pose depends on where the path is and not on how it was sampled.
 """
 
@@ -17,11 +17,13 @@ from control.kinematics.pose_inverse import (
     PoseInverse,
     TipPose,
 )
+from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.pose_solver import (
     POSITION_TOLERANCE_M,
     TURN_LENGTH_M,
     SolvedPoses,
     Targets,
+    Task,
     joint_rates,
     margins,
     solve,
@@ -31,11 +33,38 @@ from control.motion import checks
 from control.motion.errors import PathError
 from control.motion.following.follower import LEAST_SAMPLES, SEED_STEP_M, Followed, PathStart, Pose
 from control.motion.following.orientation import OrientationSpline
-from control.motion.following.posture_rule import PostureRule
-from control.motion.following.reference import ReferencePosture
 from control.motion.samples import Array, JointSamples, TipSamples, sample_tip
 from control.motion.spline import CartesianSpline, TimedWaypoints
+from control.motion.timing import continuous_velocities
 from control.motion.waypoints import Waypoints
+
+
+# The reference posture: smooth joint angles over time through known poses, to which redundant joints stay near.
+class ReferencePosture:
+    """Cubics through poses (k + 1, n) at `times_s`, acceleration continuous, at rest at both ends."""
+
+    def __init__(self, times_s: Sequence[float], poses: Sequence[Sequence[float]]) -> None:
+        rest = (0.0,) * len(poses[0])
+        steps = np.diff(times_s).tolist()
+        velocity = np.array(continuous_velocities(poses, steps, rest, rest))
+        h, q = np.diff(times_s)[:, None], np.array(poses, dtype=np.float64)
+        slope = np.diff(q, axis=0) / h
+        self._times_s = np.asarray(times_s, dtype=np.float64)
+        self._c0, self._c1 = q[:-1], velocity[:-1]
+        self._c2 = (3.0 * slope - 2.0 * velocity[:-1] - velocity[1:]) / h
+        self._c3 = (velocity[:-1] + velocity[1:] - 2.0 * slope) / h**2
+
+    def at(self, times_s: Array) -> tuple[Array, Array, Array]:
+        """Angles, speeds and accelerations (m, n) at times (m,)."""
+        section = np.clip(np.searchsorted(self._times_s, times_s, "right") - 1, 0, len(self._c0) - 1)
+        t = (times_s - self._times_s[section])[:, None]
+        c1, c2, c3 = self._c1[section], self._c2[section], self._c3[section]
+        return (
+            self._c0[section] + t * (c1 + t * (c2 + t * c3)),
+            c1 + t * (2.0 * c2 + 3.0 * t * c3),
+            2.0 * c2 + 6.0 * t * c3,
+        )
+
 
 JUMP_RAD = 0.5  # between two steps; more is a jump to another solution
 # How far the tip may leave the cubic between way-points where the joints cannot hold all of it.
@@ -227,3 +256,53 @@ def _slopes(tip: TipSamples, values: Array) -> Array:
     for first, end in pairwise(bounds):
         slopes[first:end] = np.gradient(values[first:end], tip.times_s[first:end], axis=0, edge_order=2)
     return slopes
+
+
+# How free joints are resolved: stay near the pose before, away from joint limits and from singular poses.
+#
+# Of the poses that hold the tip, each is the one nearest to the pose before. That one is first pushed off a joint's limit
+# within the outer fifth of its range, and up the gradient of the margin from singular poses where that is small (Siciliano et
+# al., Robotics, 3.5.1). The pushes fade in, so that the postures stay smooth.
+PUSH_RAD = 0.02  # at most, on each step of the tip (20 mm or 0.1 rad)
+OUTER_SHARE = 0.2  # of half a joint's range
+SAFE_MARGIN_M = 0.06  # m/rad: three times what a path may come down to
+_MARGIN_SLOPE_RAD = 1e-4  # of the difference that gives the margin's gradient
+
+
+class PostureRule:
+    """The next pose along a path for one arm and task."""
+
+    def __init__(self, kinematics: PoseKinematics, task: Task, limits_rad: Array) -> None:
+        """`limits_rad`: (n, 2), infinite where there is none."""
+        self._kinematics, self._task = kinematics, task
+        self._is_free = task.freedom(kinematics.joint_count) > 0
+        lower, upper = limits_rad.T
+        is_bounded = np.isfinite(lower) & np.isfinite(upper)
+        self._middle = np.where(is_bounded, 0.5 * (np.where(is_bounded, lower + upper, 0.0)), 0.0)
+        self._half = np.where(is_bounded, 0.5 * (np.where(is_bounded, upper - lower, 0.0)), np.inf)
+
+    def next(self, targets: Targets, before_rad: Array) -> SolvedPoses:
+        """The pose (1, n) that holds the target, nearest to the pushed pose before (1, n)."""
+        posture = before_rad + self._push(before_rad) if self._is_free else before_rad
+        return solve(self._kinematics, self._task, targets, posture, before_rad)
+
+    def _push(self, q_rad: Array) -> Array:
+        """Away from limits and singular poses (1, n) [rad]."""
+        offset = (q_rad - self._middle) / self._half
+        outside = np.clip((np.abs(offset) - (1.0 - OUTER_SHARE)) / OUTER_SHARE, 0.0, 1.0)
+        push = -PUSH_RAD * outside * np.sign(offset)
+        margin = float(margins(self._task, self._kinematics.batch(q_rad).jacobian)[0])
+        if margin < SAFE_MARGIN_M:
+            gradient = self._gradient(q_rad)
+            length = float(np.linalg.norm(gradient))
+            if length > 0.0:
+                push += PUSH_RAD * (1.0 - margin / SAFE_MARGIN_M) * gradient / length
+        return np.asarray(push)
+
+    def _gradient(self, q_rad: Array) -> Array:
+        """Of the margin, (1, n), by central differences."""
+        steps = _MARGIN_SLOPE_RAD * np.eye(q_rad.shape[1])
+        around = margins(
+            self._task, self._kinematics.batch(np.vstack((q_rad + steps, q_rad - steps))).jacobian
+        )
+        return np.asarray((around[: len(steps)] - around[len(steps) :])[None] / (2.0 * _MARGIN_SLOPE_RAD))

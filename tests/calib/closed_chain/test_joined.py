@@ -15,8 +15,7 @@ from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.calibrate import PairPlan, calibrate_pair
 from calib.closed_chain.contacts import Contacts, read_contacts
-from calib.closed_chain.joined import turning
-from calib.closed_chain.pair_problem import PairProblem
+from calib.closed_chain.pair_problem import PairProblem, turning
 from calib.errors import PointsFileError
 from calib.identify.determinability import determinability
 from calib.identify.objective import LeastSquares

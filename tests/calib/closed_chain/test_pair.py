@@ -16,8 +16,8 @@ from calib.arm_problem.frames import Frame
 from calib.arrays import frozen
 from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts
 from calib.closed_chain.contacts import Contacts
+from calib.closed_chain.outcome import remarks
 from calib.closed_chain.pair_problem import PairProblem
-from calib.closed_chain.remarks import remarks
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import determinability
 from calib.identify.objective import LeastSquares

@@ -9,10 +9,9 @@ from types import SimpleNamespace
 import pytest
 
 from calib.gap import report
-from calib.gap.consistent import consistent
 from calib.gap.finding import EffectName, GapFinding, NamedEffect, Unknown
 from calib.gap.words import in_words
-from calib.gap.workflow import GapOutcome, Recordings, write_gap
+from calib.gap.workflow import GapOutcome, Recordings, consistent, write_gap
 from control.model.description import load_arm
 
 DRAG, OIL, PLAY = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.iso9283.criteria import cornering, path, settling, velocity, weaving
+from calib.iso9283.criteria import path, settling
 from calib.iso9283.criteria.checks import Iso9283Error
 
 MM = 1e-3
@@ -94,20 +94,20 @@ def test_orientation_along_the_path_is_the_largest_mean_deviation() -> None:
 
 def test_path_velocity_by_hand() -> None:
     cycles = [np.array([0.98, 1.02]), np.array([1.00, 1.06])]  # means 1.00 and 1.03
-    found = velocity.path_velocity(1.0, cycles)
+    found = path.path_velocity(1.0, cycles)
     assert found.accuracy_percent == pytest.approx(1.5)
     assert found.repeatability_percent == pytest.approx(100 * 3 * 0.03 / np.sqrt(2.0))
     assert found.fluctuation_m_s == pytest.approx(0.06)
-    assert velocity.path_velocity(1.0, cycles[:1]).repeatability_percent is None
+    assert path.path_velocity(1.0, cycles[:1]).repeatability_percent is None
 
 
 def test_speeds_are_exact_on_a_straight_run_and_noise_averages_as_said() -> None:
     t = np.arange(200) * 0.01
     tips = t[:, None] * np.array((0.3, 0.4, 0.0))
-    assert velocity.speeds(t, tips, 0.2)[1] == pytest.approx(0.5, abs=1e-12)
+    assert path.speeds(t, tips, 0.2)[1] == pytest.approx(0.5, abs=1e-12)
     noise = np.random.default_rng(2).normal(scale=1e-4, size=tips.shape)
     said = 1e-4 * np.sqrt(12.0 / 21) / 0.2
-    assert velocity.speeds(t, tips + noise, 0.2)[1].std() == pytest.approx(said, rel=0.4)  # 10 windows' worth
+    assert path.speeds(t, tips + noise, 0.2)[1].std() == pytest.approx(said, rel=0.4)  # 10 windows' worth
 
 
 def approach(time_s: np.ndarray, decay_s: float, period_s: float, size_m: float) -> np.ndarray:
@@ -158,14 +158,14 @@ def test_an_arm_that_does_not_come_to_rest_is_refused() -> None:
 def test_a_corner_that_is_cut_is_rounded_off_and_one_that_is_overrun_overshoots() -> None:
     corner, first, second = np.zeros(3), (0.0, 1, 0), (1.0, 0, 0)  # along y to the origin, then along x
     cut = np.array([(0, -0.1, 0), (0, -0.02, 0), (0.02, 0, 0), (0.1, 0, 0)], dtype=float)
-    assert cornering.corner_round_off(corner, [cut]) == pytest.approx(0.02 / np.sqrt(2))
-    assert cornering.corner_overshoot(corner, first, second, 0.1, [cut]) == 0.0
+    assert path.corner_round_off(corner, [cut]) == pytest.approx(0.02 / np.sqrt(2))
+    assert path.corner_overshoot(corner, first, second, 0.1, [cut]) == 0.0
     over = np.array([(0, -0.1, 0), (0, 0.003, 0), (0.01, 0.005, 0), (0.05, -0.007, 0), (0.2, 0.05, 0)])
-    assert cornering.corner_round_off(corner, [over]) == pytest.approx(0.0)  # it passes through the corner
-    assert cornering.corner_overshoot(corner, first, second, 0.1, [over]) == pytest.approx(0.005)
-    assert cornering.corner_overshoot(corner, first, second, 0.1, [over, cut]) == pytest.approx(0.0025)
+    assert path.corner_round_off(corner, [over]) == pytest.approx(0.0)  # it passes through the corner
+    assert path.corner_overshoot(corner, first, second, 0.1, [over]) == pytest.approx(0.005)
+    assert path.corner_overshoot(corner, first, second, 0.1, [over, cut]) == pytest.approx(0.0025)
     with pytest.raises(Iso9283Error, match="lie on one line"):
-        cornering.corner_overshoot(corner, first, first, 0.1, [cut])
+        path.corner_overshoot(corner, first, first, 0.1, [cut])
 
 
 def weave(
@@ -179,14 +179,14 @@ def weave(
 
 @pytest.mark.parametrize(("tilt", "noise_m"), [(0.0, 0.0), (0.001, 1.4e-4)])
 def test_a_weave_is_measured_also_where_it_lies_askew_and_in_noise(tilt: float, noise_m: float) -> None:
-    found = weaving.weave_of(*weave(0.03, 1.2, tilt, noise_m), (0, 1.0, 0))
+    found = path.weave_of(*weave(0.03, 1.2, tilt, noise_m), (0, 1.0, 0))
     # Noise makes crests a little higher: the largest of some near samples, two sd or so.
     assert found.stroke_m == pytest.approx(0.03, abs=2e-4 + 5 * noise_m)
     assert found.frequency_Hz == pytest.approx(1.2, rel=0.01)
 
 
 def test_weaving_deviations_by_hand() -> None:
-    found = weaving.weaving_deviations(weaving.Weave(0.020, 2.0), weaving.Weave(0.019, 2.1))
+    found = path.weaving_deviations(path.Weave(0.020, 2.0), path.Weave(0.019, 2.1))
     assert found == pytest.approx((5.0, 5.0))
     with pytest.raises(Iso9283Error, match="four crossings"):
-        weaving.weave_of(np.arange(50.0), np.column_stack([np.arange(50.0)] * 3), (0, 1.0, 0))
+        path.weave_of(np.arange(50.0), np.column_stack([np.arange(50.0)] * 3), (0, 1.0, 0))

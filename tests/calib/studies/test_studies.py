@@ -12,9 +12,9 @@ import pytest
 
 from calib.errors import CalibrationError
 from calib.studies.chunks import ChunkStore, run_study
+from calib.studies.cluster import executor
 from calib.studies.executor import Executor, InProcess, ProcessPool, Results, S, T, Work, as_they_come
 from calib.studies.figures import proportion, quantile
-from calib.studies.opening import executor
 from tests.calib.studies.tasks import dies, drawn
 
 TASKS = 7

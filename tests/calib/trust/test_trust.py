@@ -16,12 +16,11 @@ from calib.design.candidates import workspace_poses
 from calib.points.points import make_points
 from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.flanks import SHARES, Gears, even_odds
-from calib.trust.held_out import ELLIPSOID_95
 from calib.trust.iso9283 import pose_figures
 from calib.trust.posterior import SIZE_SPREAD, SIZES, SizeEvidence, linearised, posterior_of
 from calib.trust.prediction import TipError
 from calib.trust.task import planned, reliability_of
-from calib.trust.trust import MapRequest, Trust, trust_in, within_95_m
+from calib.trust.trust import ELLIPSOID_95, MapRequest, Trust, trust_in, within_95_m
 from control.dynamics.static_pose import RestingPose
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Effect

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from console.screen.held import HeldKey, RENEWAL_least_s, REPEAT_s
+from console.screen.jogging import HeldKey, RENEWAL_least_s, REPEAT_s
 from tests.cell import RIGHT
 
 

@@ -13,8 +13,7 @@ from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
 from console.screen.drawing import EventLog, Panel, text_of
-from console.screen.session import SessionScreen
-from console.screen.session_texts import HEADING, board_rows, legend_rows, record_text
+from console.screen.session import HEADING, SessionScreen, board_rows, legend_rows, record_text
 from tests.cell import Cell, holding_cell
 from tests.console.screen.console_rig import console_on, press, said, until
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from control.hardware.bought import dynamixel, feetech
+from control.hardware.bought.smart_servo import DYNAMIXEL, FEETECH
 from control.hardware.connect import connect
 from control.safety.fault import Reaction
 from control.safety.table import Mode
@@ -90,7 +90,7 @@ def test_the_connection_says_at_which_errors_a_joint_is_let_go(kind: str) -> Non
 def test_answers_that_servos_delay_cost_a_rate_that_is_told_or_refused(kind: str) -> None:
     """0.5 ms, as from the factory."""
     arm = ON_BOARDS[kind].arm
-    cycle_s = {"dynamixel": dynamixel, "feetech": feetech}[kind].cycle_s
+    cycle_s = {"dynamixel": DYNAMIXEL, "feetech": FEETECH}[kind].cycle_s
     slow_Hz, fast_Hz = int(1.0 / cycle_s(3, 1_000_000, [5e-4] * 3)), int(1.0 / cycle_s(3, 1_000_000))
     remedy = rf"set return delay time (register {RETURN_DELAY[kind]}) of id 1, 2, 3 to 0: up to {fast_Hz} Hz"
     with SteppedRig(arm, scenario()) as rig:

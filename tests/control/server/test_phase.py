@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from control.server.periodic import PeriodicTimer
-from control.server.phase import BOUND, EARLIER, SILENT, VAIN, PhaseFollower
+from control.server.process import BOUND, EARLIER, SILENT, VAIN, PhaseFollower
 from tests.firmware_iface.scripted import FakeClock
 
 PERIOD_s = 0.002

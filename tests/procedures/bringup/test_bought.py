@@ -12,8 +12,8 @@ from control.model.arm import Arm
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from procedures.bringup.journal import Journal, brought_up
-from procedures.bringup.mock_operator import MockOperator
 from procedures.bringup.opening import open_bench
+from procedures.bringup.operator import MockOperator
 from procedures.bringup.procedure import BringupOptions, BringupOutcome, bring_up, caution_of
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, scenario, wired_to, with_drive

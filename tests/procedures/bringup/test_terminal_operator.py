@@ -9,8 +9,7 @@ import termios
 
 import pytest
 
-from procedures.bringup.operator import Stopped
-from procedures.bringup.terminal import TerminalOperator
+from procedures.bringup.operator import Stopped, TerminalOperator
 
 
 def answering(monkeypatch: pytest.MonkeyPatch, text: str) -> TerminalOperator:

@@ -15,9 +15,8 @@ from calib.gap.residuals.rows import ResidualRows, without_motion
 from calib.gap.series.plausible import plausible
 from calib.gap.signals.body import BodyTorques, Load
 from calib.gap.signals.motion import motion_gaps
-from calib.gap.signals.part import part_of
 from calib.gap.signals.physics import Physics
-from calib.gap.signals.recording import RunSet, UnusableLogError, prepare
+from calib.gap.signals.recording import RunSet, UnusableLogError, part_of, prepare
 from calib.gap.signals.sampling import period_of
 from calib.gap.signals.terms import Law
 from calib.gap.units import UNITS, amperes_per, log_in_amperes, with_ideal_drives, without_voltages

@@ -8,7 +8,7 @@ from typing import Any
 from calib.gap.finding import EffectName
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block
-from calib.gap.series.rivals import rivals
+from calib.gap.series.iterations import rivals
 
 SCALE, WAVE, COULOMB, SOFT = (
     EffectName("encoder_scale", 3), EffectName("encoder_eccentricity", 3), EffectName("coulomb_friction", 3),
