@@ -31,7 +31,6 @@ class Dynamics:
     def __init__(self, arm: Arm, payload_kg: float = 0.0) -> None:
         if not (payload_kg >= 0.0 and np.isfinite(payload_kg)):
             raise ArmError(f"payload_kg: expected a mass not below 0, got {payload_kg}")
-        self._arm = arm
         self._chain = chain_of(arm)
         self._gravity = arm.gravity_m_s2
         self.payload_kg = payload_kg
@@ -46,10 +45,6 @@ class Dynamics:
     @property
     def _numbers(self) -> tuple[Chain, Vector3, float]:
         return self._chain, self._gravity, self.payload_kg
-
-    def with_payload(self, payload_kg: float) -> "Dynamics":
-        """Return the same arm with another mass at its tip."""
-        return Dynamics(self._arm, payload_kg)
 
     @shared
     def inverse(self) -> Callable[[Sequence[float], Sequence[float], Sequence[float]], Floats]:

@@ -16,4 +16,3 @@ OTHER_TRAJECTORY: Final = {
     "roll": "32.1 to 53.0 %",
     "pitch": "no effect",
 }
-EACH_percent: Final = (32.1, 53.0)

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from enum import IntEnum
 
 FORMAT = "doctor/1"
-MEASURED_WIDTH = 60  # of the column
 
 
 class Level(IntEnum):

@@ -17,7 +17,6 @@ CLOCK_LIMITS_ppm = (500.0, 5000.0)  # speeds are computed by board time: half a 
 MOVED_counts = 20  # more than the dither of an encoder at rest
 NOISE_LIMITS_counts = (1.0, 3.0)
 OFFSET_LIMITS = (0.02, 0.1)  # of the current limit; it causes an unwanted torque
-NOISE_LIMITS = (0.02, 0.1)
 SUPPLY_LIMITS = (0.1, 0.25)  # of the nominal
 TEMPERATURE_LIMITS_degC = (60.0, 80.0)
 LOST_LIMITS = (0.0, 0.01)  # of the frames

@@ -129,7 +129,7 @@ def test_a_payload_can_differ_from_row_to_row() -> None:
     q = np.random.default_rng(5).uniform(-1, 1, (3, 3))
     rows = dynamics.torques(q, q, q, [0.0, 0.5, 1.0])
     for row, pose, payload in zip(rows, q.tolist(), (0.0, 0.5, 1.0), strict=True):
-        assert row == pytest.approx(dynamics.with_payload(payload).inverse(pose, pose, pose))
+        assert row == pytest.approx(Dynamics(RIGHT, payload).inverse(pose, pose, pose))
 
 
 def test_missing_masses_are_named_and_only_when_dynamics_is_asked_for() -> None:
@@ -167,6 +167,6 @@ def test_equal_arms_share_what_is_compiled_and_others_do_not() -> None:
     heavier = dataclasses.replace(RIGHT, links=(dataclasses.replace(first, mass_kg=99.0), *RIGHT.links[1:]))
     on_a_wall = dataclasses.replace(RIGHT, gravity_m_s2=(0.0, 9.81, 0.0))
     assert Dynamics(dataclasses.replace(RIGHT)).gravity is arm.gravity
-    for other in (arm.with_payload(0.5), Dynamics(heavier), Dynamics(on_a_wall)):
+    for other in (Dynamics(RIGHT, 0.5), Dynamics(heavier), Dynamics(on_a_wall)):
         assert other != arm
         assert other.gravity is not arm.gravity
