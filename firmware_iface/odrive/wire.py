@@ -141,8 +141,8 @@ def is_sensorless_error(payload: bytes) -> bool:
 
 
 def heartbeat(payload: bytes) -> Heartbeat:
-    """HEARTBEAT. struct.error if it has another length."""
-    errors, state, result, _ = struct.unpack("<IBBH", payload)
+    """HEARTBEAT, with or without what follows the result. struct.error if it is shorter."""
+    errors, state, result = struct.unpack_from("<IBB", payload)
     return Heartbeat(Error(errors), state, result)
 
 

@@ -3,6 +3,7 @@
 import binascii
 import math
 import struct
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from firmware_iface.clock import Clock
@@ -64,7 +65,8 @@ class VescBus(NodeBus["Vesc"]):
         super().flush()
         numbers = list(self.nodes)
         self._turn = (self._turn + 1) % len(numbers)
-        self.send(wire.ask_fault(numbers[self._turn]))
+        if self.nodes[numbers[self._turn]].tells_faults:
+            self.send(wire.ask_fault(numbers[self._turn]))
 
 
 class Vesc:
@@ -98,6 +100,8 @@ class Vesc:
         self._speed_count_s = 0.0
         self._counters: dict[int, tuple[int, int]] = {}
         self._is_here = False
+        self.tells_faults = True
+        """Whether it answers the question for its fault code; without, only what a fault does to the motor is seen."""
         self._bus = bus
         bus.nodes[number] = self
 
@@ -122,37 +126,56 @@ class Vesc:
 
     # ---- outside of the cycle
 
-    def identify(self) -> None:
-        """Check that it answers and sends its status. BoardSilent says what is missing."""
-        self._is_here = False
-        for _ in range(ATTEMPTS):
-            self._bus.send(wire.ping(self.number))
-            if self._bus.waits(lambda: self._is_here, ANSWER_TIMEOUT_s):
-                break
-        else:
-            raise BoardSilent(
-                f"{self.where}: no PONG, asked {ATTEMPTS} times: check its supply, id {self.number}, CAN mode VESC and bit rate"
-            )
+    def identify(self) -> str:
+        """Check that it sends its status. What it does not answer is told, in words. BoardSilent says what is missing."""
+        self._is_here, self.tells_faults = False, True
+        asked: tuple[tuple[Frame, Callable[[], bool], float, str], ...] = (
+            (wire.ping(self.number), lambda: self._is_here, ANSWER_TIMEOUT_s, "PING"),
+            (
+                wire.ask_fault(self.number), lambda: self.fault is not None, ANSWER_TIMEOUT_s,
+                "the question for its fault code: a fault shows by its effect alone",
+            ),
+            (wire.ask_settings(self.number), lambda: self.settings is not None, SETTINGS_WAIT_s, ""),
+        )  # fmt: skip
+        self.settings = self.fault = None
+        silent = [
+            what
+            for frame, is_answered, wait_s, what in asked
+            if not self._answers(frame, is_answered, wait_s)
+        ]
+        if self.fault is None:
+            self.tells_faults, self.fault = False, 0
         self.await_status()
-        self.settings = None
+        return "".join(f"; it does not answer {what}" for what in silent if what)
+
+    def _answers(self, frame: Frame, is_answered: Callable[[], bool], wait_s: float) -> bool:
         for _ in range(ATTEMPTS):
-            self._bus.send(wire.ask_settings(self.number))
-            if self._bus.waits(lambda: self.settings is not None, SETTINGS_WAIT_s):
-                break
+            self._bus.send(frame)
+            if self._bus.waits(is_answered, wait_s):
+                return True
+        return False
 
     def await_status(self) -> None:
         """Wait for values that are sent from now on, and the fault code. BoardSilent."""
         asked_s = self._bus.clock.now_s()
-        self._bus.send(wire.ask_fault(self.number))
-        if not self._bus.waits(lambda: min(self.at_s, self.fault_at_s) > asked_s, STATUS_WAIT_s):
+        if self.tells_faults:
+            self._bus.send(wire.ask_fault(self.number))
+        if not self._bus.waits(lambda: min(self.at_s, self._told_at_s) > asked_s, STATUS_WAIT_s):
             missing = [
                 packet.name.replace("_", " ") for packet, at_s in self._at_s.items() if at_s <= asked_s
             ]
-            missing += ["answer to COMM_GET_VALUES_SELECTIVE"] if self.fault_at_s <= asked_s else []
-            raise BoardSilent(
-                f"{self.where}: no {', '.join(missing)} within {STATUS_WAIT_s} s: switch on status messages 1, 4 and 5"
-                " in VESC Tool (App Settings, General, CAN)"
+            missing += ["answer to COMM_GET_VALUES_SELECTIVE"] if self._told_at_s <= asked_s else []
+            is_gone = not self._is_here and len(missing) == len(NEEDED)
+            remedy = (
+                f"check its supply, id {self.number}, CAN mode VESC and bit rate"
+                if is_gone
+                else "switch on status messages 1, 4 and 5 in VESC Tool (App Settings, General, CAN)"
             )
+            raise BoardSilent(f"{self.where}: no {', '.join(missing)} within {STATUS_WAIT_s} s: {remedy}")
+
+    @property
+    def _told_at_s(self) -> float:
+        return self.fault_at_s if self.tells_faults else math.inf
 
     def await_count(self) -> None:
         """Wait for a count that is sent from now on: with all other values. BoardSilent."""

@@ -40,6 +40,7 @@ class VescSetup:
     timeout_s: float = 0.1
     timeout_brake_A: float = 20.0
     application: int = 0
+    answers: bool = True  # questions; else it only sends its status and obeys, as emulators do
 
 
 class VescMock:
@@ -79,6 +80,8 @@ class VescMock:
             names = {SET_DUTY: "duty", SET_CURRENT: "current", SET_BRAKE: "brake", SET_POS: "position"}
             self._command = (names[packet], struct.unpack(">i", payload[:4])[0] / scales[packet])
             self._heard_s = now_s
+        elif not self.setup.answers and packet in (PING, SHORT_BUFFER):
+            return
         elif packet == PING and payload:
             self._send(PONG, bytes((self.setup.number, 0)), payload[0])
         elif packet == LIMITS and len(payload) == 8:

@@ -154,8 +154,8 @@ def _open_vesc(
     board = Vesc(bus, described.address, described.name)
     if drive.pid.mode == "position":
         _require_one_turn(board, drive)
-    board.identify()
-    told = _require_settings(board, watchdog_s)
+    silent = board.identify()
+    told = _require_settings(board, watchdog_s) + silent
     encoder = own_encoder(board, joint, drive, opened)
     board.is_counted = encoder is not None
     opened.drives.append(VescDrive(board, encoder, joint, drive, bus))

@@ -187,6 +187,10 @@ def test_a_frame_of_another_length_is_a_violation_and_changes_nothing() -> None:
     assert cell.axis.supply_V == 24.0
 
 
+def test_a_heartbeat_without_what_follows_the_result_is_read() -> None:
+    assert wire.heartbeat(bytes((0, 0, 0, 1, 8, 3))) == wire.heartbeat(bytes((0, 0, 0, 1, 8, 3, 1, 0)))
+
+
 def test_without_commands_the_watchdog_frees_the_motor_until_the_errors_are_cleared() -> None:
     cell = Cell()
     cell.axis.identify()

@@ -189,7 +189,8 @@ def test_a_silent_controller_and_one_without_status_say_what_to_do() -> None:
     cell = Cell()
     cell.is_cut = True
     with pytest.raises(
-        BoardSilent, match=r'"elbow" \(id 5\) on memory: no PONG, asked 3 times: check its supply, id 5'
+        BoardSilent,
+        match=r'"elbow" \(id 5\) on memory: no STATUS, STATUS 4, STATUS 5 .*: check its supply, id 5',
     ):
         cell.board.identify()
     quiet = Cell(VescSetup(5, 0.2, 8.0, rate_1_Hz=0.5))
@@ -200,6 +201,19 @@ def test_a_silent_controller_and_one_without_status_say_what_to_do() -> None:
         quiet.board.identify()
     with pytest.raises(MisuseError, match="0 to 253, got 254"):
         Vesc(cell.bus, 254, "elbow")
+
+
+def test_a_board_that_only_sends_its_status_is_taken_and_told() -> None:
+    cell = Cell(replace(SETUP, answers=False))
+    assert cell.board.identify() == (
+        "; it does not answer PING; it does not answer the question for its fault code: a fault shows by its effect alone"
+    )
+    before = len(cell.wired.sent)
+    cell.board.wanted = wire.duty(5, 0.2)
+    cell.bus.flush()
+    assert cell.wired.sent[before:] == [wire.duty(5, 0.2)]  # and no question
+    cell.board.await_status()
+    assert (cell.board.is_known, cell.board.supply_V, cell.board.settings) == (True, 24.0, None)
 
 
 @pytest.mark.parametrize("says_so", [True, False], ids=["NOTIFY_BOOT", "counters alone"])
