@@ -60,7 +60,7 @@ class RoboClaw:
             address, RoboclawCommand.DUTY_M1_M2, None, self._take_duty, self._duty_data
         )
         self._currents = RoboclawQuestion(address, RoboclawCommand.READ_CURRENTS, 4, self._take_currents)
-        status = RoboclawQuestion(address, RoboclawCommand.READ_STATUS, 4, self._take_status)
+        status = RoboclawQuestion(address, RoboclawCommand.READ_STATUS, wire.STATUS_BYTES, self._take_status)
         self._slow = (
             status,
             RoboclawQuestion(address, RoboclawCommand.READ_MAIN_BATTERY, 2, self._take_supply),
@@ -176,7 +176,7 @@ class RoboClaw:
 
     def read_status(self) -> RoboclawStatus:
         """The status as it is now."""
-        self._take_status(self._read(RoboclawCommand.READ_STATUS, 4), 0.0)
+        self._take_status(self._read(RoboclawCommand.READ_STATUS, wire.STATUS_BYTES), 0.0)
         return self.status or RoboclawStatus(0)
 
     def set_count(self, channel: int, count: int) -> None:
@@ -208,7 +208,7 @@ class RoboClaw:
         self.currents_at_s = sent_at_s
 
     def _take_status(self, data: bytes, _: float) -> None:
-        self.status = RoboclawStatus(int.from_bytes(data, "big"))
+        self.status = wire.status(data)
 
     def _take_supply(self, data: bytes, _: float) -> None:
         self.supply_V = wire.tenths(data)

@@ -49,7 +49,7 @@ class RoboclawCommand(IntEnum):
     READ_PIN_MODES = 75  # u8, u8, u8; two more with today's firmware
     READ_ENCODERS = 78  # u32, u32
     READ_TEMPERATURE = 82  # u16 in 0.1 degC
-    READ_STATUS = 90  # u32
+    READ_STATUS = 90  # u32; u16 with other bits in older firmware
     READ_ENCODER_MODES = 91  # u8, u8
     SET_CURRENT_LIMIT_1 = 133  # u32 in 10 mA, u32 0
     SET_CURRENT_LIMIT_2 = 134
@@ -81,10 +81,28 @@ class RoboclawStatus(IntFlag):
 
 
 ERRORS: Final = 0xFFFF
+STATUS_BYTES: Final = (2, 4)
+# Bits of the older status (Basicmicro's Arduino library, ReadError of two bytes), and today's. Its warnings of supply and
+# temperature are none of today's errors.
+_OLDER_STATUS: Final = (
+    (0x0004, RoboclawStatus.E_STOP), (0x0008, RoboclawStatus.TEMPERATURE), (0x0010, RoboclawStatus.TEMPERATURE_2),
+    (0x0020, RoboclawStatus.MAIN_VOLTAGE_HIGH), (0x0040, RoboclawStatus.LOGIC_VOLTAGE_HIGH),
+    (0x0080, RoboclawStatus.LOGIC_VOLTAGE_LOW), (0x0100, RoboclawStatus.DRIVER_1), (0x0200, RoboclawStatus.DRIVER_2),
+    (0x0001, RoboclawStatus.OVER_CURRENT_WARNING_1), (0x0002, RoboclawStatus.OVER_CURRENT_WARNING_2),
+    (0x4000, RoboclawStatus.S4_TRIGGERED), (0x8000, RoboclawStatus.S5_TRIGGERED),
+)  # fmt: skip
 IDLES: Final = 0x80  # at duty 0, after the delay, the motor is free
 QUADRATURE_ONLY: Final = (
     0x9F  # of an encoder mode: neither absolute nor RC/analog; bits 5 and 6 only reverse senses
 )
+
+
+def status(data: bytes) -> RoboclawStatus:
+    """Data of READ_STATUS, of either firmware."""
+    said = int.from_bytes(data, "big")
+    if len(data) == STATUS_BYTES[0]:
+        said = sum(bit for older, bit in _OLDER_STATUS if said & older)
+    return RoboclawStatus(said)
 
 
 def command_packet(address: int, command: int, data: bytes = b"") -> bytes:

@@ -60,8 +60,11 @@ class RoboClawMock:
 
     version = "RoboClaw 2x15A v4.3.6"
 
-    def __init__(self, address: int, read_shaft: Callable[[int], int], has_ctrl_pins: bool = True) -> None:
-        """`has_ctrl_pins`: its firmware is today's, and not that of the manual of 2017."""
+    def __init__(
+        self, address: int, read_shaft: Callable[[int], int], has_ctrl_pins: bool = True, has_short_status: bool = False
+    ) -> None:  # fmt: skip
+        """`has_ctrl_pins`: its firmware is today's, and not that of the manual of 2017. `has_short_status`: it is older still."""
+        self._has_short_status = has_short_status
         self.address = address
         self.writes = CTRL_WRITES if has_ctrl_pins else WRITES
         self.reads = CTRL_READS if has_ctrl_pins else READS
@@ -73,6 +76,12 @@ class RoboClawMock:
         self.are_switches_on = [False, False]
         self._read_shaft = read_shaft
         self.power_up()
+
+    def be_of_older_firmware(self) -> None:
+        """As if it had been flashed: of before the manual of 2017."""
+        self.writes, self.reads, self._has_short_status = WRITES, READS, True
+        for settings in (self.saved, self.settings):
+            settings.pin_modes = settings.pin_modes[:3]
 
     def power_up(self) -> None:
         """State after power-up or a restart: duties and counts 0, settings as saved."""
@@ -104,6 +113,15 @@ class RoboClawMock:
             bits |= OVER_CURRENT_WARNING[channel] if self._is_limited[channel] else 0
             bits |= PIN_TRIGGERED[channel] if self.are_switches_on[channel] else 0
         return bits
+
+    def _short_status(self) -> int:
+        """The 16 bits of older firmware, of what this board can have."""
+        old = {
+            E_STOP: 0x4, OVER_HEATED: 0x8, VOLTAGE_HIGH: 0x20, **dict(zip(DRIVER_FAULT, (0x100, 0x200), strict=True)),
+            **dict(zip(OVER_CURRENT_WARNING, (0x1, 0x2), strict=True)), VOLTAGE_LOW: 0x800,
+            **dict(zip(PIN_TRIGGERED, (0x4000, 0x8000), strict=True)),
+        }  # fmt: skip
+        return sum(short for bit, short in old.items() if self.status & bit)
 
     def tick(self, now_s: float, currents_A: list[float], supply_V: float, is_limited: list[bool]) -> None:
         """Run one control period: measure, watch the time-out, and ramp the duties."""
@@ -157,7 +175,11 @@ class RoboClawMock:
             case 82:
                 return struct.pack(">H", 300)
             case 90:
-                return struct.pack(">I", self.status)
+                return (
+                    struct.pack(">H", self._short_status())
+                    if self._has_short_status
+                    else struct.pack(">I", self.status)
+                )
             case 91:
                 return bytes(settings.encoder_modes)
             case 161:

@@ -9,7 +9,7 @@ from firmware_iface.memory_link import MemoryByteLink, byte_pair
 from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.board import RoboClaw
 from firmware_iface.roboclaw.line import ANSWER_TIMEOUT_s, PacketLine
-from firmware_iface.roboclaw.wire import RoboclawCommand
+from firmware_iface.roboclaw.wire import RoboclawCommand, RoboclawStatus
 from hil_mocks.devices.roboclaw import RoboClawLineMock, RoboClawMock
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "roboclaw.txt"
@@ -129,6 +129,19 @@ def test_the_firmware_of_the_manual_and_todays_are_told_apart_by_their_pin_modes
     assert board.identity is not None
     assert board.identity.pin_modes == (0, 0x62, 0x62, 0, 0)[: 5 if has_ctrl_pins else 3]
     assert mock.settings.duty_accelerations == mock.settings.duty_falls == [wire.FASTEST_DUTY_CHANGE] * 2
+
+
+@pytest.mark.parametrize("has_short_status", [False, True])
+@pytest.mark.parametrize("error", [0x1, 0x2, 0x8, 0x40, 0x80])
+def test_errors_of_the_16_bits_of_older_firmware_are_those_of_the_32(
+    error: int, has_short_status: bool
+) -> None:
+    cable = Cable()
+    mock = RoboClawMock(0x80, lambda channel: 0, has_ctrl_pins=False, has_short_status=has_short_status)
+    cable.mock.boards[0x80] = mock
+    board = board_on(cable)
+    mock.forced_errors, mock.are_switches_on = error, [True, False]
+    assert board.read_status() == RoboclawStatus(error) | RoboclawStatus.S4_TRIGGERED
 
 
 def test_the_board_forgets_half_a_packet_after_a_gap(cable: Cable) -> None:
