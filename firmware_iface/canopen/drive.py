@@ -176,11 +176,13 @@ class Cia402Drive:
         self._send(CYCLIC_POSITION, self.count, 0)
 
     def command_position(self, position: int) -> None:
-        """Cyclic synchronous position."""
+        """Cyclic synchronous position of a drive in operation, also of one that was found so."""
+        self._controlword = int(DriveCommand.ENABLE_OPERATION)
         self._send(CYCLIC_POSITION, position, 0)
 
     def command_torque(self, permille: int) -> None:
-        """Cyclic synchronous torque, in 1/1000 of the rated torque."""
+        """Cyclic synchronous torque, in 1/1000 of the rated torque, of a drive in operation."""
+        self._controlword = int(DriveCommand.ENABLE_OPERATION)
         self._send(CYCLIC_TORQUE, self.count, min(max(permille, -32768), 32767))
 
     def ask_supply(self) -> None:

@@ -21,7 +21,13 @@ from firmware_iface.moteus import wire as moteus
 from firmware_iface.odrive import wire as odrive
 from firmware_iface.roboclaw import wire as roboclaw
 from firmware_iface.vesc import wire as vesc
+from hil_mocks.devices.cia402_drive import Cia402Mock
 from hil_mocks.devices.dynamixel import DynamixelLineMock
+from hil_mocks.devices.feetech import FeetechLineMock
+from hil_mocks.devices.moteus import MoteusMock
+from hil_mocks.devices.odrive import OdriveMock
+from hil_mocks.devices.roboclaw import RoboClawLineMock
+from hil_mocks.devices.vesc import VescMock
 from hil_mocks.scenario import FaultTable
 from procedures.drills.drill import LOOKED, WATCHED_S
 from procedures.drills.promise import GOES_ON, DrillOutcome, Promise, length_m, stood_s
@@ -38,7 +44,14 @@ SINKS_mm = 80.0  # on shorted windings, in two seconds
 STOPS_mm = 100.0  # along its path
 JOGGED_rad_s, JOGGED_S = 0.1, 0.2
 SAGGED_V = 14.4  # of 24
-FIRMWARE, OLD_FIRMWARE = 6, 36  # register of a Dynamixel, and a version without a bus watchdog
+# What is found of each kind when `serve` starts again, and how that is refused; "" where the connection serves it, too. Registers
+# of servos: firmware of a Dynamixel without a bus watchdog; low byte of the model of a Feetech HLS, another series.
+REFUSED = {
+    "dynamixel": "expected firmware 38", "feetech": "expected an STS", "odrive": "expected firmware 0.6, it is 0.5",
+    "cia402": "", "moteus": "", "vesc": "", "roboclaw": "",
+}  # fmt: skip
+SERVO_REGISTERS = {"dynamixel": (6, 36), "feetech": (3, 10)}
+CYCLE_TIME = 0x60C2
 MODE, EXTENDED_POSITION = 11, 4
 FULL_DUPLEX = "roboclaw"
 # What other programs ask the first board, and take no answer of: the position, or whether it is there.
@@ -55,6 +68,7 @@ OBEYS_S = 0.3  # until a board that was told to go off is off
 LANDS_S = 20.0
 ASKED_AFTER_S = 0.004  # of `enable`: its drives are on their way
 AWAY_S = 1.0  # longer than any board's time-out
+LOOKED_AROUND_S = 1.0  # by a person who finds the arm held
 UP_rad, DOWN_rad = (
     (-0.6, 0.2, 0.2),
     (-0.6, -1.0, 0.0),
@@ -86,13 +100,21 @@ class BoardsDrill(Promise):
     @classmethod
     def all(cls) -> Iterator["BoardsDrill"]:
         """The drills, each on every kind of boards that it befalls."""
-        lost, own, sagged, silent = (
+        lost, own, sagged, silent, moved = (
             frozenset(codes.split())
-            for codes in ("drive_left link", "drive_fault", "drive_fault supply", "drive_silent")
+            for codes in (
+                "drive_left link",
+                "drive_fault",
+                "drive_fault supply",
+                "drive_silent",
+                "encoder_contradicted",
+            )
         )
         for name, says, codes, most_mm, act, kinds in (
             ("off-at-once", "off pressed 4 ms after enable", GOES_ON, FALLS_mm, off_at_once, HOLDING),
             ("restarted", "loop killed while it holds the arm, another started", GOES_ON, HELD_mm, restarted, HOLDING),
+            ("restarted-at-once", "another loop started before the time-out of any board", GOES_ON, HELD_mm, restarted_at_once,
+             HOLDING),
             ("torque-lost", "another program switches a drive off that holds", lost, FALLS_mm, torque_lost, HOLDING),
             ("torque-in-off", "another program switches a drive on while the arm is off", GOES_ON, FALLS_mm, torque_in_off,
              HOLDING),
@@ -106,8 +128,11 @@ class BoardsDrill(Promise):
             ("asked", "another program asks a board in each cycle", silent, SINKS_mm, asked, BRAKING[1:]),
             ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", GOES_ON, STOPS_mm, host_gone, HOLDING),
             ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", GOES_ON, SINKS_mm, host_gone, BRAKING),
-            ("old-firmware", "a servo with old firmware is found when serve starts again", GOES_ON, HELD_mm, old_firmware,
-             HOLDING[:1]),
+            ("restarted", "loop killed while it holds the arm, another started", GOES_ON, SINKS_mm, restarted_braking, BRAKING),
+            ("torque-in-hold", "another program commands a drive of a held arm now and then", moved, SINKS_mm, torque_in_hold,
+             BRAKING),
+            ("old-firmware", "other firmware is found when serve starts again", GOES_ON, HELD_mm, old_firmware, HOLDING),
+            ("old-firmware", "other firmware is found when serve starts again", GOES_ON, SINKS_mm, old_firmware, BRAKING),
         ):  # fmt: skip
             for kind in kinds:
                 yield cls(f"{name}-{kind}", f"{says}, on {kind}", REST, codes, 0.1, most_mm, kind, act)
@@ -133,12 +158,21 @@ def off_at_once(played: Stage) -> str:
 
 def restarted(played: Stage) -> str:
     """Boards that hold when a runtime connects are left so, are let go by no mere `off`, and are taken over without a step."""
+    return _restarted(played, AWAY_S, LOOKED_AROUND_S)
+
+
+def restarted_at_once(played: Stage) -> str:
+    """The same, of boards that are still in operation."""
+    return _restarted(played, 0.0, 0.0)
+
+
+def _restarted(played: Stage, away_s: float, held_s: float) -> str:
     played.begin(REST)
     played.way = played.way[-1:]
-    played.away(AWAY_S)
+    played.away(away_s)
     held = any(_torques(played))
     played.restart()
-    played.run(1.0)
+    played.run(held_s)
     if not held:
         return "the boards did not hold without a host"
     connected = played.mode
@@ -151,6 +185,34 @@ def restarted(played: Stage) -> str:
         played.client.enable()
     played.run(0.5)
     return "" if played.mode is Mode.HOLDING else f"it was not taken over: {played.mode.name}"
+
+
+def restarted_braking(played: Stage) -> str:
+    """Boards that short their windings without a host do so until a person enables the arm; then it is held again."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    played.away(AWAY_S)
+    sinking = any(_torques(played))
+    played.restart()
+    played.run(0.1)
+    connected = played.mode
+    if sinking or any(_torques(played)):
+        return "a joint had torque that nobody had asked for"
+    if connected is not Mode.OFF:
+        return f"the arm was {connected.name}, not OFF"
+    played.client.enable()
+    played.run(0.5)
+    return "" if played.mode is Mode.HOLDING else f"it was not held again: {played.mode.name}"
+
+
+def torque_in_hold(played: Stage) -> str:
+    """A board that obeys whoever spoke last is taken back by the next cycle's command; what the joint did then is noticed."""
+    played.begin(REST)
+    played.way = played.way[-1:]
+    for _ in range(5):
+        played.inject("switched_on", played.rig.robot.drive_names[1], at_s=played.now_s + DURING_A_CYCLE_S)
+        played.run(0.1)
+    return "" if played.mode is Mode.FAULT else f"the arm was {played.mode.name}"
 
 
 def torque_lost(played: Stage) -> str:
@@ -281,17 +343,49 @@ def host_gone(played: Stage) -> str:
 
 
 def old_firmware(played: Stage) -> str:
-    """A servo without a bus watchdog is refused before anything is commanded."""
+    """Firmware that lacks what an arm relies on is refused before anything is commanded; what is only older is served."""
     played.begin(REST)
     played.way = played.way[-1:]
-    for line in played.rig.robot.bought.lines:
-        if isinstance(line, DynamixelLineMock):
-            line.servos[2].table[FIRMWARE] = OLD_FIRMWARE
+    kind = played.arm.boards[0].kind
+    refused = REFUSED[kind]
+    _make_older(played, kind)
     try:
         played.restart()
     except ConnectionFailed as error:
-        return "" if "expected firmware 38" in str(error) else f"refused for another reason: {error}"
-    return "the servo was taken"
+        return "" if refused and refused in str(error) else f"refused for another reason: {error}"
+    if refused:
+        return "the board was taken"
+    played.run(0.1)
+    played.client.enable()
+    played.run(0.5)
+    return "" if played.mode is Mode.HOLDING else f"the arm was not held again: {played.mode.name}"
+
+
+def _make_older(played: Stage, kind: str) -> None:
+    """What its boards of this kind have of other firmware."""
+    bought = played.rig.robot.bought
+    if kind in SERVO_REGISTERS:
+        address, value = SERVO_REGISTERS[kind]
+        for line in bought.lines:
+            assert isinstance(line, DynamixelLineMock | FeetechLineMock)
+            line.servos[2].table[address] = value
+    for line in bought.lines:
+        if isinstance(line, RoboClawLineMock):
+            for claw in line.boards.values():
+                claw.be_of_older_firmware()
+    for mock in (mock for boards in bought.on_can for mock in boards.mocks):
+        match mock:
+            case Cia402Mock():
+                for sub in range(3):
+                    mock.objects.pop((CYCLE_TIME, sub), None)
+            case MoteusMock():
+                mock.setup = replace(
+                    mock.setup, unknown=(moteus.Register.AUX1_INPUTS, moteus.Register.FIRMWARE)
+                )
+            case OdriveMock():
+                mock.setup = replace(mock.setup, is_firmware_5=True)
+            case VescMock():
+                mock.setup = replace(mock.setup, answers=False)
 
 
 def _second(played: Stage) -> tuple[str, int]:

@@ -109,6 +109,7 @@ class MoteusDrive(PositionLoopDrive):
         limit_Nm = drive.torque_constant_Nm_A * drive.current_limit_A
         self._most_Nm = limit_Nm if math.isfinite(limit_Nm) else math.nan  # NaN: the board's own limit
         self._watchdog_s = watchdog_s
+        self._was_found_driving = False  # by another host, whose time-out has not come
 
     def _faults_now(self) -> int:
         board = self._board
@@ -121,7 +122,7 @@ class MoteusDrive(PositionLoopDrive):
 
     def _is_in_operation(self) -> bool:
         # Shorted windings are commanded out of operation, too: one that was stopped by somebody else stays out of it.
-        return self._is_enabled and self._board.is_running
+        return (self._is_enabled or self._was_found_driving) and self._board.is_running
 
     def has_torque(self, joint: int) -> bool:
         """Whether it drives its motor, or holds it after a time-out."""
@@ -133,6 +134,7 @@ class MoteusDrive(PositionLoopDrive):
     ) -> None:  # fmt: skip
         """Set the command of this cycle; a hold that its time-out began ends by a stop alone."""
         super().write(wanted, modes, output, feedforward_V, feedback)
+        self._was_found_driving = wanted is Wanted.AS_FOUND and self._board.is_driving
         if wanted is Wanted.DISABLED and self._board.mode == MoteusMode.TIMEOUT:
             self._board.wanted = wire.stop(self._board.number)
 

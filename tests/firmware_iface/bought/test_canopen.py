@@ -212,6 +212,21 @@ def test_silence_and_a_bad_node_id_are_errors_that_say_where() -> None:
         Cia402Drive(CanOpenBus(wired, wired), 127, "x")
 
 
+@pytest.mark.parametrize("is_torque", [False, True])
+def test_a_drive_that_is_found_in_operation_stays_in_it_when_it_is_commanded(
+    cell: Cell, is_torque: bool
+) -> None:
+    cell.mock.switch_torque(True, 0.0)  # by another host
+    for _ in range(3):
+        if is_torque:
+            cell.drive.command_torque(0)
+        else:
+            cell.drive.command_position(0)
+        cell.bus.sync()
+        cell.wired.wait_until_s(cell.wired.now_s() + 0.002)
+    assert set(cell.states[-4:]) == {MockState.ENABLED}
+
+
 @pytest.mark.parametrize("vendor", [0x402, MAXON])
 def test_a_tpdo_keeps_its_bit_for_remote_requests(vendor: int) -> None:
     """A drive without them refuses to be told that it has them (CiA 301: 0x06090030)."""
