@@ -67,8 +67,13 @@ class Desk:
     async def _on_status(self, status: Message | None) -> None:
         if status is None:
             await self.operating.let_go()
-        elif self.jogger.has_jogged and status["mode"] not in ("JOGGING", "STOPPING"):
-            self.jogger.has_jogged = False
+            self.jogger.run = None
+        elif (
+            self.jogger.run is not None
+            and self.jogger.run <= status["run"]
+            and status["mode"] not in ("JOGGING", "STOPPING")
+        ):
+            self.jogger.run = None
             if status["is_homed"] and status["mode"] == "HOLDING":
                 angles = " ".join(f"{q:.5f}" for q in status["joint_rad"])
                 self.operator.record(f"move --joints {angles} --speed 0.2")

@@ -31,7 +31,7 @@ class Jogger:
         self.selected = self.targets[0]
         self.speed = 0.2
         self.is_stepping = False
-        self.has_jogged = False
+        self.run: int | None = None  # of a jog whose end was not seen yet: an older status says nothing of it
         self.unseen_s = UNSEEN_S
         self._step_at = 2
         self._joint_count, self._limits = arm.joint_count, JogLimits.of(arm)
@@ -102,7 +102,7 @@ class Jogger:
         """Release everything: mouse up, focus lost."""
         held, self._held = self._held, None
         self._key.forget()
-        if held is not None or self.has_jogged:
+        if held is not None or self.run is not None:
             await self._operator.let_go(self.selected, self._joint_count)
 
     def change_step(self, by: int) -> None:
@@ -119,9 +119,9 @@ class Jogger:
         self._operator.step(target, sign * sizes[self._step_at], round(self._fastest(target) * self.speed, 6))
 
     async def _jog(self, target: JogTarget, sign: int) -> None:
-        self.has_jogged = True
         speed = sign * self.speed * self._fastest(target)
-        await self._operator.jog(self._of_frame(target), speed, self._joint_count)
+        run = await self._operator.jog(self._of_frame(target), speed, self._joint_count)
+        self.run = self.run if run is None else run
 
     def _fastest(self, target: JogTarget) -> float:
         """Largest speed of a jog, rad/s or m/s."""

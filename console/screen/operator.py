@@ -104,11 +104,14 @@ class ScreenOperator:
 
     # ---- jogging
 
-    async def jog(self, target: JogTarget, speed: float, joint_count: int) -> None:
-        """Request a signed speed (rad/s or m/s) until the runtime's dead man's switch ends it."""
+    async def jog(self, target: JogTarget, speed: float, joint_count: int) -> int | None:
+        """Request a signed speed (rad/s or m/s) until the runtime's dead man's switch ends it; the run, or None if refused."""
         answer = await self._asked("jog", **_velocity(target, speed, joint_count))
-        if answer is not None and answer["limited"]:
+        if answer is None:
+            return None
+        if answer["limited"]:
             self._say(str(answer["limited"]), True)
+        return int(answer["run"])
 
     async def let_go(self, target: JogTarget, joint_count: int) -> None:
         """End the jog: come to rest now."""

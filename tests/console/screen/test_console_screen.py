@@ -98,6 +98,23 @@ def test_a_held_key_jogs_and_the_arm_rests_when_its_repeats_cease(tmp_path: Path
     played(tmp_path, play)
 
 
+def test_a_status_from_before_a_jog_says_nothing_of_its_end(tmp_path: Path) -> None:
+    """It is answered while the jog's request is on its way, and shows the arm at rest, too."""
+    recorded = tmp_path / "kept.txt"
+
+    async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
+        before = app.link.status
+        assert before is not None
+        app.jogger.run = before["run"] + 1
+        await app.desk._on_status(before)
+        assert not recorded.exists()
+        await app.desk._on_status({**before, "run": before["run"] + 1})
+        assert recorded.read_text().startswith("move --joints")
+        assert app.jogger.run is None
+
+    played(tmp_path, play)
+
+
 def test_one_press_moves_a_little_and_no_further(tmp_path: Path) -> None:
     async def play(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
         before = served.cell.rig.joint_rad()[0]
