@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.gap.effects.catalogue import comes_round, is_gear, series_of, series_terms, usual
 from calib.gap.effects.departures import departures
 from calib.gap.finding import EffectName
@@ -34,13 +35,14 @@ LINEARISATIONS = 3  # linearisations, at most
 class Validated:
     """A fit, and how well its best set predicts recordings that it was not fitted to.
 
-    `noises`: what is left there, of every cell; `missed`: the mean logarithm of its prediction errors' variance; `kept`: the
-    rows that were looked at.
+    `noises`: what is left there, of every cell; `missed`: of each run, the logarithm of its prediction errors' variance (runs,);
+    `weight`: its share of the rows (runs,); `kept`: the rows that were looked at.
     """
 
     fit: SeriesFit
     noises: tuple[Noise, ...]
-    missed: float
+    missed: Array
+    weight: Array
     kept: Picked
 
     @classmethod
@@ -51,15 +53,26 @@ class Validated:
         groups = [scene.picked(group & scene.kept) for group in split.groups]
         rest = cross_validated(fit.linear, fit.numbers, sd, fit.noises, groups)
         noises = noises_of(scene, rest, fit.rows)
-        errors = [
-            one.scale[series.run[fit.rows[thin]]] * one.sd[-1]
-            for one, series, thin in zip(noises, scene.series, scene.thin, strict=True)
-        ]
-        return cls(fit, tuple(noises), 2.0 * float(np.mean(np.log(np.concatenate(errors)))), scene.kept)
+        runs = len(scene.recording.runs)
+        rows = np.array(
+            [
+                np.bincount(series.run[fit.rows[thin]], minlength=runs)
+                for series, thin in zip(scene.series, scene.thin, strict=True)
+            ]
+        )
+        errors = np.array([2.0 * np.log(one.scale * one.sd[-1]) for one in noises])
+        missed = np.sum(np.where(rows > 0, rows * errors, 0.0), axis=0) / np.maximum(rows.sum(axis=0), 1)
+        return cls(fit, tuple(noises), missed, rows.sum(axis=0) / rows.sum(), scene.kept)
 
     def unless_worse_than(self, before: Validated | None) -> Validated:
-        """This one, or the one before if that predicted better by what is worth a word."""
-        return self if before is None or self.missed <= before.missed + math.log1p(REMAINS) else before
+        """This one, or the one before if that predicted better: by what is worth a word, and by more than runs differ in it."""
+        if before is None:
+            return self
+        worse, weight = self.missed - before.missed, self.weight
+        mean = float(weight @ worse)
+        runs = int(np.count_nonzero(weight))
+        spread = math.sqrt(float(weight**2 @ (worse - mean) ** 2) * runs / max(runs - 1, 1))
+        return self if mean <= max(math.log1p(REMAINS), spread) else before
 
 
 def fitted(

@@ -1,0 +1,38 @@
+"""Which of two linearisations stays: the one that predicts recordings better, where these agree on it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.gap.series.iterations import Validated
+
+
+def validated(*missed: float) -> Validated:
+    """Prediction errors of runs of the same length."""
+    nothing: Any = None
+    weight = np.full(len(missed), 1.0 / len(missed))
+    return Validated(nothing, (), np.array(missed), weight, np.zeros(0, dtype=bool))
+
+
+@pytest.mark.parametrize(
+    ("worse", "stays"),
+    [
+        ((0.2, 0.2, 0.2, 0.2), False),
+        ((0.05, 0.05, 0.05, 0.05), True),  # worth no word
+        ((0.5, -0.3, 0.5, -0.3), True),  # worse in one half of the runs, and better in the other
+        ((0.2,), False),
+        ((-0.4, -0.2), True),
+    ],
+)
+def test_a_fit_stays_unless_its_predictions_are_worse_by_more_than_runs_differ(
+    worse: tuple[float, ...], stays: bool
+) -> None:
+    before, after = validated(*[1.0] * len(worse)), validated(*[1.0 + one for one in worse])
+    assert (after.unless_worse_than(before) is after) == stays
+
+
+def test_the_first_fit_has_no_other() -> None:
+    assert (first := validated(1.0)).unless_worse_than(None) is first
