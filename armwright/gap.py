@@ -69,7 +69,7 @@ def find_gap(
         without: names of effects to exclude.
         current_unit: what the files' columns i1_A ... are: "A", "mA", "percent" of the drives' current limits, "Nm" (torques
             of the joints), "motor_Nm".
-        with_maps: measure what is left as maps, which the controller corrects; they stand in the new arm where they help
+        with_maps: measure the residual as maps, which the controller corrects; they stand in the new arm where they help
             measurements that were not fitted.
 
     Raises:

@@ -44,7 +44,7 @@ def _draw(figure: Figure, law: DrawnLaw) -> None:
     figure.subplots_adjust(left=0.07, right=0.99, top=0.97, bottom=0.14)
     some = np.arange(0, len(law.at), max(1, len(law.at) // DOTS_MOST))
     at, data, whole, textbook = (own[some] for own in (law.at, law.data, law.whole, law.law))
-    axes.plot(at, data, "o", ms=2.6, color=BEFORE, alpha=0.45, mew=0, label="data, all else taken off")
+    axes.plot(at, data, "o", ms=2.6, color=BEFORE, alpha=0.45, mew=0, label="data, less all other terms")
     axes.plot(at, whole, "x", ms=3.0, color=AFTER, alpha=0.7, label="law with its departure")
     axes.plot(at, textbook, ".", ms=2.6, color=PLANNED, label="law")
     reach = float(np.quantile(np.abs(law.data), SHOWN)) + 0.3 * float(np.abs(law.law).max())

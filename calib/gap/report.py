@@ -135,13 +135,13 @@ def _left(found: GapFinding) -> Iterator[Section]:
         (("text", one.where), _number(100.0 * one.share, ".1f"), ("text", in_units(one.size_si)))
         for one in found.remainder
     ]
-    yield Section("Left without one name", table(header, rows))
+    yield Section("Unexplained residual", table(header, rows))
 
 
 def _open(found: GapFinding) -> Iterator[Section]:
     if found.open_questions:
         lines = [f"{one.question} {one.next_experiment}" for one in found.open_questions]
-        yield Section("Open questions, and the recording that would settle each", bullets(lines))
+        yield Section("Open questions, and the recording that would decide each", bullets(lines))
     elif found.next_experiment:
         yield Section("The next experiment", paragraph(found.next_experiment))
 
@@ -194,13 +194,13 @@ def _nameable(found: GapFinding) -> Section:
         "detectability [sd]",
         "needed [sd]",
         ("text", "indistinguishable from"),
-        ("text", "would be named"),
+        ("text", "identifiable"),
     )
     return Section(
-        "Effects that this data could name",
+        "Effects that this data could identify",
         paragraph(
             "Detectability: an effect's size over its standard deviation, with the geometry free; computed before any residual is"
-            " used. The size is the usual one; each has its own need."
+            " used. The size is the usual one."
         )
         + table(header, rows),
     )
@@ -269,7 +269,7 @@ def _draw(figure: Figure, steps: Sequence[tuple[str, float]], judged_on: str) ->
     axes.set_yticks(list(range(count)), [*names, "left, beside the noise"])
     axes.invert_yaxis()
     axes.set_xlabel(
-        f"gap over noise on {judged_on} (dashed: 1, noise only); a bar is what its step takes off"
+        f"gap over noise on {judged_on} (dashed: 1, noise only); a bar is the reduction by its step"
     )
 
 

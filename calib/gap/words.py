@@ -65,15 +65,15 @@ def _shared(found: GapFinding, names: Sequence[EffectName]) -> str:
     maps = () if found.maps is None else found.maps.maps
     joints = {name.joint for name in names}
     own = [str(one) for one in maps if one.corrects == "angle_rad" and one.joint in joints]
-    return f" What they share is in arm.toml as a map: {' and '.join(own)}." if own else ""
+    return f" Their common part is in arm.toml as a map: {' and '.join(own)}." if own else ""
 
 
 def _departing(found: GapFinding) -> Iterator[str]:
     """How much of what arm.toml leaves is no riddle: named parts depart from their laws."""
     if found.gap_after > AT_FLOOR and found.gap_after > BEYOND * found.gap_explained:
         yield (
-            "arm.toml holds the laws without how these parts depart from them; with that,"
-            f" {found.gap_explained:.2f} times the noise would be left. Measured maps (--map) hold more."
+            "arm.toml has the laws alone; with the departures of these parts from them"
+            f" {found.gap_explained:.2f} times the noise would remain. Measured maps (--map) hold more."
         )
 
 
@@ -81,7 +81,7 @@ def _maps(found: GapFinding) -> Iterator[str]:
     """What was measured as maps, apart from all names."""
     if found.maps is None or not found.maps.maps:
         return
-    yield f"Measured as maps, which correct and explain nothing: {', '.join(map(str, found.maps.maps))}."
+    yield f"Measured as maps, which correct without a cause: {', '.join(map(str, found.maps.maps))}."
     for one in found.maps.checks:
         unit, factor = (
             ("mm at the tip", 1e3) if one.channel == "tip_m" else (f"N m on joint {one.joint}", 1.0)
@@ -100,7 +100,7 @@ def _nearest(unknown: Unknown) -> str:
         return " No known effect explains it."
     share = min(100.0 * unknown.explained, 99.0)
     return (
-        f" The nearest known effect, {unknown.nearest}, explains {share:.0f} % of what is left, but not the rest; it is not"
+        f" The nearest known effect, {unknown.nearest}, explains {share:.0f} % of the residual, but not the rest; it is not"
         " named."
     )
 

@@ -39,7 +39,7 @@ GAP = (
             option(
                 "--map",
                 action="store_true",
-                help="measure what is left as maps of the joints, which the controller corrects",
+                help="measure the residual as maps of the joints, which the controller corrects",
             ),
             option(
                 "--current-unit",

@@ -57,7 +57,7 @@ def _draw(figure: Figure, drawn: DrawnMap) -> None:
     some = np.arange(0, len(drawn.at), max(1, len(drawn.at) // DOTS_MOST))
     at, data, values = times * drawn.at[some], factor * drawn.data[some], factor * drawn.table[some]
     order = np.argsort(at)
-    axes.plot(at, data, "o", ms=2.2, color=BEFORE, alpha=0.35, mew=0, label="measured, all else taken off")
+    axes.plot(at, data, "o", ms=2.2, color=BEFORE, alpha=0.35, mew=0, label="measured, less all other terms")
     is_line = not drawn.map.by_direction
     axes.plot(at[order], values[order], "-" if is_line else ".", ms=2.4, lw=1.4, color=AFTER, label="map")
     low, high = _range(data, values)

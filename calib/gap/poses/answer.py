@@ -138,7 +138,7 @@ def _files(
     last = File.of(arm, points, rows, named, beside)
     impossible = [name for name in keys if named[name] and not last.has(name)]
     if impossible:
-        why = {name: f"{name} comes out as none that can be" for name in impossible}
+        why = {name: f"{name} was identified with impossible values" for name in impossible}
         names = tuple(name for name in decision.names if name not in why)
         decision = dataclasses.replace(
             decision, names=names, remainders=(*decision.remainders, *((name,) for name in why))
@@ -248,13 +248,13 @@ def _why_not(
             else f"{name} acts, but these poses do not tell how large it is"
         )
     if not is_possible(name.effect, own.parameters):
-        return f"{name} comes out as none that can be"
+        return f"{name} was identified with impossible values"
     if own.departure > LAW_MOST:
         return f"{name} departs too far from its law"
     if not is_known and not holds_on_others(around, best, name, names):
-        return f"{name} does not hold on poses that it was not fitted to"
+        return f"{name} does not improve held-out poses"
     if not is_known and _may_be_error_of(around, best, name, nameless):
-        return f"{name} is no larger than the error of what has no name"
+        return f"{name} is no larger than the error of the unexplained residual"
     return ""
 
 

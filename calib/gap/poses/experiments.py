@@ -20,7 +20,7 @@ def next_experiment(
     if ambiguous:
         return _apart(ambiguous[0])
     if unknown is not None:
-        return f"What is left ({unknown.where}) is not in the list of effects. {AGAIN}"
+        return f"The residual ({unknown.where}) is not in the list of effects. {AGAIN}"
     hidden = [one for one in could if not one.is_nameable]
     if not hidden:
         return None

@@ -126,7 +126,7 @@ def _draw_joint(figure: Figure, gap: StaticGap, j: int) -> None:
     for axes in panels.ravel()[len(sides) :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
-        axes.set_ylabel(f"left along joint {j + 1} [mrad]")
+        axes.set_ylabel(f"residual along joint {j + 1} [mrad]")
     panels[0, 0].legend(loc="best", fontsize=7)
 
 

@@ -92,9 +92,7 @@ def judged(fit: SeriesFit, parts: RowSplit, harming: Sequence[Key]) -> SeriesVer
     overshadowed = [_overshadowed(fit, k, [*named, *corrected], reporting) for k in names if k not in named]
     said += [f"{one.words}: not named" for one in overshadowed if one.worth > REMAINS]
     other += [one for one in overshadowed if one.worth > REMAINS]
-    said += [
-        f"{key} helps the runs that decide, but not those held out: not taken into account" for key in harming
-    ]
+    said += [f"{key} improves the fitted runs, but not the held-out ones: ignored" for key in harming]
     other += _contested(fit, reporting)
     some = with_only(fit, [*named, *corrected])
     file = identified(some, [one for one in members(some) if one.number in (*named, *corrected)], parts)
@@ -169,7 +167,7 @@ def _overshadowed(fit: SeriesFit, number: int, others: Sequence[int], reporting:
     assert isinstance(name, EffectName)
     rest = with_only(fit, others).numbers
     worth = grown(fit, left(fit, rest), left(fit, [*rest, number]), reporting)
-    return NamelessShape(worth, f"more is left than {name} would explain", number, name)
+    return NamelessShape(worth, f"the residual is larger than what {name} explains", number, name)
 
 
 def _correction(fit: SeriesFit, one: Member) -> str:
@@ -177,21 +175,21 @@ def _correction(fit: SeriesFit, one: Member) -> str:
     if one.term.words == CAMERA:
         time_ms = 1e3 * float(one.size[0]) * one.term.size
         way = "late" if time_ms < 0.0 else "early"
-        return f"the camera's times are {abs(time_ms):.2f} ms {way}: taken into account"
+        return f"the camera's times are {abs(time_ms):.2f} ms {way}: corrected"
     if isinstance(one.term.key, EffectName) and one.term.key.effect == SAMPLING and one.term.law is not None:
         # as the refit has it; beside nuisances, a command that is late by as little says the same
         time_ms = 1e3 * fit.around.found.get(one.term.key, one.term.law(one.size)).values[0]
         if THINNED[0] < 1e-3 * time_ms * fit.around.scene.recording.filters.rate_Hz < THINNED[1]:
             return (
-                "other voltages were held between these samples, half a sample away on the whole: was the log thinned out? Taken"
-                " into account; record every sample"
+                "other voltages were held between these samples, half a sample away on the whole: was the log thinned out?"
+                " Corrected; record every sample"
             )
         than = (
             "after the voltage of their line took effect"
             if fit.around.scene.recording.has_voltage
             else "before the end of a step of the voltage"
         )
-        return f"angles and currents are read {time_ms:.2f} ms {than}: taken into account"
+        return f"angles and currents are read {time_ms:.2f} ms {than}: corrected"
     return ""
 
 
@@ -206,7 +204,7 @@ def _against(fit: SeriesFit, one: Member, reporting: Picked) -> NamelessShape | 
         )
     if worth < 0.0:
         return NamelessShape(
-            worth, f"{name} helps the runs that decide, but not those held out", one.number, rival
+            worth, f"{name} improves the fitted runs, but not the held-out ones", one.number, rival
         )
     return None
 
@@ -272,7 +270,7 @@ def _silent(fit: SeriesFit, after: Array, reporting: Picked, harming: Sequence[K
         if reporting[c.rows].any()
     )
     return Unknown(
-        f"the {words}: {size:.1f} times its noise is left, and follows nothing that was tried",
+        f"the {words}: a residual of {size:.1f} times its noise, correlated with nothing that was tried",
         rivals[0] if rivals else None,
         0.0,
     )

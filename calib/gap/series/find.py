@@ -171,7 +171,7 @@ def next_experiment(
         return _to_separate(recording, sets[0])
     if unknown is not None:
         advice = _advice(recording, unknown.where.startswith("the tip"))
-        return f"To see more of what is left ({unknown.where}), record {advice}."
+        return f"To see more of the residual ({unknown.where}), record {advice}."
     return None
 
 
@@ -183,7 +183,7 @@ def open_questions(recording: RunSet, verdict: SeriesVerdict) -> tuple[OpenQuest
     ]
     rest = [
         OpenQuestion(
-            f"What is it that shows in {one.where}?",
+            f"What causes the residual in {one.where}?",
             f"Record {_advice(recording, one.where.startswith('the tip'))}.",
         )
         for one in verdict.remainder

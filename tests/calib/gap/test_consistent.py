@@ -56,7 +56,7 @@ def test_what_is_at_the_noise_or_said_already_stays_as_it_is() -> None:
 
 def test_an_unknown_that_an_effect_all_but_explains_is_not_called_explained() -> None:
     near = dataclasses.replace(FOUND, unknown=Unknown("the tip", PLAY, 1.0))
-    assert any("explains 99 % of what is left, but not the rest" in text for text in in_words(near))
+    assert any("explains 99 % of the residual, but not the rest" in text for text in in_words(near))
     own = dataclasses.replace(FOUND, unknown=Unknown(f"{PLAY} departs too far from its law", PLAY, 1.0))
     assert not any("nearest" in text for text in in_words(own))
 

@@ -50,9 +50,7 @@ def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
         if drawn:
             yield Section(f"Time series: along {effect.name}", drawn)
     if not outcome.finding.effects and outcome.finding.unknown is not None and cells:
-        yield Section(
-            f"Time series: what is left in {cells[0]}", _along(outcome, cells[0], None, "what is left")
-        )
+        yield Section(f"Time series: residual in {cells[0]}", _along(outcome, cells[0], None, "residual"))
 
 
 def _about(outcome: DynamicOutcome) -> str:
