@@ -21,8 +21,8 @@ PAGE = Path("docs/arm_toml.md")
 REQUIRED = "required"  # as a default
 WIDTH, WIDTH_OF_VALUES = 125, 30  # of the page and of its second column, in characters
 HEAD = """# arm.toml: every key
-One file describes one arm. `armwright new` writes one with comments ([new_arm.md](new_arm.md)), `armwright arm FILE` checks it;
-`control/arms/right.toml` is an example.
+`armwright new` writes a file with comments ([new_arm.md](new_arm.md)), `armwright arm FILE` checks it; example:
+`control/arms/right.toml`.
 
 - SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused;
   `as_given = true` overrides what rests on the other values of the file.
@@ -31,7 +31,7 @@ One file describes one arm. `armwright new` writes one with comments ([new_arm.m
 - A name has 1 to 64 characters without / and \\, and does not begin with . or -. A word has 1 to 32 letters, digits, - and _,
   and begins with a letter.
 
-`make arm-reference` makes this page from what the reader obeys. Effects: [formats.md](formats.md#effects).
+Made by `make arm-reference`. Effects: [formats.md](formats.md#effects).
 """
 # Conditions as the reader words them in an error, and as a range in the table.
 RANGES = (
@@ -186,13 +186,13 @@ def _kind(hint: Any) -> str:
     bare = _bare(hint)
     origin = get_origin(bare)
     if origin is Literal:
-        return " or ".join(f'"{choice}"' for choice in get_args(bare))
+        return ", ".join(f'"{choice}"' for choice in get_args(bare))
     if origin is tuple:
         inner = get_args(bare)
         return "list of numbers" if inner[-1] is Ellipsis else f"{len(inner)} numbers"
     if origin is Mapping:
         return "table"
-    names = {str: "text", bool: "true or false", int: "whole number", float: "number"}
+    names = {str: "text", bool: "boolean", int: "whole number", float: "number"}
     return names[bare]
 
 
