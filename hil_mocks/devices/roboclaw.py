@@ -27,6 +27,22 @@ WRITES = {
 CTRL_WRITES = {**WRITES, 68: 8, 69: 8, 74: 5, 160: 2}
 READS = {15, 16, 17, 21, 24, 25, 48, 49, 59, 75, 78, 82, 90, 91, 135, 136}
 CTRL_READS = READS | {161}
+# What the vendor's client sets and reads back of the board's own loops, pins and limits, which nothing here moves by: the command
+# that sets it, its bytes, the command that reads it, and where it stands there.
+KEPT = {
+    28: (16, 55, 0), 29: (16, 56, 0), 58: (4, 60, 0), 61: (28, 63, 0), 62: (28, 64, 0), 70: (2, 72, 0), 71: (2, 72, 2),
+    76: (24, 77, 0), 98: (2, 99, 0), 102: (10, 104, 0), 105: (4, 107, 0), 106: (4, 107, 4), 109: (4, 110, 0), 112: (4, 113, 0),
+    115: (2, 116, 0), 128: (8, 130, 0), 129: (8, 131, 0), 139: (3, 140, 0), 141: (2, 142, 0), 148: (2, 149, 0),
+    150: (1, 151, 0), 201: (1, 202, 0), 246: (4, 247, 0),
+}  # fmt: skip
+GAINS = (28, 29, 61, 62)  # set as D, P, I, read as P, I, D
+KEPT_BYTES = {
+    read: max(at + size for size, where, at in KEPT.values() if where == read) for _, read, _ in KEPT.values()
+}
+CTRL_WRITES |= {52: 6, 53: 6, 54: 12, 80: 4, 94: 4, 95: 0} | {
+    command: size for command, (size, _, _) in KEPT.items()
+}
+CTRL_READS |= {18, 19, 30, 31, 47, 72, 73, 79, 81, 83, 100, 101, 103, 108, 111, 114} | KEPT_BYTES.keys()
 
 
 def crc16(data: bytes) -> int:
@@ -46,12 +62,15 @@ class StoredSettings:
     encoder_modes: list[int] = field(default_factory=lambda: [0, 0])
     main_voltages: tuple[int, int] = (60, 340)  # in 0.1 V
     pwm_idle: bytes = bytes(2)  # of both motors: 0x80, and a delay in 0.1 s
+    kept: dict[int, bytes] = field(
+        default_factory=lambda: {read: bytes(size) for read, size in KEPT_BYTES.items()}
+    )
 
     def copy(self) -> StoredSettings:
         """A copy that shares nothing."""
         return StoredSettings(
             self.timeout, list(self.duty_accelerations), list(self.current_limits), list(self.duty_falls),
-            self.pin_modes, list(self.encoder_modes), self.main_voltages, self.pwm_idle,
+            self.pin_modes, list(self.encoder_modes), self.main_voltages, self.pwm_idle, dict(self.kept),
         )  # fmt: skip
 
 
@@ -88,7 +107,10 @@ class RoboClawMock:
         self.settings = self.saved.copy()
         self.duty = [0.0, 0.0]  # applied, ramped towards `wanted_duty`
         self.wanted_duty = [0, 0]
+        self._changes: list[int | None] = [None, None]  # of the duty, with which it was commanded
+        self._speeds = [0, 0]  # counts/s
         self._offsets = [-self._shaft(channel) for channel in (0, 1)]
+        self._shafts = [self._shaft(channel) for channel in (0, 1)]
         self._currents = [0.0, 0.0]
         self._is_limited = [False, False]
         self._supply_V = 24.0
@@ -132,11 +154,13 @@ class RoboClawMock:
             self.wanted_duty = [0, 0]
         is_stopped = bool(self.status & ERRORS)
         for channel in (0, 1):
+            shaft, self._shafts[channel] = self._shafts[channel], self._shaft(channel)
+            self._speeds[channel] = round((self._shafts[channel] - shaft) / step_s) if step_s > 0.0 else 0
             wanted = 0 if is_stopped else self.wanted_duty[channel]
             change = wanted - self.duty[channel]
             is_falling = change * self.duty[channel] < 0.0
             rates = self.settings.duty_falls if is_falling else self.settings.duty_accelerations
-            most = rates[channel] * step_s
+            most = (self._changes[channel] or rates[channel]) * step_s
             self.duty[channel] += min(max(change, -most), most)
 
     def obey(self, packet: bytes, now_s: float) -> bytes:
@@ -184,12 +208,58 @@ class RoboClawMock:
                 return bytes(settings.encoder_modes)
             case 161:
                 return settings.pwm_idle
+            case _ if command in settings.kept:
+                return settings.kept[command]
+            case 18 | 19 | 30 | 31:
+                speed = self._speeds[command % 6 if command < 20 else command - 30]
+                return struct.pack(">iB", speed, speed < 0)
+            case 79 | 108:
+                return struct.pack(">ii", *self._speeds)
+            case 47:
+                return b"\x80\x80"  # no movement waits
+            case 73:
+                duties = (round(duty) for duty in self.duty)
+                currents = (self._drawn(channel) for channel in (0, 1))
+                volts = (round(self._supply_V * 10), 50)
+                return struct.pack(
+                    ">IIHHHHhhhhIIiiiiHHHH", round(self._ticked_s * 1e3) & 0xFFFF_FFFF, self.status, 300, 300, *volts, *duties,
+                    *currents, self.count(0), self.count(1), 0, 0, *self._speeds, 0, 0, 0, 0,
+                )  # fmt: skip
+            case 81:
+                pairs = zip(settings.duty_accelerations, settings.duty_falls, strict=True)
+                return b"".join(struct.pack(">II", rise, fall) for rise, fall in pairs)
+            case 83:
+                return struct.pack(">H", 300)
+            case 100:
+                return struct.pack(">HH", round(self._supply_V * 10), 50)
+            case 101:
+                return struct.pack(">HH", 300, 300)
+            case 103:
+                return bytes(2)
+            case 111 | 114:
+                return bytes(4)
             case _:  # 135, 136
                 return struct.pack(">II", settings.current_limits[command - 135], 0)
 
     def _set(self, command: int, data: bytes) -> None:
         settings = self.settings
+        if command in (32, 33, 34):
+            self._changes = [None, None]
         match command:
+            case _ if command in KEPT:
+                size, read, at = KEPT[command]
+                data = data[4:12] + data[:4] + data[12:] if command in GAINS else data
+                settings.kept[read] = settings.kept[read][:at] + data + settings.kept[read][at + size :]
+            case 52 | 53:
+                self.wanted_duty[command - 52], self._changes[command - 52] = struct.unpack(">hI", data)
+            case 54:
+                first, first_change, second, second_change = struct.unpack(">hIhI", data)
+                self.wanted_duty, self._changes = [first, second], [first_change, second_change]
+            case 80:
+                self.saved = StoredSettings()
+                self.settings = self.saved.copy()
+            case 95:
+                self.settings = self.saved.copy()
             case 14:
                 settings.timeout = data[0]
             case 20:

@@ -74,6 +74,73 @@ def test_the_vendors_client_drives_the_mock(claw: tuple[Any, Port, RoboClawMock]
     assert client.ReadPWMs(0x80) == (1, 16384, -8192)
 
 
+@pytest.mark.parametrize(
+    ("writes", "reads", "values", "read_back"),
+    [
+        ("SetM1VelocityPID", "ReadM1VelocityPID", (1.5, 0.25, 0.125, 44000), (1.5, 0.25, 0.125, 44000)),
+        ("SetM2VelocityPID", "ReadM2VelocityPID", (2.0, 0.5, 0.25, 5000), (2.0, 0.5, 0.25, 5000)),
+        ("SetM1PositionPID", "ReadM1PositionPID", (2.0, 1.0, 0.5, 9, 8, 7, 6), (2.0, 1.0, 0.5, 9, 8, 7, 6)),
+        ("SetM2PositionPID", "ReadM2PositionPID", (3.0, 1.0, 0.5, 1, 2, 3, 4), (3.0, 1.0, 0.5, 1, 2, 3, 4)),
+        ("SetLogicVoltages", "ReadMinMaxLogicVoltages", (45, 340), (45, 340)),
+        ("SetM2DefaultSpeed", "GetDefaultSpeeds", (900,), (0, 900)),
+        ("SetConfig", "GetConfig", (0x8063,), (0x8063,)),
+        ("SetAuxDutys", "GetAuxDutys", (1, 2, 3, 4, 5), (1, 2, 3, 4, 5)),
+        ("SetAuto2", "GetAutos", (70_000,), (0, 70_000)),
+        ("SetSpeedErrorLimit", "GetSpeedErrorLimit", (10, 20), (10, 20)),
+        ("SetPosErrorLimit", "GetPosErrorLimit", (30, 40), (30, 40)),
+        ("SetOffsets", "GetOffsets", (5, 6), (5, 6)),
+        ("SetPriority", "GetPriority", (2, 1, 0), (2, 1, 0)),
+        ("SetAddressMixed", "GetAddressMixed", (0x81, 0), (0x81, 0)),
+        ("SetPWMMode", "ReadPWMMode", (1, 0), (1, 0)),
+        ("SetNodeID", "GetNodeID", (7,), (7,)),
+        ("SetEStopLock", "GetEStopLock", (0x55,), (0x55,)),
+    ],
+)  # fmt: skip
+def test_what_the_vendors_client_sets_it_reads_back_also_when_it_was_saved(
+    claw: tuple[Any, Port, RoboClawMock],
+    writes: str,
+    reads: str,
+    values: tuple[Any, ...],
+    read_back: tuple[Any, ...],
+) -> None:
+    client, _, board = claw
+    assert getattr(client, writes)(0x80, *values)
+    assert getattr(client, reads)(0x80)[1:] == read_back
+    assert client.WriteNVM(0x80)
+    board.power_up()
+    assert getattr(client, reads)(0x80)[1:] == read_back
+    assert client.RestoreDefaults(0x80)
+    assert getattr(client, reads)(0x80)[1:] != read_back
+
+
+def test_the_vendors_client_reads_speeds_temperatures_and_all_at_once(
+    claw: tuple[Any, Port, RoboClawMock],
+) -> None:
+    client, _, board = claw
+    assert client.DutyAccelM1M2(0x80, 1000, 16384, 2000, -8192)
+    for moment in (0.5, 0.6):
+        board.tick(moment, [1.5, -2.0], 24.0, [False, False])
+    assert board.duty == pytest.approx([600.0, -1200.0])
+    board._read_shaft = lambda channel: (990, 5)[channel]  # 10 counts back, and 10 on, in 0.1 s
+    board.tick(0.7, [1.5, -2.0], 24.0, [False, False])
+    assert client.GetSpeeds(0x80)[1:] == client.GetISpeeds(0x80)[1:] == (0xFFFF_FF9C, 100)
+    assert client.ReadSpeedM2(0x80)[1] == client.ReadISpeedM2(0x80)[1] == 100
+    assert client.GetVolts(0x80) == (True, 240, 50)
+    assert client.GetTemps(0x80) == (True, 300, 300)
+    assert client.ReadTemp2(0x80)[1] == 300
+    assert client.ReadBuffers(0x80)[1:] == (0x80, 0x80)
+    assert client.GetDefaultAccels(0x80)[1:] == (655_359,) * 4
+    assert (
+        client.GetEncStatus(0x80)[1:]
+        == client.GetSpeedErrors(0x80)[1:]
+        == client.GetPosErrors(0x80)[1:]
+        == (0, 0)
+    )
+    tick_ms, state, *_ = client.GetStatus(0x80)[1:]
+    assert (tick_ms, state) == (700, 0)
+    assert client.ReadNVM(0x80)
+
+
 def test_a_packet_with_a_wrong_address_is_not_answered(claw: tuple[Any, Port, RoboClawMock]) -> None:
     client, _, _ = claw
     with pytest.raises(basicmicro.exceptions.PacketTimeoutError):
