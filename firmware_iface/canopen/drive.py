@@ -242,7 +242,7 @@ class Cia402Drive:
         parts = (self.read(entry) for entry in (VENDOR, PRODUCT, REVISION, SERIAL))
         self.identity = DriveIdentity(profile, *parts)
         self._maker = MAKERS.get(self.identity.vendor, Maker())
-        self.rated_torque_Nm = self.read(RATED_TORQUE) * self._maker.rated_torque_unit_Nm
+        self.rated_torque_Nm = (self.read_if_there(RATED_TORQUE) or 0) * self._maker.rated_torque_unit_Nm
         with contextlib.suppress(BoardRefused):
             self.rated_current_A = self.read(self._maker.rated_current) * 1e-3
         self._is_known = True

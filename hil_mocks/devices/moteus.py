@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Frame, Output
 from hil_mocks.devices.servo_motor import ServoMotor
 
-STOPPED, FAULT, POSITION, TIMEOUT, ZERO_VELOCITY, BRAKED = 0, 1, 10, 11, 12, 15
+STOPPED, FAULT, CURRENT, POSITION, TIMEOUT, ZERO_VELOCITY, BRAKED = 0, 1, 9, 10, 11, 12, 15
+Q_CURRENT, SET_NEAREST, SET_EXACT = 0x01C, 0x130, 0x131
 DRIVER_FAULT, OVER_VOLTAGE, OVER_HEATED, SUPPLY_LOW, NO_ACCEL_LIMIT = 33, 34, 38, 40, 47
 LIMITED_SHARE = 0.98  # of the current limit: more is at the limit
 NOP, TEXT_TO, TEXT_FROM, ASK_TEXT = 0x50, 0x40, 0x41, 0x42
@@ -29,6 +30,7 @@ SCALES = {  # of a register's integers: int8, int16, int32
     0x022: (0.5, 1e-2, 1e-3), 0x023: (1 / 127, 1 / 32767, 1 / 2147483647), 0x024: (1 / 127, 1 / 32767, 1 / 2147483647),
     0x025: (0.5, 1e-2, 1e-3), 0x027: (1e-2, 1e-3, 1e-6), 0x028: (0.1, 2.5e-4, 1e-5),
     0x029: (0.05, 1e-3, 1e-5), 0x02B: (1 / 127, 1 / 32767, 1 / 2147483647),
+    Q_CURRENT: (1.0, 0.1, 1e-3), SET_NEAREST: (1e-2, 1e-4, 1e-5), SET_EXACT: (1e-2, 1e-4, 1e-5),
 }  # fmt: skip
 COMMAND = {
     0x020: 0.0,
@@ -84,7 +86,7 @@ class MoteusMock:
         self.outgoing: list[Frame] = []
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.is_home = False  # pin 1 of aux1
-        self._read_turns = read_turns
+        self._read_turns = lambda: read_turns() + self._shift_turns
         self._current_A, self._supply_V = 0.0, 24.0
         self.power_up(None)
 
@@ -105,6 +107,7 @@ class MoteusMock:
         self._now_s = self._began_s
         self._command = dict(COMMAND)
         self._expires_s = math.inf
+        self._shift_turns = self._q_current_A = 0.0
         self._target = self._goal_turns_s = 0.0  # of a position that is gone to by the limit of acceleration
         self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns)
         self._typed = self._says = b""  # to its console and by it
@@ -168,6 +171,8 @@ class MoteusMock:
         reply = b"".join(self._reply(*one) for one in wanted) + texts
         if 0x000 in written:
             self._obey(int(written[0x000]), written)
+        for register in written.keys() & {SET_NEAREST, SET_EXACT}:
+            self._set_output(written[register], register == SET_NEAREST)
         return reply
 
     def _type(self, text: bytes) -> None:
@@ -188,6 +193,15 @@ class MoteusMock:
             self.mode, self._expires_s = BRAKED, math.inf
         elif mode == POSITION:
             self._control(COMMAND | written, self._now_s)
+        elif mode in (CURRENT, ZERO_VELOCITY):
+            self._control(COMMAND | {0x020: math.nan} | written, self._now_s)
+            self.mode, self._q_current_A = mode, written.get(Q_CURRENT, 0.0)
+
+    def _set_output(self, turns: float, is_nearest: bool) -> None:
+        """The position is this from now on; `is_nearest`: by whole turns of the rotor, which is the output here."""
+        shift = turns - self._motor.turns
+        self._shift_turns += round(shift) if is_nearest else shift
+        self._motor.turns = self._read_turns()
 
     def switch_torque(self, is_on: bool, now_s: float) -> None:
         """Another program holds the motor where it is, without a time-out, or stops it."""
@@ -257,7 +271,7 @@ class MoteusMock:
         motor.measure(now_s)
         if now_s < self._boots_until_s:
             return
-        if self.mode == POSITION and now_s > self._expires_s:
+        if self.mode in (CURRENT, POSITION, ZERO_VELOCITY) and now_s > self._expires_s:
             self.mode = TIMEOUT
             motor.goal_turns, motor.goal_turns_s = motor.turns, 0.0
         if self.mode not in (STOPPED, FAULT) and (cause := self._cause(supply_V)):
@@ -277,10 +291,12 @@ class MoteusMock:
         mode = self.setup.timeout_mode if self.mode == TIMEOUT else self.mode
         if mode == BRAKED:
             return BRAKE
-        if self.mode == TIMEOUT and mode == ZERO_VELOCITY:
+        if mode == ZERO_VELOCITY:
             self._motor.goal_turns = self._motor.turns
-        if self.mode == TIMEOUT and mode != STOPPED:
+        if (self.mode == TIMEOUT and mode != STOPPED) or mode == ZERO_VELOCITY:
             return self._motor.controlled(supply_V)
+        if mode == CURRENT:
+            return Output("current", min(max(self._q_current_A, -self.setup.limit_A), self.setup.limit_A))
         if self.mode != POSITION:
             return OPEN
         most_A = self.limit_A

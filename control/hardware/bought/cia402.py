@@ -207,6 +207,18 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
         )
 
 
+def _require_rated_torque(node: Cia402Drive, drive: Drive) -> str:
+    """A rated torque that the drive does not say is that of its rated current: what is told of it, in words. WrongIdentity."""
+    if node.rated_torque_Nm > 0.0:
+        return ""
+    if not node.rated_current_A > 0.0:
+        raise WrongIdentity(
+            f"{node.where}: expected a motor rated torque (0x6076), or a rated current: set the motor's data in the drive"
+        )
+    node.rated_torque_Nm = node.rated_current_A * drive.torque_constant_Nm_A
+    return f"; no rated torque (0x6076): taken for {node.rated_torque_Nm:.3g} N m, by its rated current"
+
+
 def _require_same_motor(node: Cia402Drive, drive: Drive) -> None:
     """WrongIdentity where rated torque and current of the drive contradict arm.toml: torques would be a thousandfold."""
     by_current_Nm = node.rated_current_A * drive.torque_constant_Nm_A
@@ -259,10 +271,7 @@ def _open_drive(
     identity = node.identify()
     if identity.profile != PROFILE:
         raise WrongIdentity(f"{node.where}: expected device profile 402 (a drive), got {identity.profile}")
-    if not node.rated_torque_Nm > 0.0:
-        raise WrongIdentity(
-            f"{node.where}: its motor rated torque (0x6076) is 0: set the motor's data in the drive"
-        )
+    unsaid = _require_rated_torque(node, drive)
     _require_same_motor(node, drive)
     _require_mode(node, drive)
     _require_wide_window(node, drive, limits.following_error_rad)
@@ -276,6 +285,6 @@ def _open_drive(
         (
             node.where,
             f"vendor 0x{identity.vendor:08X}, product 0x{identity.product:08X}, serial number {identity.serial_number};"
-            f" at a fault it {_REACTIONS.get(reaction, f'does as its maker says of 0x605E = {reaction}')}{_doubts(node)}",
+            f" at a fault it {_REACTIONS.get(reaction, f'does as its maker says of 0x605E = {reaction}')}{unsaid}{_doubts(node)}",
         )
     )

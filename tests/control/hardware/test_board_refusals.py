@@ -1,6 +1,7 @@
 """What boards themselves refuse before anything moves, and how a VESC turns to an angle."""
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 
@@ -110,6 +111,33 @@ def test_what_a_drive_does_at_a_fault_is_told(code: int, said: str, monkeypatch:
         told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
         assert len(told) == 3
         assert all(said in identity for identity in told)
+
+
+@pytest.mark.parametrize("has_current", [True, False])
+def test_a_drive_without_a_rated_torque_has_that_of_its_rated_current(
+    has_current: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    power_up = Cia402Mock.power_up
+
+    def unset(mock: Cia402Mock, now_s: float | None = None) -> None:
+        power_up(mock, now_s)
+        mock.objects[0x6076, 0] = ("u32", 0)
+        if not has_current:
+            mock.objects.pop((0x6075, 0), None)
+            mock.objects[0x3001, 1] = ("u32", 0)
+
+    monkeypatch.setattr(Cia402Mock, "power_up", unset)
+    refused = pytest.raises(
+        ConnectionFailed, match=r"expected a motor rated torque \(0x6076\), or a rated current"
+    )
+    with (
+        nullcontext() if has_current else refused,
+        open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell,
+    ):
+        told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
+        assert all(
+            "; no rated torque (0x6076): taken for 0.5 N m, by its rated current" in text for text in told
+        )
 
 
 def test_a_drive_that_does_not_have_the_mode_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,3 +135,28 @@ def test_a_position_without_a_limit_of_its_own_is_gone_to_by_the_stored_accelera
 
     assert asyncio.run(goal_after()) == pytest.approx(0.5 * 50.0 * 0.05**2, rel=0.1)
     assert asyncio.run(goal_after(accel_limit=-1.0)) == 1.0
+
+
+def test_the_clients_currents_its_zero_velocity_and_its_set_output_are_obeyed() -> None:
+    turns = [0.25]
+    mock = MoteusMock(MoteusSetup(ID, 0.05, 8.0), lambda: turns[0])
+    client = controller(mock)
+    register = moteus.Register
+
+    async def position() -> float:
+        return float((await client.query()).values[register.POSITION])
+
+    async def talk() -> None:
+        await client.set_current(d_A=0.0, q_A=2.5, query=True)
+        assert mock.output == ("current", 2.5)
+        await client.set_zero_velocity(query=True)
+        assert (mock.mode, mock.output.kind) == (12, "voltage")
+        await client.set_stop()
+        await client.set_output_nearest(position=3.0)
+        await client.query()
+        assert await position() == 3.25
+        await client.set_output_exact(position=3.0)
+        await client.query()
+        assert await position() == 3.0
+
+    asyncio.run(talk())
