@@ -8,14 +8,13 @@ tip_m = [0.5, 0.1, 0.1]
 """
 
 import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from control.errors import ArmError
-from control.files import changing, parsed_toml, read_text, write_whole
+from control.files import changing, read_toml, write_whole
 
 KEYS = {"q_rad", "tip_m"}
 
@@ -68,14 +67,7 @@ def save_place(file: Path, name: str, q_rad: Sequence[float]) -> bool:
 
 
 def _tables(file: Path) -> dict[str, Any]:
-    try:
-        return parsed_toml(read_text(file))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlacesError(f"{file}: not valid TOML: {error}; correct it, or give another file") from None
-    except OSError as error:
-        raise PlacesError(
-            f"{file}: cannot read places: {error.strerror}; `armwright mark NAME` creates the file"
-        ) from None
+    return read_toml(file, PlacesError, "; `armwright mark NAME` creates the file")
 
 
 def _place(file: Path, name: str, table: object) -> NamedPlace:

@@ -3,10 +3,9 @@
 import contextlib
 import os
 from pathlib import Path
-from typing import Any
 
 from control.errors import ArmError
-from control.files import parsed_toml, read_text, write_whole
+from control.files import read_toml, write_whole
 
 VARIABLE = "ARMWRIGHT_ARM"
 BUILT_IN = "right"
@@ -27,7 +26,7 @@ def default_arm() -> str:
     if named := os.environ.get(VARIABLE):
         return _existing(named, Path(), VARIABLE)
     file = config_file()
-    table = _read(file)
+    table = read_toml(file, ConfigError, may_be_absent=True)
     if not table:
         return BUILT_IN
     unknown = set(table) - {"arm"}
@@ -65,16 +64,3 @@ def _existing(text: str, folder: Path, where: str) -> str:
     if not path.is_file():
         raise ConfigError(f"{where}: no file {path}")
     return str(path)
-
-
-def _read(file: Path) -> dict[str, Any]:
-    import tomllib
-
-    try:
-        return parsed_toml(read_text(file))
-    except FileNotFoundError:
-        return {}
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: not valid TOML: {error}") from None
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read: {error.strerror}") from None

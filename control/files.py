@@ -109,6 +109,25 @@ def parsed_toml(text: str) -> dict[str, Any]:
         raise tomllib.TOMLDecodeError("nested too deeply") from None
 
 
+def read_toml(
+    path: Path, wrong: Callable[[str], Exception], remedy: str = "", may_be_absent: bool = False
+) -> dict[str, Any]:
+    """The document of a file. `wrong` makes the caller's error of the text that names file and reason, and ends with `remedy`.
+
+    may_be_absent: a file that is not there is empty.
+    """
+    import tomllib
+
+    try:
+        return parsed_toml(read_text(path))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise wrong(f"{path}: not valid TOML: {error}; correct it, or give another file") from None
+    except OSError as error:
+        if may_be_absent and isinstance(error, FileNotFoundError):
+            return {}
+        raise wrong(f"{path}: cannot be read: {error.strerror}{remedy}") from None
+
+
 def make_whole(path: Path, write: Callable[[Path], T], is_new: bool = False) -> T:
     """Let `write` fill a file of this name elsewhere, sync it and put it in place; return the result of `write`.
 

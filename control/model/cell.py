@@ -18,7 +18,7 @@ from control.errors import ArmError, ArmFileError
 from control.files import parsed_toml, read_text, write_whole
 from control.model.arm import Arm, Camera, CanBus
 from control.model.board_kinds import KINDS, bus_conflict
-from control.model.description import load_arm, save_arm
+from control.model.description import load_arm, save_arm, syntax_error
 from control.model.end_effector import Vector3
 from control.model.reader import Rejected, read_table
 from control.model.rules import (
@@ -217,7 +217,7 @@ def _parsed(text: str, path: Path) -> Cell:
         )
         _check(cell)
     except tomllib.TOMLDecodeError as error:
-        raise ArmFileError(path, None, "", "valid TOML", str(error)) from None
+        raise syntax_error(error, text, path) from None
     except Rejected as error:
         line = nearest_line(key_lines(text), error.path)
         key = ".".join(str(part + 1) if isinstance(part, int) else part for part in error.path)

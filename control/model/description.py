@@ -106,7 +106,7 @@ def parse_arm(text: str, path: Path) -> Arm:
     try:
         document = parsed_toml(text)
     except tomllib.TOMLDecodeError as error:
-        raise _syntax_error(error, text, path) from None
+        raise syntax_error(error, text, path) from None
     try:
         document, tools = read_tools(with_servo_values(document))
         arm = read_table(Arm, document)
@@ -159,7 +159,8 @@ def _text_of(path: Path) -> str:
         raise ArmFileError(path, None, "", "a readable file", got, supplied) from None
 
 
-def _syntax_error(error: tomllib.TOMLDecodeError, text: str, path: Path) -> ArmFileError:
+def syntax_error(error: tomllib.TOMLDecodeError, text: str, path: Path) -> ArmFileError:
+    """What is wrong with a text that is no TOML, by its line."""
     message = str(error)
     position = _POSITION_IN_MESSAGE.search(message)
     line = int(position[1]) if position and position[1] else text.count("\n") + 1

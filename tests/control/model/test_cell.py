@@ -76,6 +76,12 @@ def test_what_cannot_be_is_refused_with_its_line(
     assert refused.value.line == line
 
 
+def test_what_is_no_toml_is_refused_with_its_line(tmp_path: Path) -> None:
+    file = written(tmp_path, TWO.replace('file = "right"', "file = right"))
+    with pytest.raises(ArmFileError, match=r"cell\.toml, line 5: .*expected valid TOML"):
+        load_cell(file)
+
+
 def test_a_saved_cell_is_read_back_with_its_arms(tmp_path: Path) -> None:
     again = load_cell(save_cell(PAIR, tmp_path))
     assert again == PAIR
