@@ -187,7 +187,7 @@ def _motors() -> Iterator[Promise]:
                      LYING, most=BRAKES)  # fmt: skip
     says, jammed = "the gear of joint 1 jams", fault("stuck_joint", "motor1")
     yield from _each("jammed", says, jammed, RESISTED, most=YIELDS, during=(MOVE, HOME, SESSION))
-    says = "3 kg at the tip that nobody told of"
+    says = "3 kg of unstated payload at the tip"
     yield from _each("payload", says, do.payload(3.0), "unexplained_torque", most=YIELDS)
     trip = "motor board 2 trips"
     inject = fault("over_current", "motor2")
@@ -225,7 +225,7 @@ def _host() -> Iterator[Promise]:
         name, says = f"stop-{delay_s * 1e3:.0f}-motion", f"stop pressed {delay_s * 1e3:.0f} ms later"
         yield Drill(name, says, MOVE, GOES_ON, most_mm=2.0, inject=do.stop_at(delay_s))
     yield from _each("brake", "brake pressed", do.brake, "brake", most=BRAKES, during=(MOVE, HOME))
-    says = "guided by hand while the drives carry the arm, with 1.5 kg that nobody told of, and let go"
+    says = "guided by hand with gravity compensation and 1.5 kg of unstated payload, and let go"
     yield from _each("guided-payload", says, do.let_go(1.5), "guided_too_fast", 0.5, FALLS, (REST,))
     yield Drill(
         "stop-homing", "stop pressed while homing", HOME, GOES_ON, most_mm=2.0, inject=do.stop_at(0.2)

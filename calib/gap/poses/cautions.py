@@ -81,7 +81,7 @@ def about_data(arm: Arm, points: Points) -> Iterator[str]:
 
 def _about_recordings(points: Points) -> Iterator[str]:
     if len(points) < FEW_POSES:
-        yield f"{len(points)} poses are few: little can be named, and a small effect is taken for noise"
+        yield f"{len(points)} poses are few: little can be identified, and a small effect looks like noise"
     setups, count = set(points.setup), len(set(recordings(points).tolist()))
     if len(setups) == 1:
         yield (
@@ -90,31 +90,31 @@ def _about_recordings(points: Points) -> Iterator[str]:
         )
     parts = split(points)
     if not parts.is_divided:
-        yield f"{len(points)} poses are too few to keep some apart: the gap is that of the poses which were fitted"
+        yield f"{len(points)} poses are too few to hold some out: the gap is that of the fitted poses"
     elif parts.is_by_pose:
         why = (
-            f"it takes {RECORDINGS_LEAST} to keep one apart"
+            f"{RECORDINGS_LEAST} are needed to hold one out"
             if count < RECORDINGS_LEAST
-            else "none can be kept apart as a whole"
+            else "none can be held out as a whole"
         )
         yield (
             f"{count} recording{'s' if count > 1 else ''} (setup, payload, approach), and {why}: every {EVERY}th pose of each"
-            " setup is held out, and what a setup's poses share is not checked"
+            " setup is held out, and errors that a setup's poses share are not checked"
         )
     last = points.direction
     if not last.any():
         yield (
-            "the directions of the last motion (dir1 ...) are missing or all 0: play shows only where gravity alone tells its"
+            "the directions of the last motion (dir1 ...) are missing or all 0: backlash shows only where gravity alone sets its"
             " flank"
         )
     elif not ((last > 0).any() and (last < 0).any()):
-        yield "every pose was approached from one side: play of a joint that gravity does not turn cannot be told from its zero"
+        yield "every pose was approached from one side: backlash that gravity does not turn looks like an offset of the joint's zero"
 
 
 def _about_time(points: Points) -> Iterator[str]:
     time = points.t_s
     if not np.isfinite(time).any():
-        yield "there is no t_s: a thermal drift cannot be identified, and would be taken for something else or for noise"
+        yield "there is no t_s: thermal drift cannot be identified, and would look like another effect or noise"
     elif not np.isfinite(time).all():
         missing = int(np.sum(~np.isfinite(time)))
         yield f"t_s is missing in {missing} poses: thermal drift is not tried"
