@@ -28,7 +28,7 @@ from calib.errors import CalibrationError
 from calib.gap.finding import EffectName, GapFinding
 from calib.identify.determinability import RANK_TOLERANCE, determinability
 from calib.identify.identification import Identification
-from control.files import append_whole, open_to_append, read_bytes
+from control.files import NotWritten, append_whole, open_to_append, read_bytes, require_writable
 from control.model.arm import Arm
 
 # history.jsonl: an append-only record of calibrations and gaps, a line each. Reference: docs/formats.md.
@@ -129,8 +129,11 @@ def require_appendable(path: Path, arm: str) -> None:
     """CalibrationError where `path` is a history of another arm, or cannot be written: asked before anything is computed."""
     if path.exists():
         read_history(path, arm)
-    elif not path.parent.is_dir():
-        raise HistoryFileError(f"--history {path}: there is no folder {path.parent}")
+        return
+    try:
+        require_writable(path.parent)
+    except NotWritten as error:
+        raise HistoryFileError(f"--history {path}: cannot be written there: {error.strerror}") from None
 
 
 def append_entry(path: Path, entry: Entry) -> None:

@@ -16,6 +16,8 @@ from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
 from control.plain_text import prepare_streams
 from firmware_iface import interrupts
 
+_OPTIONS = {command.name: command.options for command in COMMANDS}
+
 
 class _CommandLine(argparse.ArgumentParser):
     """Answers an unknown command with those for that task, or spelt like it, not with all sixty."""
@@ -90,6 +92,8 @@ def _chosen(arguments: Sequence[str] | None) -> int | tuple["options.Command", a
     given, unknown = top.parse_known_args(arguments)
     if unknown:
         _usage_of(top, given.command).error(f"unrecognized arguments: {' '.join(unknown)}")
+    if lack := options.missing(_OPTIONS.get(given.command, ()), given):
+        _usage_of(top, given.command).error(lack)
     if given.version:
         from importlib.metadata import version
 

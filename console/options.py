@@ -13,10 +13,14 @@ Command = Callable[[argparse.Namespace], int]
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One argument: its flags (or its name) and the keywords for argparse."""
+    """One argument: its flags (or its name) and the keywords for argparse.
+
+    `unless` names the flag with which a command writes nothing, and only then does it not demand this one.
+    """
 
     flags: tuple[str, ...]
     details: dict[str, Any] = field(default_factory=dict)
+    unless: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +94,18 @@ def add(parser: argparse.ArgumentParser, options: Sequence[Option]) -> None:
         parser.add_argument(*one.flags, **one.details)
 
 
+def missing(options: Sequence[Option], given: argparse.Namespace) -> str:
+    """What a command demands beyond argparse's `required`, in words; empty if nothing is missing."""
+    for one in options:
+        if one.unless and _value(given, one.flags[0]) is None and _value(given, one.unless) in (None, False):
+            return f"the following arguments are required: {one.flags[0]} (only {one.unless} needs none)"
+    return ""
+
+
+def _value(given: argparse.Namespace, flag: str) -> object:
+    return getattr(given, flag.lstrip("-").replace("-", "_"))
+
+
 USERS_ARM = ""  # default of --arm: the user's own (console.user_config)
 ARM = option(
     "--arm",
@@ -105,6 +121,14 @@ CELL = option(
 )
 SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")
 OUT = option("--out", metavar="DIR", required=True, help="folder for the results; created if missing")
+
+
+def out_unless(flag: str) -> Option:
+    """As OUT, of a command that writes nothing with `flag`."""
+    what = f"folder for the results; created if missing; {flag} needs none"
+    return Option(("--out",), {"metavar": "DIR", "help": what}, unless=flag)
+
+
 JSON = option("--json", action="store_true", help="print JSON for another program")
 WIRE_AT = option(
     "--wire-at",

@@ -235,13 +235,15 @@ def changing(path: Path) -> Iterator[None]:
 
 
 def open_to_append(path: Path, is_alone: bool = False) -> io.FileIO:
-    """Open a file, or make it, for `append_whole`. A link is followed if it is this user's.
+    """Open a file, or make it and its folder, for `append_whole`. A link is followed if it is this user's.
 
     NotWritten; BlockingIOError, if another program has it open `is_alone`.
     """
     try:
         if path.is_symlink() and path.lstat().st_uid == os.geteuid():
             path = path.resolve()
+        with contextlib.suppress(FileExistsError):  # what is there and no folder, the next line names
+            path.parent.mkdir(parents=True, exist_ok=True)
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
         file = io.FileIO(os.open(path, flags, 0o666), "a+")
     except OSError as error:

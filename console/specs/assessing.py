@@ -12,6 +12,7 @@ from console.options import (
     CommandSpec,
     finite,
     option,
+    out_unless,
     payload,
     points,
     scenario,
@@ -87,11 +88,7 @@ ASSESSING = (
                 help="points.csv of the calibration: what the arm did before; may be repeated",
             ),
             AS_GIVEN,
-            option(
-                "--out",
-                metavar="DIR",
-                help="folder for the recording and check-up.json; --plan-only needs none",
-            ),
+            out_unless("--plan-only"),
             option("--poses", type=int, metavar="N", help="how many, each from two sides (default: 8)"),
             option(
                 "--recorded",
@@ -209,7 +206,7 @@ ASSESSING = (
             option(
                 "--mock", action="store_true", help="run the test programmes on a mock arm in this process"
             ),
-            OUT,
+            out_unless("--plan-only"),
             JSON,
             SOCKET,
             scenario(default="demo"),

@@ -11,6 +11,7 @@ from console.options import (
     CommandSpec,
     finite,
     option,
+    out_unless,
     points,
 )
 
@@ -118,7 +119,7 @@ CALIBRATING = (
                 metavar="FILE",
                 help="contacts.csv or .csv.gz: the joints of the first arm, then of the second (docs/two_arms.md)",
             ),
-            option("--out", metavar="DIR", help="folder for the results; created if missing"),
+            out_unless("--choose"),
             option(
                 "--objective",
                 default="huber",

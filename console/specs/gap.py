@@ -4,11 +4,11 @@ from console.options import (
     ARM,
     AS_GIVEN,
     JSON,
-    OUT,
     SOCKET,
     CommandSpec,
     finite,
     option,
+    out_unless,
     payload,
     points,
     scenario,
@@ -29,7 +29,7 @@ GAP = (
                 action="append",
                 help="time series, log.csv or .csv.gz; may be repeated",
             ),
-            OUT,
+            out_unless("--plan-only"),
             option(
                 "--without",
                 metavar="EFFECT",
@@ -70,8 +70,8 @@ GAP = (
             SOCKET,
         ),
         "Writes gap.json, an arm.toml with the named effects, and report.html; never overwrites. `armwright gap"
-        " --points points.csv --log log.csv --out out/gap` analyses files. `armwright gap --record --plan-only --out"
-        " out/gap` prints the plan. `armwright gap --record --mock --quick --out out/gap` tries it on a mock arm.",
+        " --points points.csv --log log.csv --out out/gap` analyses files. `armwright gap --record --plan-only`"
+        " prints the plan. `armwright gap --record --mock --quick --out out/gap` tries it on a mock arm.",
         module="calibration.gap",
     ),
 )

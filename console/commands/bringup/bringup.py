@@ -38,8 +38,6 @@ def run(given: argparse.Namespace) -> int:
     out = Path(given.out)
     if out.exists():
         raise ArmError(f"--out {out}: exists already and is never overwritten: choose another name")
-    if not out.parent.is_dir():
-        raise ArmError(f"--out {out}: no folder {out.parent}: create it, or choose another place")
     require_writable(out.parent)
     if not 0.02 <= given.speed <= FASTEST_rad_s:
         raise ArmError(f"--speed: expected 0.02 to {FASTEST_rad_s:g} rad/s, got {given.speed:g}")

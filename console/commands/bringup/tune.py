@@ -23,8 +23,6 @@ def run(given: argparse.Namespace) -> int:
     for path in (out, page):
         if path.exists():
             raise ArmError(f"--out: {path} exists already and is never overwritten: choose another name")
-    if not out.parent.is_dir():
-        raise ArmError(f"--out {out}: no folder {out.parent}: create it, or choose another place")
     require_writable(out.parent)
     with opened(given) as setting:
         options = _options(given, setting.draft)

@@ -57,8 +57,6 @@ def _plan(given: argparse.Namespace, arms: tuple[Arm, Arm]) -> PairPlan:
 
 
 def _calibrate(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
-    if given.out is None:
-        raise CalibrationError("--out: expected a folder for the results")
     out = Path(given.out)
     for name in (*(f"{name}.toml" for name in names_of(arms)), "pair.json"):
         if (out / name).exists():

@@ -56,10 +56,6 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _require_consistent(given: argparse.Namespace) -> None:
-    if given.out is None and not given.plan_only:
-        raise CalibrationError(
-            "--out: expected a folder for the recording and check-up.json; only --plan-only needs none"
-        )
     if given.poses is not None and not POSES_LEAST <= given.poses <= POSES_MOST:
         raise CalibrationError(f"--poses: expected {POSES_LEAST} to {POSES_MOST}, got {given.poses}")
     if given.recorded is not None and (given.mock or given.plan_only or given.poses is not None):

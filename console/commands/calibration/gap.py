@@ -39,15 +39,14 @@ MINUTES_MOST = 600.0
 
 def run(given: argparse.Namespace) -> int:
     """Record if requested, analyse, write. Nothing is written before all input has been read and checked."""
-    arm, out = load_arm(given.arm), Path(given.out)
-    without = tuple(given.without or ())
+    arm, without = load_arm(given.arm), tuple(given.without or ())
     require_effects(without)
-    require_free(out)
     record_of(given, "gap", arm.name)
     if not given.plan_only:
-        require_writable(out)
+        require_free(Path(given.out))
+        require_writable(Path(given.out))
     if given.record:
-        return _record(given, arm, out, without)
+        return _record(given, arm, without)
     for name in (
         "mock",
         "plan_only",
@@ -61,7 +60,7 @@ def run(given: argparse.Namespace) -> int:
     ):
         if getattr(given, name) is not None and getattr(given, name) is not False:
             raise CalibrationError(f"--{name.replace('_', '-')} needs --record")
-    return _look(given, arm, given.points or [], given.log or [], without, out)
+    return _look(given, arm, given.points or [], given.log or [], without)
 
 
 def _look(
@@ -70,9 +69,8 @@ def _look(
     points: list[str],
     logs: list[str],
     without: tuple[str, ...],
-    out: Path,
 ) -> int:
-    record = record_of(given, "gap", arm.name)
+    record, out = record_of(given, "gap", arm.name), Path(given.out)
     recordings = read_recordings(arm, points, logs, given.current_unit, given.as_given)
     with Bar("gap") as bar:
         outcome = find_gap_in(arm, recordings, without, bar.advance, given.map)
@@ -93,7 +91,7 @@ def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path) -> None:
     sys.stdout.write(f"\nreport  {out / 'report.html'}\nmodel   {out / 'arm.toml'}\n")
 
 
-def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, ...]) -> int:
+def _record(given: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> int:
     """Plan, print the plan, record, and analyse the recordings."""
     from calib.gap.plan import foresight
     from calib.gap.plan.plan import PlanRequest, recording_plan
@@ -107,6 +105,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
     if given.plan_only:
         sys.stdout.write("".join(f"{line}\n" for line in foresight.in_words(arm, plan, payload_kg)))
         return 0
+    out = Path(given.out)
     said = (foresight.in_short(arm, plan), *(foresight.of_boards(arm) if plan.runs else ()))
     sys.stderr.write("".join(f"{sentence}\n" for sentence in said))
     try:
@@ -121,7 +120,7 @@ def _record(given: argparse.Namespace, arm: Arm, out: Path, without: tuple[str, 
     if given.record_only:
         sys.stdout.write("".join(f"recorded  {name}\n" for name in (*points, *logs)))
         return 0
-    return _look(given, arm, points, logs, without, out)
+    return _look(given, arm, points, logs, without)
 
 
 def _payload_kg(given: argparse.Namespace, arm: Arm) -> float:

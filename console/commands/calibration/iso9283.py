@@ -34,6 +34,8 @@ def run(given: argparse.Namespace) -> int:
         raise Iso9283Error(
             f"expected one of --points FILE, --record and --mock, got {' and '.join('--' + w for w in ways) or 'none'}"
         )
+    if given.points and given.plan_only:
+        raise Iso9283Error("--plan-only plans a recording: give --record or --mock, not --points")
     if not given.plan_only:
         require_writable(Path(given.out))
     if given.points:
@@ -48,7 +50,6 @@ def run(given: argparse.Namespace) -> int:
 
 def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient | None) -> int:
     """Plan, print the plan, record on `client`'s arm or on a mock, evaluate."""
-    out = Path(given.out)
     cube = _cube(given, arm)
     extent = _extent(given, arm, cube)
     rated_m_s = given.rated_speed or rated_speed_m_s(arm, cube)
@@ -57,6 +58,7 @@ def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient 
     sys.stdout.flush()
     if given.plan_only:
         return 0
+    out = Path(given.out)
     with telling_where(out):
         if client is None:
             _record_mock(given, arm, planned, out)

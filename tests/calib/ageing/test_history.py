@@ -149,8 +149,8 @@ def test_calibrations_are_recorded_and_their_trend_is_told(
             "--measured: needs --history",
         ),
         (
-            ["calibrate", "--points", "p.csv", "--out", "o", "--history", "no/h.jsonl"],
-            "there is no folder no",
+            ["calibrate", "--points", "p.csv", "--out", "o", "--history", "/dev/null/h.jsonl"],
+            "--history /dev/null/h.jsonl: cannot be written there",
         ),
         (
             ["calibrate", "--points", "p.csv", "--out", "o", "--history", "h", "--measured", "x"],

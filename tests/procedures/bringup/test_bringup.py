@@ -446,7 +446,7 @@ def draft_file(tmp_path: Path) -> Path:
 
 
 def run_command(tmp_path: Path, *more: str) -> int:
-    out = tmp_path / "new.toml"
+    out = tmp_path / "new" / "arm.toml"
     return main(
         ["bringup", "--arm", str(draft_file(tmp_path)), "--out", str(out), "--mock", "--no-stops", *more]
     )
@@ -458,7 +458,7 @@ def test_the_command_writes_a_new_file_once_and_says_which_joints_are_unchecked(
     assert run_command(tmp_path, "--joint", "1") == 0
     said = capsys.readouterr().out
     assert "Not checked, taken from the draft: joint 2, 3" in said
-    assert load_arm(tmp_path / "new.toml").drive(1) == RIGHT.drive(1)
+    assert load_arm(tmp_path / "new" / "arm.toml").drive(1) == RIGHT.drive(1)
     assert run_command(tmp_path, "--joint", "2") == 2
     assert "never overwritten" in capsys.readouterr().err
 
@@ -470,10 +470,10 @@ def test_after_a_repair_only_what_had_not_passed_is_measured(
     demo = (files("hil_mocks.scenarios") / "demo.toml").read_text("utf-8")
     hurt.write_text(f'{demo}\n[[fault]]\nkind = "dead_motor"\nboard = "motor2"\n')
     assert run_command(tmp_path, "--scenario", str(hurt), "--joint", "1", "--joint", "2") == 1
-    assert not (tmp_path / "new.toml").exists()
+    assert not (tmp_path / "new" / "arm.toml").exists()
     said = capsys.readouterr()
     assert "DEAD MOTOR" in said.err
-    journal = json.loads((tmp_path / "new.bringup.json").read_text())
+    journal = json.loads((tmp_path / "new" / "arm.bringup.json").read_text())
     assert [joint for joint, entry in journal["joints"].items() if entry["passed"]] == ["1"]
     measured: list[int] = []
     monkeypatch.setattr(
@@ -497,13 +497,14 @@ def test_wrong_input_moves_nothing(
 ) -> None:
     assert run_command(tmp_path, *options) == 2
     assert words in capsys.readouterr().err
-    assert not (tmp_path / "new.toml").exists()
+    assert not (tmp_path / "new" / "arm.toml").exists()
 
 
 def test_a_journal_of_another_draft_is_not_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "new.bringup.json").write_text('{"format": "bringup/1", "draft_sha256": "0"}')
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "arm.bringup.json").write_text('{"format": "bringup/1", "draft_sha256": "0"}')
     assert run_command(tmp_path) == 2
     assert "this journal belongs to another draft" in capsys.readouterr().err
-    (tmp_path / "new.bringup.json").write_text("[]")
+    (tmp_path / "new" / "arm.bringup.json").write_text("[]")
     assert run_command(tmp_path) == 2
     assert "not a bring-up journal" in capsys.readouterr().err
