@@ -44,7 +44,11 @@ class Question(Protocol):
 
 
 class PolledLine:
-    """One line and its queue of questions. `timeouts` and `wrong_answers` count what did not come or was not right."""
+    """One line and its queue of questions. `timeouts` and `wrong_answers` count what did not come or was not right.
+
+    `late_s`: how much later than its quickest answer the newest one was read. Its values are at most by this younger than
+    their question, wherever the time went: in the host, the adapter or the board.
+    """
 
     def __init__(self, link: ByteLink, clock: Clock, timeout_s: float) -> None:
         """`timeout_s`: how long a board may take to answer, besides the time of the bytes."""
@@ -52,6 +56,7 @@ class PolledLine:
         self.baud = link.baud
         self.timeouts = 0
         self.wrong_answers = 0
+        self.late_s = 0.0
         self.clock = clock
         self._timeout_s = timeout_s
         self._link = link
@@ -62,6 +67,7 @@ class PolledLine:
         self._sent_at_s = 0.0
         self._give_up_s = 0.0
         self._received = b""
+        self._quickest_s: dict[Question, float] = {}
         self._problems = Problems()  # that `attend` met
 
     def post(self, question: Question) -> None:
@@ -159,4 +165,9 @@ class PolledLine:
             self.wrong_answers += 1
             self._miss(question)
         else:
+            took_s = self.clock.now_s() - self._sent_at_s
+            quickest_s = self._quickest_s.get(question, took_s)
+            if took_s <= quickest_s:
+                self._quickest_s[question] = quickest_s = took_s
+            self.late_s = took_s - quickest_s
             question.take(data, self._sent_at_s)

@@ -60,6 +60,7 @@ class SmartServo(ABC):
         self.supply_V = math.nan
         self.temperature_degC = 0.0
         self.at_s = -math.inf
+        self.late_s = 0.0  # by how much younger its values may be
         self.is_torque_on: bool | None = None
         self.hardware_error = self.frees_at = self.weakens_at = 0
         """The errors that it has; those at which it lets its joint go, and those at which it holds on with less torque, as stored

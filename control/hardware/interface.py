@@ -36,6 +36,9 @@ class Feedback:
     counted_at_s: list[float] = field(
         default_factory=list
     )  # when `count` was latched, on its board's own clock
+    count_late_s: list[float] = field(
+        default_factory=list
+    )  # by how much later it may have been: 0, if the board tells
     # when the joint's counts were made; a repeated report or one that was under way for long is as old as its counts
     reported_at_s: list[float] = field(default_factory=list)
     reply_at_s: list[float] = field(default_factory=list)
@@ -61,7 +64,7 @@ class Feedback:
         self.reported_at_s, self.reply_at_s = [float("-inf")] * n, [float("-inf")] * n
         for name in ("count", "shift_count", "channel_flags", "statusword", "drive_faults"):
             setattr(self, name, [0] * n)
-        for name in ("counted_at_s", "current_A", "supply_V", "temperature_C"):
+        for name in ("counted_at_s", "count_late_s", "current_A", "supply_V", "temperature_C"):
             setattr(self, name, [0.0] * n)
         self.sent_V = [float("nan")] * n
         self.has_torque = [False] * n

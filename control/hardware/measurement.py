@@ -15,6 +15,7 @@ SPEED_FILTER_S = 0.001
 LONGEST_GAP_S = (
     1.0  # between two reports; after a longer gap, or a step back in time, the speed filter is reset
 )
+SHORTEST_s = 1e-6  # between two counts
 DIRECTION_STEP_rad = 2e-4  # a smaller motion is dither at a set-point, not an approach
 
 
@@ -53,21 +54,32 @@ class Measurement:
         self._counter_bits = tuple(counter_bits)
         self._unwrappers: list[Unwrapper] = []
         self._shifts = [0] * n
+        self._on_time_s = (0.0,) * n
+        self._late_s = [0.0] * n  # of the last counts, beyond what the filter smooths
         self._turning_point_rad = [0.0] * n
         self._last_s = [-math.inf] * n
 
-    def update(self, counts: Sequence[int], shifts: Sequence[int], counted_at_s: Sequence[float]) -> bool:
+    def update(
+        self,
+        counts: Sequence[int],
+        shifts: Sequence[int],
+        counted_at_s: Sequence[float],
+        late_s: Sequence[float] = (),
+    ) -> bool:
         """Process the counts of the newest reports; an old report changes nothing.
 
         `counted_at_s` is when each count was latched, by its board's own clock, so that delays of the line or the host
-        do not look like speed. `shifts` are the counts added to each counter by request that this
-        report includes. Returns whether a shift is new.
+        do not look like speed; or up to `late_s` later (none: 0), where the board tells no time and its answer came later
+        than it can. The motion then took between T - late, of the last count, and T + late: of the speeds that this leaves,
+        the one nearest to that of before is taken, as far as the filter does not smooth the lateness. `shifts` are the counts
+        added to each counter by request that this report includes. Returns whether a shift is new.
         """
         if not self._unwrappers:
             self._unwrappers = [
                 Unwrapper(b, count) for b, count in zip(self._counter_bits, counts, strict=True)
             ]
         is_shifted = self._follow_shifts(counts, shifts)
+        late_s = late_s or self._on_time_s
         for joint, count in enumerate(counts):
             elapsed_s = counted_at_s[joint] - self._last_s[joint]
             if elapsed_s == 0.0:
@@ -76,9 +88,14 @@ class Measurement:
             self.has_lost_turns[joint] = self._unseen_s[joint] < elapsed_s < math.inf  # inf: the first report
             q = self._maps[joint].radians(self._unwrappers[joint].update(count))
             if 0.0 < elapsed_s < LONGEST_GAP_S:
-                speed = (q - self.q_rad[joint]) / elapsed_s
-                is_leap = not abs(speed) <= self._fastest_rad_s[joint]
-                self.leap_rad[joint] = q - self.q_rad[joint] if is_leap else 0.0
+                moved_rad = q - self.q_rad[joint]
+                late = max(0.0, late_s[joint] - SPEED_FILTER_S)
+                slowest = moved_rad / (elapsed_s + late)
+                quickest = moved_rad / max(elapsed_s - self._late_s[joint], SHORTEST_s)
+                self._late_s[joint] = late
+                speed = min(max(self.speed_rad_s[joint], min(slowest, quickest)), max(slowest, quickest))
+                is_leap = not abs(moved_rad) <= self._fastest_rad_s[joint] * (elapsed_s + late_s[joint])
+                self.leap_rad[joint] = moved_rad if is_leap else 0.0
                 gain = elapsed_s / (elapsed_s + SPEED_FILTER_S)
                 self.speed_rad_s[joint] += gain * (speed - self.speed_rad_s[joint])
                 self._follow_direction(joint, q)

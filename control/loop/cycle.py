@@ -91,7 +91,9 @@ class Cycle(ArmState):
         try:
             self.parts.hardware.read()
         finally:  # one board that fails does not hide where the others' joints are
-            if self.parts.measurement.update(feedback.count, feedback.shift_count, feedback.counted_at_s):
+            if self.parts.measurement.update(
+                feedback.count, feedback.shift_count, feedback.counted_at_s, feedback.count_late_s
+            ):
                 set_points.follow_shift(self)
         camera = self.parts.camera
         seen = None if camera is None else camera.newest()

@@ -221,7 +221,7 @@ class DynamixelServo(SmartServo):
         self.current_A, self.supply_V = current * self._current_unit_A, tenths_V * 0.1
         if self.has_load:
             self.load, self.speed_rad_s = current * LOAD_UNIT, speed * SPEED_UNIT_rad_s
-        self.at_s = sent_at_s
+        self.at_s, self.late_s = sent_at_s, self._line.late_s
 
     def _take_state(self, data: bytes, _: float) -> None:
         registers = data[1:]

@@ -159,7 +159,8 @@ class FeetechServo(SmartServo):
     def _take_state(self, data: bytes, sent_at_s: float) -> None:
         torque, position, _, _, tenths_V, self.temperature_degC, error, _, current = _STATE.unpack(data[1:])
         self.position, self.current_A = wire.signed(position), wire.signed(current) * CURRENT_UNIT_A
-        self.supply_V, self.hardware_error, self.at_s = tenths_V * 0.1, error, sent_at_s
+        self.supply_V, self.hardware_error = tenths_V * 0.1, error
+        self.at_s, self.late_s = sent_at_s, self._line.late_s
         self.is_torque_on = torque == ON
         if self.is_torque_on:
             self._must_be_on = self._is_wanted  # not by an answer from before it was switched off

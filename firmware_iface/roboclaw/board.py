@@ -44,6 +44,7 @@ class RoboClaw:
         self.sent_duty = (0, 0)
         self.counts = (0, 0)
         self.counted_at_s = -math.inf
+        self.count_late_s = 0.0  # by how much younger the counts may be
         self.currents_A = (0.0, 0.0)
         self.currents_at_s = -math.inf
         self.obeyed_at_s = -math.inf
@@ -200,6 +201,7 @@ class RoboClaw:
 
     def _take_counts(self, data: bytes, sent_at_s: float) -> None:
         self.counts, self.counted_at_s = wire.pair_of_counts(data), sent_at_s
+        self.count_late_s = self._line.late_s
 
     def _take_currents(self, data: bytes, sent_at_s: float) -> None:
         """Currents with the sign of the motor's terminal voltage: the board says what each motor draws."""

@@ -10,6 +10,7 @@ from control.safety.fault import Reaction
 from control.safety.table import Mode
 from control.server.client import ArmFaulted
 from hil_mocks.firmware.library import compiler
+from hil_mocks.in_process.line import SerialLine
 from hil_mocks.scenario import Scenario
 from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS, OnBoards
@@ -155,6 +156,26 @@ def test_a_jog_moves_the_joint_in_its_positive_direction(holding: Cell) -> None:
     assert moved[0] > 0.05
     assert max(map(abs, moved[1:])) < 0.02
     assert holding.faults == []
+
+
+def test_answers_that_come_late_are_no_speed(holding: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy host, hub or board keeps questions for up to 9 ms now and then: the count is younger than the host can know.
+
+    A count of a servo in a cycle is 0.15 rad/s.
+    """
+    clock, read = holding.rig.clock, SerialLine.read
+    monkeypatch.setattr(SerialLine, "read", lambda line: b"" if clock.now_s() % 0.037 < 0.009 else read(line))
+    measured, shares = holding.runtime.parts.measurement, list[float]()
+    true, fastest = holding.true_speeds(), [0.0]
+
+    def watch() -> None:
+        fastest[0] = max(fastest[0], *true[-1:], 0.25)
+        shares.append(max(map(abs, measured.speed_rad_s)) / fastest[0])
+
+    holding.watchers.append(watch)
+    holding.client.jog(joint=1, by_rad=0.3, speed_rad_s=0.6)
+    assert (holding.mode, holding.faults) == (Mode.HOLDING, [])
+    assert max(shares) < 2.0
 
 
 def test_a_silent_board_is_a_fault_and_its_motors_come_to_rest(holding: Cell, on_boards: OnBoards) -> None:

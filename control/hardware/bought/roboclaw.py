@@ -92,6 +92,7 @@ class RoboClawEncoders(AskedEncoders):
         for joint, channel in self._channels.items():
             feedback.count[joint] = board.counts[channel]
             feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
+            feedback.count_late_s[joint] = board.count_late_s
             flags = ZERO_SET if self._are_zeros_set[joint] else 0
             feedback.channel_flags[joint] = flags | (HOME_SWITCH if status & _SWITCH[channel] else 0)
 

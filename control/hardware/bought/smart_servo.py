@@ -75,6 +75,7 @@ class ServoEncoder(AskedEncoders):
         servo, joint = self._servo, self._joint
         feedback.count[joint] = as_counter(servo.position + self.offset)
         feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = servo.at_s
+        feedback.count_late_s[joint] = servo.late_s
         feedback.channel_flags[joint] = ZERO_SET
 
     def fresh_count(self, joint: int) -> int:

@@ -64,6 +64,24 @@ def test_a_constant_speed_is_measured_after_a_few_filter_times() -> None:
     assert measured.speed_rad_s[0] == pytest.approx(7 * SCALE_rad / PERIOD_S, rel=1e-6)
 
 
+@given(
+    late=st.lists(st.floats(0.0, 0.1), min_size=20, max_size=60),
+    period_s=st.sampled_from([0.001, 0.004, 0.02]),
+)
+def test_counts_that_may_be_younger_than_they_say_make_no_speed_twice_the_true_one(
+    late: list[float], period_s: float
+) -> None:
+    """Each question is asked when the last was answered, and counted at its answer; the true speed is 1 rad/s."""
+    measured, at_s, greatest = Measurement([Map()], [32], [1.2]), 1.0, 0.0
+    for late_s in late:
+        counted_s = at_s + late_s
+        measured.update([round(counted_s / SCALE_rad)], [0], [at_s], [late_s])
+        assert measured.leap_rad == [0.0]
+        greatest = max(greatest, abs(measured.speed_rad_s[0]))
+        at_s = counted_s + period_s
+    assert greatest < 2.0 + SCALE_rad / period_s
+
+
 def test_late_reports_do_not_change_the_speed_because_the_board_says_when_it_counted() -> None:
     steady, jittery = measurement(), measurement()
     feed(steady, [7 * k for k in range(60)])
