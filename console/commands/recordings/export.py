@@ -37,6 +37,10 @@ def run(given: argparse.Namespace) -> int:
         )
     recording, out = _existing(given.recording[0]), Path(given.out)
     written = _joined(recording, out, given) if recording.is_dir() else _exported(given, recording, out)
+    for name in (name for name, rows in written.items() if not rows):
+        sys.stderr.write(
+            f"armwright: warning: {name} is empty: it begins with the first motion, and nothing moved in this recording\n"
+        )
     if given.json:
         files = {name: {"file": str(out / name), "cycles": rows} for name, rows in written.items()}
         sys.stdout.write(json.dumps(files, indent=2) + "\n")

@@ -18,6 +18,7 @@ from control.recording.record import FileSink, Layout
 from control.safety.table import Mode
 from hil_mocks.scenario import CameraTable
 from tests.cell import FRICTION, RIGHT, holding_cell, run_numbers, scenario
+from tests.recordings import write_recording
 
 UPRIGHT = RIGHT.rest.q_rad if RIGHT.rest else (0.0, 0.0, 0.0)
 STARTED_s = 1_700_000_000.5
@@ -165,6 +166,15 @@ def test_every_0th_cycle_is_refused(recording: Path, tmp_path: Path, every: int)
     with pytest.raises(RecordError, match="expected a cycle count"):
         export(recording, tmp_path, every)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_without_a_row_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    still = write_recording(tmp_path / "still.armlog", 9)  # the first motion begins with the tenth cycle
+    assert main(["export", str(still), "--out", str(tmp_path / "x")]) == 0
+    said = capsys.readouterr()
+    assert "log.csv.gz: 0 cycles" in said.out
+    assert "log.csv.gz is empty: it begins with the first motion, and nothing moved" in said.err
+    assert "log.mcap is" not in said.err
 
 
 def test_the_command_says_what_it_wrote(
