@@ -10,6 +10,7 @@ from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.firmware.choice import motor_board_class
 from hil_mocks.plant.gripper import GripperParts, GripperPlant
+from hil_mocks.plant.parts import rotor_inertia_kg_m2
 from hil_mocks.scenario import Scenario
 from hil_mocks.wiring import MOTOR_BOARD_SERIAL
 
@@ -26,7 +27,7 @@ def build_gripper(gripper: Gripper, scenario: Scenario) -> GripperPlant:
         constant_N_A=2.0 * math.pi * gripper.torque_constant_Nm_A * turns_per_m,
         resistance_ohm=gripper.resistance_ohm,
         supply_V=gripper.supply_V,
-        rotor_kg=gripper.rotor_inertia_kg_m2 * (2.0 * math.pi * turns_per_m) ** 2,
+        rotor_kg=rotor_inertia_kg_m2(gripper) * (2.0 * math.pi * turns_per_m) ** 2,
         friction_N=table.friction_N,
         start_m=table.start * gripper.travel_m,
         counts_per_m=gripper.encoder_counts_per_rev * turns_per_m,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from control.model.description import Arm, Drive, Link, Tool
+from control.model.description import Arm, Drive, Gripper, Link, Tool
 from hil_mocks.errors import MockError
 from hil_mocks.plant.geometry import Convention
 
@@ -110,10 +110,15 @@ def _link(arm: Arm, i: int, link: Link) -> LinkParts:
     )
 
 
+def rotor_inertia_kg_m2(motor: Drive | Gripper) -> float:
+    """That of the file, or of a usual motor: nothing follows a motor that weighs nothing."""
+    usual_kg_m2 = MECHANICAL_S * motor.torque_constant_Nm_A**2 / motor.resistance_ohm
+    return motor.rotor_inertia_kg_m2 or usual_kg_m2
+
+
 def _drive(drive: Drive) -> DriveParts:
     """Inductance and rotor inertia that the file does not know are those of usual motors, by their time constants."""
     usual_H = ELECTRICAL_S * drive.resistance_ohm
-    usual_kg_m2 = MECHANICAL_S * drive.torque_constant_Nm_A**2 / drive.resistance_ohm
     return DriveParts(
         gear_ratio=drive.gear_ratio,
         encoder_counts_per_rev=drive.encoder_counts_per_rev,
@@ -121,7 +126,7 @@ def _drive(drive: Drive) -> DriveParts:
         torque_constant_Nm_A=drive.torque_constant_Nm_A,
         resistance_ohm=drive.resistance_ohm,
         inductance_H=drive.inductance_H or usual_H,
-        rotor_inertia_kg_m2=drive.rotor_inertia_kg_m2 or usual_kg_m2,
+        rotor_inertia_kg_m2=rotor_inertia_kg_m2(drive),
         supply_V=drive.supply_V,
         current_limit_A=drive.current_limit_A,
         joint_lower_rad=drive.joint_lower_rad,

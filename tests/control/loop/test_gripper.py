@@ -47,9 +47,10 @@ def test_nothing_moves_when_it_is_enabled(cell: Cell) -> None:
     assert opening_m(cell) == before_m
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-def test_opening_finds_the_zero_and_then_it_goes_where_it_is_told(direction: int) -> None:
-    with gripping(replace(GRIPPER, motor_direction=direction)) as cell:
+@pytest.mark.parametrize("changed", [{}, {"motor_direction": -1}, {"rotor_inertia_kg_m2": 0.0}], ids=str)
+def test_opening_finds_the_zero_and_then_it_goes_where_it_is_told(changed: dict[str, Any]) -> None:
+    """A rotor inertia of 0 is one that the file does not know."""
+    with gripping(replace(GRIPPER, **changed)) as cell:
         assert "armwright gripper open" in cell.refusal(do="gripper", action="move", opening_m=0.03)
         assert cell.client.grip("open")["state"] == "OPEN"
         assert opening_m(cell) == pytest.approx(0.08, abs=END_m)
