@@ -108,7 +108,7 @@ def _about_recordings(points: Points) -> Iterator[str]:
             " flank"
         )
     elif not ((last > 0).any() and (last < 0).any()):
-        yield "every pose was approached from one side: backlash that gravity does not turn looks like an offset of the joint's zero"
+        yield "every pose was approached from one side: backlash that gravity does not turn looks like an offset of its zero"
 
 
 def _about_time(points: Points) -> Iterator[str]:
