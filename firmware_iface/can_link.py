@@ -173,8 +173,10 @@ class CanFrameLink:
         self._receive = _now(bus)
 
     def send(self, can_id: int, payload: bytes) -> None:
+        # CAN FD carries ids of both lengths here, classic frames those of one.
+        is_extended = can_id > _LONGEST_STANDARD_ID if self._is_fd else self._is_extended
         message = _OwnMessage(
-            arbitration_id=can_id, data=payload, is_extended_id=self._has_long_id(can_id),
+            arbitration_id=can_id, data=payload, is_extended_id=is_extended,
             is_fd=self._is_fd, bitrate_switch=self._is_fd, check=False,
         )  # fmt: skip
         try:
@@ -189,35 +191,33 @@ class CanFrameLink:
 
     def receive_timed(self) -> list[tuple[float, tuple[int, bytes]]]:
         """As `receive`, with when each frame came in seconds since 1970, where the interface says so."""
-        frames = []
-        while (message := self._next()) is not None:
-            if message.is_error_frame:
-                self._check_bus_off(message)
-                self.rejected += 1
-            elif message.is_remote_frame or not self._is_wanted(message):
-                self.rejected += 1
-            elif not self._is_echo(frame := (message.arbitration_id, bytes(message.data))):
-                frames.append((message.timestamp, frame))
-        return frames
-
-    def _is_wanted(self, message: can.Message) -> bool:
-        if self._is_fd or message.is_fd:
-            return self._is_fd and message.is_fd
-        return message.is_extended_id is self._is_extended
-
-    def _has_long_id(self, can_id: int) -> bool:
-        return can_id > _LONGEST_STANDARD_ID if self._is_fd else self._is_extended
-
-    def _next(self) -> can.Message | None:
+        frames: list[tuple[float, tuple[int, bytes]]] = []
+        receive, echoes, is_fd = self._receive, self._echoes, self._is_fd
         while True:
             try:
-                return self._receive()
+                message = receive()
             except can.CanOperationError as problem:
                 if "unpack" not in str(problem):
                     raise self._lost(problem) from None
                 self.rejected += 1  # a foreign datagram in our multicast group: noise
+                continue
             except (can.CanError, OSError, ValueError) as problem:
                 raise self._lost(problem) from None
+            if message is None:
+                return frames
+            if message.is_error_frame:
+                self._check_bus_off(message)
+                self.rejected += 1
+            elif (
+                message.is_remote_frame
+                or message.is_fd is not is_fd
+                or not (is_fd or message.is_extended_id is self._is_extended)
+            ):
+                self.rejected += 1
+            else:
+                frame = (message.arbitration_id, bytes(message.data))
+                if not echoes or not self._is_echo(frame):
+                    frames.append((message.timestamp, frame))
 
     def _check_bus_off(self, message: can.Message) -> None:
         if message.arbitration_id & _SOCKETCAN_BUS_OFF:
@@ -225,7 +225,7 @@ class CanFrameLink:
 
     def _is_echo(self, frame: tuple[int, bytes]) -> bool:
         """Whether it is our own; its memory ends with it."""
-        if not self._echoes or frame not in self._echoes:
+        if self._echoes is None or frame not in self._echoes:
             return False
         self._echoes.remove(frame)
         return True

@@ -92,8 +92,9 @@ class BoardHardware:
             encoder.take(feedback)
         for drive in self._drives:
             drive.take(feedback)
-        for joint, drive in self._drive_of.items():
-            feedback.has_torque[joint] = drive.has_torque(joint)
+        if not self.wanted.is_on:  # nobody asks whether a drive that is wanted on still has torque
+            for joint, drive in self._drive_of.items():
+                feedback.has_torque[joint] = drive.has_torque(joint)
         feedback.encoder_at_s = min(feedback.reported_at_s)
         if self._problems:
             raise self._problems.pop(0)

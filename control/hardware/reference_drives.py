@@ -20,6 +20,7 @@ from firmware_iface.motor.wire import IdleOutput, MotorParameter, SetpointMode
 ASK_COUNT_S = 0.04  # between two questions for a motor board's own count: 3 % of a 500 Hz bus
 FRESH_CYCLES = 2  # age of a count that is compared with one of another board
 NO_GAINS = Gains(0.0, 0.0, 0.0, 0.001)  # a board without gains brakes
+_ENABLED = DriveState.OPERATION_ENABLED
 FULL_INTEGRAL = 0.5  # of the supply: limit of the board's integral in position mode
 
 
@@ -96,29 +97,26 @@ class ReferenceDrives:
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Send one COMMAND to each board; a board not in its target state gets the next state command instead."""
-        sent_V = feedback.sent_V
+        sent_V, is_on = feedback.sent_V, wanted.is_on
         for joint, motor, sign in self._pairs:
-            mode = modes[joint]
-            target = self._target(wanted, motor)
-            is_driven = mode is OutputMode.VOLTAGE and motor.state is target is DriveState.OPERATION_ENABLED
-            sent_V[joint] = output[joint] if is_driven else math.nan
+            mode, state = modes[joint], motor.state
+            if is_on and state is _ENABLED:
+                sent_V[joint] = output[joint] if mode is OutputMode.VOLTAGE else math.nan
+                self._command(joint, motor, sign, mode, output[joint], feedforward_V[joint])
+                continue
+            sent_V[joint] = math.nan
+            target = _ENABLED if wanted is Wanted.ENABLING else DriveState.SWITCH_ON_DISABLED
             if wanted is Wanted.AS_FOUND:
                 motor.ask_state()
-            elif wanted is Wanted.DISABLED and motor.state is DriveState.FAULT and motor.has_torque:
+            elif wanted is Wanted.DISABLED and state is DriveState.FAULT and motor.has_torque:
                 motor.step_fault_reset()  # the hold that its time-out began ends, as it was asked for
-            elif motor.state is target or motor.state is DriveState.FAULT:
+            elif state is target or state is DriveState.FAULT:
                 self._command(joint, motor, sign, mode, output[joint], feedforward_V[joint])
             else:
                 with contextlib.suppress(BoardFaulted):  # the watch sees it in the feedback
                     motor.step_towards(target)
-        if wanted.is_on:
+        if is_on:
             self._ask_motor_count(feedback)
-
-    def _target(self, wanted: Wanted, motor: MotorBoard) -> DriveState:
-        is_on = wanted is Wanted.ENABLING or (
-            wanted is Wanted.ENABLED and motor.state is DriveState.OPERATION_ENABLED
-        )
-        return DriveState.OPERATION_ENABLED if is_on else DriveState.SWITCH_ON_DISABLED
 
     def _command(
         self, joint: int, motor: MotorBoard, sign: float, mode: OutputMode, output: float, forward_V: float

@@ -51,11 +51,11 @@ class ReferenceEncoders:
     def take(self, feedback: Feedback) -> None:
         """Write the newest report."""
         board = self._board
-        report, fresh_at_s = board.latest, board.fresh_at_s
+        report, fresh_at_s, counted_at_s = board.latest, board.fresh_at_s, board.board_time_s
         for joint, channel in self._pairs:
             if report is not None:
                 feedback.count[joint] = report.counts[channel]
-                feedback.counted_at_s[joint] = board.board_time_s
+                feedback.counted_at_s[joint] = counted_at_s
                 feedback.channel_flags[joint] = report.flags[channel]
             feedback.reported_at_s[joint] = fresh_at_s
 

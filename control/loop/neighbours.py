@@ -16,6 +16,8 @@ from control.loop.runtime import Runtime
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.motion.errors import MotionError
+from control.motion.guard import FarPoses, ROOM_m
+from control.motion.jog_limits import reaches_m
 from control.motion.setpoint import Motion
 from control.safety.body import ArmBody, Capsules, pairs_between
 from control.safety.collision import FAR, Nearest, least_gap, middle
@@ -51,6 +53,9 @@ class Presence:
             )
             for tool in placed.arm.tools
         }
+        self._clear_of_itself = {
+            tool.name: FarPoses(reaches_m(placed.arm.with_tool(tool.name))) for tool in placed.arm.tools
+        }
         self._q_rad: Sequence[float] = ()
         self._of_body: ArmBody | None = None
         self._motion: Motion | None = None
@@ -62,6 +67,11 @@ class Presence:
     def body(self) -> ArmBody:
         """With the tool that is on."""
         return self._bodies[self.runtime.parts.tool.tool.name]
+
+    @property
+    def clear_of_itself(self) -> FarPoses:
+        """Poses in which its own links are far from each other."""
+        return self._clear_of_itself[self.runtime.parts.tool.tool.name]
 
     def update(self) -> None:
         """Follow the runtime's set-point."""
@@ -121,7 +131,10 @@ class Neighbours:
 
         `looks_ahead`: or will be there shortly.
         """
-        body = self._own.body
+        body, clear = self._own.body, self._own.clear_of_itself
+        is_clear = not body.own_pairs or clear.are_near(wanted_rad)
+        if is_clear and not self._others:
+            return ""
         wanted, here = body.at(wanted_rad), None
         for other in self._others:
             if other.now is None:
@@ -133,7 +146,12 @@ class Neighbours:
                     here = here or body.at(here_rad)
                     if nearest.gap_m < self.gap(body, here, other, capsules, FAR_m).gap_m - DEEPER_m:
                         return f"the arm would come within {nearest.gap_m:.3f} m of arm {other.name!r}"
-        if body.own_pairs and (own := least_gap(wanted, wanted, body.own_pairs, 0.0)).gap_m < 0.0:
+        if is_clear:
+            return ""
+        own = least_gap(wanted, wanted, body.own_pairs, ROOM_m)
+        if own.gap_m > 0.0:
+            clear.note(wanted_rad, min(own.gap_m, ROOM_m))
+        elif own.gap_m < 0.0:
             here = here or body.at(here_rad)
             if own.gap_m < least_gap(here, here, body.own_pairs, FAR_m).gap_m - DEEPER_m:
                 return f"{body.names[own.one]} of the arm would meet its own {body.names[own.other]}"

@@ -7,8 +7,10 @@ but at no moment deeper than it was before.
 """
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from copy import copy
+from operator import mul, sub
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +20,7 @@ from control.errors import ArmError
 from control.kinematics.corners import Corners
 from control.model.arm import Arm
 from control.motion.errors import MotionError
-from control.motion.jog_limits import reach_m
+from control.motion.jog_limits import reach_m, reaches_m
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import HARDEST, StopMotion, StraightStop
 from control.motion.joint_path import JointPath
@@ -39,6 +41,7 @@ _CLOSE_STEP_s, _CLOSE_POSES = (
     150,
 )  # of a motion that begins inside of something: as close as the loop looks
 _TIP_ALONE = LinkThickness((0.0,))
+ROOM_m = 0.05  # an arm with so much is not looked at again until it may have used it up
 _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_radius_m, and [table], say where they are"
 
 
@@ -53,12 +56,38 @@ class Obstacles(Protocol):
         ...
 
 
+class FarPoses:
+    """The last poses that were found far from everything, and how far: near to them, the cycle need not look again.
+
+    A joint that turns by w moves no point of the arm, nor any two of its points against each other, by more than w times its
+    reach. So of the room that a pose q had, at least room - sum(reach |p - q|) is left in a pose p.
+    """
+
+    def __init__(self, reaches_m: Sequence[float]) -> None:
+        """`reaches_m`: of each joint, how far what it moves may be from its axis."""
+        self._reaches_m = reaches_m
+        # Two, since set-points and the poses ahead of them are looked at in turn.
+        self._found: deque[tuple[float, Sequence[float]]] = deque(maxlen=2)
+
+    def note(self, q_rad: Sequence[float], room_m: float) -> None:
+        """Note a pose in which nothing is met within `room_m`."""
+        self._found.append((room_m, q_rad))
+
+    def are_near(self, q_rad: Sequence[float]) -> bool:
+        """Whether a pose is so near to one of them that nothing can be met in it; not if an angle is NaN."""
+        for room_m, far_rad in self._found:  # noqa: SIM110  (a generator costs as much as what it sums)
+            if sum(map(mul, self._reaches_m, map(abs, map(sub, q_rad, far_rad)))) < room_m:
+                return True
+        return False
+
+
 class Guard:
     """Holds poses of one arm against its workspace. Errors are MotionError."""
 
     def __init__(self, arm: Arm, limits: JointLimits) -> None:
         self._corners, self._workspace, self._limits = Corners(arm), Workspace.of(arm), limits
         self._reach_m = reach_m(arm)
+        self._far = FarPoses(reaches_m(arm))
         self.beside: Obstacles | None = None
         self._body = LinkThickness(self._corners.radii_m, self._corners.first_free)
         self._corners.batch([(0.0,) * arm.joint_count])  # compiled now, not between two cycles
@@ -83,7 +112,12 @@ class Guard:
 
     def fixed_objection(self, wanted_rad: Sequence[float], here_rad: Sequence[float]) -> str:
         """As `objection`, of what stands still: floor, table and base."""
+        if self._far.are_near(wanted_rad):
+            return ""
         corners = self._corners.at(*wanted_rad)
+        if self._workspace.is_far(corners, self._body, ROOM_m):
+            self._far.note(wanted_rad, ROOM_m)
+            return ""
         if self._workspace.is_far(corners, self._body, 0.0):
             return ""
         clearance = self._workspace.clearance(corners, self._body)

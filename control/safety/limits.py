@@ -169,7 +169,15 @@ def limit_set_point(
                 f" at {last_speed} rad/s"
             )
         speed = (wanted - last) / period_s
-        if not _is_free(wanted, speed, last_speed, limit, period_s):
+        acceleration = limit.acceleration_rad_s2
+        room = limit.upper_rad - wanted if speed > 0.0 else wanted - limit.lower_rad
+        # Whether certainly no limit applies, slightly stricter than `stopping_speed`: so it is in almost every cycle.
+        if not (
+            -acceleration * period_s <= speed - last_speed <= acceleration * period_s
+            and -limit.speed_rad_s <= speed <= limit.speed_rad_s
+            and limit.lower_rad <= wanted <= limit.upper_rad
+            and speed * speed <= 2.0 * acceleration * room
+        ):
             allowed = _limited_speed(speed, last, last_speed, limit, period_s, joint, reasons)
             moved = wanted if allowed == speed else last + allowed * period_s
             wanted = _inside(moved, last, limit)
@@ -177,19 +185,6 @@ def limit_set_point(
         q_rad.append(wanted)
         speed_rad_s.append(speed)
     return AllowedSetPoint(tuple(q_rad), tuple(speed_rad_s), tuple(reasons))
-
-
-def _is_free(wanted: float, speed: float, last_speed: float, limit: SetPointLimits, period_s: float) -> bool:
-    """Whether certainly no limit applies: the fast path of a cycle, slightly stricter than `stopping_speed`."""
-    acceleration = limit.acceleration_rad_s2
-    change = acceleration * period_s
-    room = limit.upper_rad - wanted if speed > 0.0 else wanted - limit.lower_rad
-    return (
-        -change <= speed - last_speed <= change
-        and -limit.speed_rad_s <= speed <= limit.speed_rad_s
-        and limit.lower_rad <= wanted <= limit.upper_rad
-        and speed * speed <= 2.0 * acceleration * room
-    )
 
 
 def _limited_speed(

@@ -66,7 +66,8 @@ class MotorBoard:
         self._sent_at_s = -math.inf
         self._command_id = wire.COMMAND_ID + node
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
-        self._last_state: DriveState | None = None
+        self.state: DriveState | None = None
+        """In the latest reply; None before the first, and after a reset."""
         self._holds_alone = (
             True  # without a host, by its watchdog's action, unless it was found to do something else
         )
@@ -82,16 +83,11 @@ class MotorBoard:
         return f'motor board "{self.name}" (node {self.node}) on {self._bus.name}'
 
     @property
-    def state(self) -> DriveState | None:
-        """The state in the latest reply; None before the first, and after a reset."""
-        return self._last_state
-
-    @property
     def has_torque(self) -> bool:
         """Whether it is in operation, or holds by itself after its watchdog has expired."""
-        if self._last_state is DriveState.FAULT and self.reply is not None:
+        if self.state is DriveState.FAULT and self.reply is not None:
             return self._holds_alone and self.reply.faults == wire.MotorFault.WATCHDOG
-        return self._last_state is DriveState.OPERATION_ENABLED
+        return self.state is DriveState.OPERATION_ENABLED
 
     @property
     def reply_lag(self) -> int:
@@ -156,7 +152,7 @@ class MotorBoard:
     def ask_state(self) -> None:
         """Ask for a REPLY, and change nothing: a board in operation stops and holds, every other one stays out of operation."""
         before = self._controlword
-        is_between = self._last_state in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON)
+        is_between = self.state in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON)
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE if is_between else DriveCommand.ENABLE_OPERATION)
         self.command(SetpointMode.HOLD)
         self._controlword = before
@@ -169,15 +165,15 @@ class MotorBoard:
                 self._sent_at_s = self._bus.clock.now_s()
                 self.ask_state()
             self._wait_step(deadline_s, "does not reply to COMMAND")
-        if self._last_state is DriveState.FAULT and self.reply.faults == wire.MotorFault.WATCHDOG:
+        if self.state is DriveState.FAULT and self.reply.faults == wire.MotorFault.WATCHDOG:
             self._holds_alone = self.read(MotorParameter.WATCHDOG_ACTION) == wire.IdleOutput.HOLD
 
     def _keep(self) -> None:
         """While the loop waits for another board: brake or turn freely as before, else hold."""
-        if self._last_state is DriveState.OPERATION_ENABLED and self._is_as_found:
+        if self.state is DriveState.OPERATION_ENABLED and self._is_as_found:
             with contextlib.suppress(LinkError):
                 self.ask_state()
-        elif self._last_state is DriveState.OPERATION_ENABLED:
+        elif self.state is DriveState.OPERATION_ENABLED:
             with contextlib.suppress(LinkError):
                 self.command(self._last[0] if self._last in ((0, 0), (1, 0)) else 4)
 
@@ -211,7 +207,7 @@ class MotorBoard:
         """
         if state in (DriveState.NOT_READY_TO_SWITCH_ON, DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             raise MisuseError(f"{self.where}: no command leads to {state.value}")
-        now = self._last_state
+        now = self.state
         if now in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE) and self.reply is not None:
             raise BoardFaulted(
                 f"{self.where}: in FAULT ({self._fault_names()}): remove the cause, acknowledge the fault, "
@@ -250,16 +246,16 @@ class MotorBoard:
         Raises BoardFaulted if the cause persists.
         """
         deadline_s = self._bus.clock.now_s() + timeout_s
-        if self._last_state is DriveState.OPERATION_ENABLED and self._is_as_found:
+        if self.state is DriveState.OPERATION_ENABLED and self._is_as_found:
             return
-        if self._last_state is DriveState.OPERATION_ENABLED:
+        if self.state is DriveState.OPERATION_ENABLED:
             self._send_and_wait(self._controlword, deadline_s)
-            if self._last_state is DriveState.OPERATION_ENABLED:
+            if self.state is DriveState.OPERATION_ENABLED:
                 return
         while True:
             # 0 first, so that there is an edge whatever was sent before
             self._send_and_wait(DriveCommand.DISABLE_VOLTAGE, deadline_s)
-            if self._last_state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+            if self.state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
                 return
             if self._bus.clock.now_s() >= deadline_s:
                 raise BoardFaulted(
@@ -269,7 +265,7 @@ class MotorBoard:
 
     def step_fault_reset(self) -> bool:
         """One step of `acknowledge_fault` without waiting; True once no reply says FAULT. LinkLost."""
-        if self._last_state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+        if self.state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             return True
         if self._is_answered() or self._is_due():
             was_reset = self._controlword == DriveCommand.FAULT_RESET
@@ -292,7 +288,7 @@ class MotorBoard:
         self._bus.wait(now_s + _STEP_s)
 
     def _state_name(self) -> str:
-        return self._last_state.value if self._last_state else "an unknown state"
+        return self.state.value if self.state else "an unknown state"
 
     def _fault_names(self) -> str:
         faults = self.reply.fault_flags if self.reply else wire.MotorFault(0)
@@ -348,11 +344,11 @@ class MotorBoard:
         self._answered = self._commands_sent - ((self._sequence - reply.sequence) & wire.SEQUENCE_MASK)
         self.reply_at_s = now_s
         self.replies += 1
-        if state is not self._last_state:
+        if state is not self.state:
             self._take_state(state)
 
     def _take_state(self, state: DriveState) -> None:
-        before, self._last_state = self._last_state, state
+        before, self.state = self.state, state
         # Only a command leads to this state; without one, it is a restart whose start-up message was lost.
         if (
             state in _OFF_STATES
@@ -373,7 +369,7 @@ class MotorBoard:
 
     def _was_reset(self) -> None:
         self.resets += 1
-        self.reply, self.reply_at_s, self._last_state = None, -math.inf, None
+        self.reply, self.reply_at_s, self.state = None, -math.inf, None
         self._order.forget()
         self._controlword = int(DriveCommand.DISABLE_VOLTAGE)
         self._problems.append(

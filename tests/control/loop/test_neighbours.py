@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 
 from control.errors import ArmError
+from control.model.cell import Placed
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.body import ArmBody, pairs_between
 from control.safety.collision import least_gap
@@ -179,3 +180,22 @@ def test_an_arm_that_stands_alone_does_not_meet_itself() -> None:
             (0.0, -0.4, -1.6), (0.0, -0.4, 0.4)
         )
         assert not guard.objection((0.0, -0.4, 0.2), (0.0, -0.4, 0.4))
+
+
+def test_an_arm_does_not_meet_itself_between_the_poses_in_which_it_looks() -> None:
+    thick, here = thick_arm().arms[0].arm, (0.0, -0.4, 0.4)
+    body = ArmBody(Placed(thick), 0.0)
+    with holding_cell(scenario(here, effect=FRICTION), thick) as cell:
+        beside = cell.assembly.runtime.parts.tool.guard.beside
+        assert beside is not None
+        gaps_m = []
+        for k in range(3000):  # folded and stretched in turn, by up to 0.03 rad from pose to pose
+            q_rad = (
+                0.3 * math.sin(0.01 * k),
+                -0.4,
+                -0.7 + 1.2 * math.sin(0.02 * k + 0.3 * math.sin(0.003 * k)),
+            )
+            at = body.at(q_rad)
+            gaps_m.append(least_gap(at, at, body.own_pairs, math.inf).gap_m)
+            assert bool(beside.objection(q_rad, here, False)) == (gaps_m[-1] < 0.0), q_rad
+        assert min(gaps_m) < 0.0 < max(gaps_m)

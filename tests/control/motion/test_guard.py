@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from benchmarks.arms import SEVEN, SIX
+from control.errors import ArmError
 from control.kinematics.corners import Corners
 from control.kinematics.kinematics import ForwardKinematics
+from control.model.arm import Arm
 from control.motion.errors import MotionError
 from control.motion.guard import Guard, stopping_distance
 from control.motion.joint_limits import JointLimits
@@ -35,6 +39,18 @@ def poses(count: int) -> np.ndarray[Any, Any]:
     return np.random.default_rng(3).uniform(lower, upper, (count, 3))
 
 
+def walk(arm: Arm, start: Sequence[float], step_rad: float, seed: int, count: int = 200) -> Any:
+    """Poses on straight ways from one random pose to the next, `step_rad` apart in the joint that has furthest to go."""
+    rng = np.random.default_rng(seed)
+    lower, upper = np.array(arm.limits_rad).T
+    q, towards = np.array(start), rng.uniform(lower, upper)
+    for _ in range(count):
+        if np.abs(towards - q).max() < step_rad:
+            towards = rng.uniform(lower, upper)
+        q = q + (towards - q) * min(1.0, step_rad / np.abs(towards - q).max())
+        yield q
+
+
 def test_corners_are_the_frames_origins_and_the_tip_scalar_and_in_batches() -> None:
     corners, kinematics = Corners(RIGHT), ForwardKinematics(RIGHT)
     for q, *batch in zip(poses(20), *(c.T for c in corners.batch(poses(20))), strict=True):
@@ -43,6 +59,27 @@ def test_corners_are_the_frames_origins_and_the_tip_scalar_and_in_batches() -> N
         assert found[0] == pytest.approx(frames[2], abs=1e-12)  # the elbow; the shoulder never moves
         assert found[-1] == pytest.approx(kinematics.tip(*q), abs=1e-12)
         assert np.allclose(found, batch, atol=1e-12)
+
+
+@pytest.mark.parametrize("arm", [with_limits(base_radius_m=0.06), SIX, SEVEN], ids=lambda arm: arm.name)
+def test_a_set_point_is_refused_as_if_the_guard_remembered_no_pose_that_was_far_from_everything(
+    arm: Arm,
+) -> None:
+    guard, start = Guard(arm, JointLimits.of(arm)), (0.0,) * arm.joint_count
+    here = next(tuple(q) for q in walk(arm, start, 0.3, seed=2) if guard.clearance(tuple(q)).distance_m > 0.0)
+    refused, count = 0, 4000
+    for q in map(tuple, walk(arm, here, 0.02, seed=3, count=count)):
+        is_met = guard.clearance(q).distance_m < 0.0
+        assert bool(guard.fixed_objection(q, here)) == is_met, q
+        refused += is_met
+    assert 0 < refused < count
+
+
+def test_a_set_point_that_is_no_number_is_not_near_to_any_pose() -> None:
+    guard = Guard(RIGHT, LIMITS)
+    assert not guard.fixed_objection((0.0, 0.3, 0.3), (0.0, 0.3, 0.3))
+    with pytest.raises(ArmError, match="finite"):
+        guard.fixed_objection((0.0, math.nan, 0.3), (0.0, 0.3, 0.3))
 
 
 def test_a_calibrated_arm_does_not_meet_its_base_with_the_link_that_hangs_on_it() -> None:
