@@ -126,7 +126,7 @@ class FaultyFrames:
     @property
     def is_silent(self) -> bool:
         """Whether nothing is transmitted in either direction."""
-        return any(fault.kind == "silent" for fault in self.faults)
+        return bool(self.faults) and any(fault.kind == "silent" for fault in self.faults)
 
     def passed(self, frames: Frames) -> Frames:
         """The frames as they arrive, in the order of sending."""

@@ -6,7 +6,7 @@ All times are those of the simulation; the board's own clock drifts against it.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -79,8 +79,8 @@ class EncoderBoardHardware(ABC):
         self._before, self._raw, self._is_home = self._raw, raw, is_home
         if self.stuck or self.lost or self.backwards:
             self._miscount()
-        if self._armed and raw != self._before:
-            for moment_s, at, counter in sorted(self._passed_indices(now_s)):
+        if self._armed and raw != self._before and (passed := self._passed_indices(now_s)):
+            for moment_s, at, counter in sorted(passed):
                 self._index(at, self._board_us(moment_s), counter, now_s)
         if self.drift:
             self._drift(now_s)
@@ -174,22 +174,23 @@ class EncoderBoardHardware(ABC):
             )
             self._shift[at] += int(whole)
 
-    def _passed_indices(self, now_s: float) -> Iterator[tuple[float, int, int]]:
-        """Interpolated time, channel and counter where armed shafts passed their index."""
+    def _passed_indices(self, now_s: float) -> list[tuple[float, int, int]]:
+        """Interpolated time, channel and counter where armed shafts came upon their index, in either direction.
+
+        One on which a shaft stood must be left first.
+        """
+        passed = []
         for at in self._armed:
             before, raw = self._before[at], self._raw[at]
-            here = self._index_between(at, before, raw)
-            if here is not None and at not in self.stuck and at not in self.lost:
+            if raw > before:
+                here = before + 1 + (self._index_raw[at] - before - 1) % self._spacing[at]
+                is_passed = here <= raw
+            elif raw < before:
+                here = before - 1 - (before - 1 - self._index_raw[at]) % self._spacing[at]
+                is_passed = here >= raw
+            else:
+                continue
+            if is_passed and at not in self.stuck and at not in self.lost:
                 share = (here - before) / (raw - before)
-                yield self._tick_s + (now_s - self._tick_s) * share, at, here + self._shift[at]
-
-    def _index_between(self, at: int, before: int, raw: int) -> int | None:
-        """The index position that the shaft came upon, in either direction: one that it stood on must be left first."""
-        index_raw, spacing = self._index_raw[at], self._spacing[at]
-        if raw > before:
-            first = before + 1 + (index_raw - before - 1) % spacing
-            return first if first <= raw else None
-        if raw < before:
-            first = before - 1 - (before - 1 - index_raw) % spacing
-            return first if first >= raw else None
-        return None
+                passed.append((self._tick_s + (now_s - self._tick_s) * share, at, here + self._shift[at]))
+        return passed

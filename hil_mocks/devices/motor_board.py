@@ -49,6 +49,8 @@ class MotorBoardMock(MotorBoardHardware):
 
     def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
         self._rows = parameter.writable(setup.rating_mA, setup.digital_pins)
+        self._rated_K = setup.rated_degC - setup.ambient_degC
+        self._command_id, self._reply_id = COMMAND + setup.node, REPLY + setup.node
         self.pins: DigitalPinsMock = DigitalPinsMock(setup.digital_pins)
         super().__init__(setup, read_shaft)
 
@@ -83,10 +85,10 @@ class MotorBoardMock(MotorBoardHardware):
             return []
         if len(payload) != 8:
             return []
-        if can_id == COMMAND + self.setup.node:
+        if can_id == self._command_id:
             reply = self._command(payload, now_s)
             self._lead_pins()
-            return [(REPLY + self.setup.node, reply)]
+            return [(self._reply_id, reply)]
         if can_id == REQUEST + self.setup.node:
             return [(ANSWER + self.setup.node, self._parameter(payload))]
         if can_id == DIGITAL_COMMAND + self.setup.node and self.setup.digital_pins:
@@ -95,8 +97,16 @@ class MotorBoardMock(MotorBoardHardware):
 
     def _period(self, now_s: float, step_s: float) -> list[Frame]:
         self._now_s = now_s
-        self._watch_current(now_s)
-        self._measure_speed(step_s)
+        if -self._trip_A <= self._current_A <= self._trip_A:
+            self._over_current_since_s = None
+        elif self._over_current_since_s is None:
+            self._over_current_since_s = now_s
+        # The filtered speed [counts/s], whatever the state is.
+        shaft_count = self._read_shaft()
+        if step_s > 0.0:
+            rate = (shaft_count - self._count_before) / step_s
+            self._speed += (rate - self._speed) * step_s / (step_s + self._filter_s)
+        self._count_before = shaft_count
         state = self.state
         if state is _NOT_READY:
             self.state = MotorState.SWITCH_ON_DISABLED
@@ -109,7 +119,12 @@ class MotorBoardMock(MotorBoardHardware):
                 self._expire()
             elif self._stop is None and self._mode in (1, 2):
                 self._begin_stop(now_s)
-        if self._may_have_cause() and (causes := self._causes() & ~self.faults):
+        if (
+            self._over_current_since_s is not None
+            or self.forced_faults != 0
+            or not LOWEST_SUPPLY_V <= self._supply_V <= HIGHEST_SUPPLY_V
+            or self._above_ambient_K > self._rated_K
+        ) and (causes := self._causes() & ~self.faults):
             self._fault(causes)
         if (self._mode == 3 and self.state is _ENABLED) or self._holds:
             self._control(step_s)
@@ -121,27 +136,12 @@ class MotorBoardMock(MotorBoardHardware):
         if is_enabled is not self.pins.is_enabled:
             self.pins.follow(is_enabled)
 
-    def _watch_current(self, now_s: float) -> None:
-        if -self._trip_A <= self._current_A <= self._trip_A:
-            self._over_current_since_s = None
-        elif self._over_current_since_s is None:
-            self._over_current_since_s = now_s
-
-    def _may_have_cause(self) -> bool:
-        """Whether `_causes` must look; each period asks."""
-        return (
-            self._over_current_since_s is not None
-            or self.forced_faults != 0
-            or not LOWEST_SUPPLY_V <= self._supply_V <= HIGHEST_SUPPLY_V
-            or self._above_ambient_K > self.setup.rated_degC - self.setup.ambient_degC
-        )
-
     def _causes(self) -> int:
         """Faults with a present cause; an over-current must last."""
         causes, since_s, supply_V = self.forced_faults, self._over_current_since_s, self._supply_V
         if since_s is not None and self._now_s - since_s > _TRIP_S:
             causes |= OVER_CURRENT
-        if self._above_ambient_K > self.setup.rated_degC - self.setup.ambient_degC:
+        if self._above_ambient_K > self._rated_K:
             causes |= OVER_TEMPERATURE
         if supply_V < LOWEST_SUPPLY_V and self.state is _ENABLED:
             causes |= UNDER_VOLTAGE
@@ -200,14 +200,6 @@ class MotorBoardMock(MotorBoardHardware):
 
     def _end_stop(self) -> None:
         self._stop, self._holds, self._integral_mV = None, False, 0.0
-
-    def _measure_speed(self, step_s: float) -> None:
-        """Filtered speed [counts/s], whatever the state is."""
-        shaft_count = self._read_shaft()
-        if step_s > 0.0:
-            rate = (shaft_count - self._count_before) / step_s
-            self._speed += (rate - self._speed) * step_s / (step_s + self._filter_s)
-        self._count_before = shaft_count
 
     def _stopping_point(self) -> tuple[int, float]:
         """Set-point in counts, and its speed, during a stop without the host."""

@@ -59,11 +59,19 @@ class Standing:
 
     def in_base(self, world_m: Sequence[float]) -> tuple[float, float, float]:
         """Convert a point of the world to the base frame."""
+        if self.is_at_origin:  # an arm that stands alone; its camera asks a hundred times a second
+            x, y, z = map(float, world_m)
+            return x, y, z
         w, x, y, z = self.orientation
         turned = np.zeros(3)
         mujoco.mju_rotVecQuat(turned, np.subtract(world_m, self.origin_m), np.array((w, -x, -y, -z)))
         a, b, c = turned.tolist()
         return a, b, c
+
+    @property
+    def is_at_origin(self) -> bool:
+        """Whether its base frame is the world's."""
+        return self.orientation == (1.0, 0.0, 0.0, 0.0) and self.origin_m == (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
