@@ -59,8 +59,13 @@ class Filters:
 
     def rows(self, values: Array) -> Array:
         """Row-filtered values (m, ...) at `places`: (rows, ...)."""
-        windows = np.lib.stride_tricks.sliding_window_view(values, len(self.row), axis=0)
-        return np.asarray(windows[:: self.step] @ self.row)
+        values, size = np.ascontiguousarray(values), len(self.row)
+        count, (apart, *along) = (len(values) - size) // self.step + 1, values.strides
+        # A view, as `sliding_window_view` gives it; that one takes longer than the product, ten thousands of times.
+        windows: Array = np.ndarray(
+            (count, *values.shape[1:], size), values.dtype, values, 0, (self.step * apart, *along, apart)
+        )
+        return np.asarray(windows @ self.row)
 
 
 def filters_for(rate_Hz: float) -> Filters:
