@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, rotation_of
-from calib.arm_problem.joint_effects import corrections, effect_key, known_corrections, resting_points
+from calib.arm_problem.joint_effects import (
+    corrections,
+    effect_key,
+    known_corrections,
+    resting_points,
+    with_effects,
+)
+from calib.arm_problem.joint_laws import FOLLOW_LOADS
 from calib.arm_problem.link_bending import FLEXURE, known_bending
 from calib.arm_problem.observations import Correction, Observations
 from calib.arm_problem.parameters import Bounds
 from calib.arm_problem.posed import TARGET
-from calib.arm_problem.problem import ArmProblem
+from calib.arm_problem.problem import TOOL_NAMES, ArmProblem, ModelValues
 from calib.arm_problem.starts import started_tool, with_started_frames
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, UnusablePointsError
@@ -28,6 +35,7 @@ BASE = "base"
 # Where neither the arm's [camera] nor an option says: a tracker's, and what its target of some 100 mm makes of it.
 POSITION_NOISE_m = 0.00014
 ORIENTATION_NOISE_rad = 0.002
+NEARBY = 1e-3  # of a bound: a few micrometres, some tens of microradians, where loads are straight
 CAMERA = "camera"
 FREEABLE = (BASE, CAMERA, "table", "tool")
 BASE_FRAME = (
@@ -111,6 +119,54 @@ def problem_of(
         is_tool_free=is_tool_free,
         tool_m=tool_m,
     )
+
+
+def followed(arm: Arm, points: Points, problem: ArmProblem, at: ModelValues) -> dict[str, Array]:
+    """How what soft gears and bent links do to the tips (m, 3) follows each parameter of an arm, per its own unit, by name.
+
+    `arm` is that of the solution `at`. By finite differences: loads follow its geometry, and joints that give way to them. A
+    loose gear has no such slope: it jumps. Empty where nothing follows loads.
+    """
+    steady = replace(arm, effects=tuple(one for one in arm.effects if one.effect != "backlash"))
+    if not any(one.effect in FOLLOW_LOADS for one in steady.effects) and not any(
+        one.over == "load_Nm" for one in steady.maps
+    ):
+        return {}
+    here = resting_points(steady, points).joint_rad
+    by_joint = problem.model.slopes(at.dh, here, at.tool_m).by_dh[:, :, list(problem.model.theta_places)]
+    direct = {one.name: one for one in problem.observed.corrections}
+
+    def moved_m(there: Arm) -> Array:
+        joint_rad = resting_points(there, points, here).joint_rad
+        bent = known_bending(there, joint_rad, points.payload_kg)
+        moved = np.einsum("mij,mj->mi", by_joint, joint_rad - here)
+        return np.asarray(moved if bent is None else moved + bent.shift)
+
+    before_m, found = moved_m(steady), {}
+    for name, step, there in _nearby(steady, problem, at):
+        found[name] = (moved_m(there) - before_m) / step
+        if name in direct:
+            found[name] -= np.einsum("mij,mj->mi", by_joint, direct[name].slope_rad)
+            found[name] -= 0.0 if (slope_m := direct[name].slope_m) is None else slope_m
+    return found
+
+
+def _nearby(arm: Arm, problem: ArmProblem, at: ModelValues) -> Iterator[tuple[str, float, Arm]]:
+    """Each parameter that shapes the arm, a step of it [own unit], and the arm with that step."""
+    for k, one in enumerate(problem.everything):
+        step = NEARBY * one.scale
+        if k < at.dh.size:
+            dh = np.array(at.dh)
+            dh.flat[k] += step
+            yield one.name, step, arm.with_dh(dh)
+        elif one.name in TOOL_NAMES:
+            x, y, z = (at.tool_m + step * np.eye(3)[TOOL_NAMES.index(one.name)]).tolist()
+            yield one.name, step, replace(arm, tool=replace(arm.tool, position_m=(x, y, z)))
+        elif one.name in at.corrections and not one.name.startswith("backlash"):
+            there = with_effects(arm, {**at.corrections, one.name: at.corrections[one.name] + step})
+            there = replace(there, effects=tuple(e for e in there.effects if e.effect != "backlash"))
+            if there.effects != arm.effects:  # what cannot be is in no arm
+                yield one.name, step, there
 
 
 def observations_of(arm: Arm, points: Points, choice: Choice, shaped: Arm | None = None) -> Observations:

@@ -36,6 +36,7 @@ from control.model.arm import Arm, Effect
 from control.model.effects import COUPLED, EFFECTS, linear_values, moved_joint, place_of
 
 Key = tuple[str, int | None]  # effect and joint
+SAME_rad = 1e-10  # a joint's angle below which loads are the same: a tenth of a nanometre at a metre
 
 
 def corrections(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[Correction, ...]:
@@ -76,14 +77,23 @@ def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> A
     return _known(arm, resting_points(arm, points), wanted)
 
 
-def resting_points(arm: Arm, points: Points) -> RestingPoints:
-    """The points at the joints' angles that the arm's own effects and maps give.
+def resting_points(arm: Arm, points: Points, near_rad: Array | None = None) -> RestingPoints:
+    """The points at the joints' angles that the arm's own effects and maps give; they begin at `near_rad`, if it is there.
 
-    Loads act there, and soft and loose gears follow loads: those are evaluated at the encoders' angles first.
+    Loads act there, and soft and loose gears follow loads: q = encoder + added(q), repeated at every pose until q stays, or gets
+    no nearer: where gravity turns round, a loose gear may lie on either flank.
     """
-    first = RestingPoints(arm, points, points.q_rad)
-    added = _known(arm, first, ())
-    return RestingPoints(arm, points, frozen(points.q_rad + added)) if added.any() else first
+    joint_rad = points.q_rad if near_rad is None else near_rad
+    last_rad = np.full(len(points), np.inf)
+    while True:
+        at = RestingPoints(arm, points, frozen(joint_rad))
+        wanted = points.q_rad + _known(arm, at, ())
+        apart_rad = np.abs(wanted - joint_rad).max(axis=1, initial=0.0)
+        is_nearer = (SAME_rad < apart_rad) & (apart_rad < last_rad)
+        if not is_nearer.any():
+            return at
+        joint_rad = np.where(is_nearer[:, None], wanted, joint_rad)
+        last_rad = np.where(is_nearer, apart_rad, 0.0)
 
 
 def _known(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> Array:

@@ -23,6 +23,7 @@ from control.model.effects import COUPLED_TO
 COUPLING: Final = "belt_coupling"
 DRIFT: Final = "thermal_drift"
 SHARE_PARTS: Final = 8
+FOLLOW_LOADS: Final = ("joint_compliance", FLEXURE)  # without a jump
 
 
 class RestingPoints:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,9 +86,11 @@ class ArmProblem:
         if not len(self._places):
             raise CalibrationError("every parameter is fixed: free at least one")
         self.parameters = tuple(everything[k] for k in self._places)
+        self.everything = tuple(everything)  # those that are fixed, too
         self._scale = np.array([parameter.scale for parameter in self.parameters])
         self._start = np.array([c.nominal for c in observed.corrections])
         self._whole_size = len(everything)
+        self._follows: tuple[Array, Array] | None = None
 
     def _every_parameter(self, bounds: Bounds, is_tool_free: bool) -> tuple[Parameter, ...]:
         """DH, tool, free frames, corrections: the order of the whole deviation vector."""
@@ -128,7 +130,27 @@ class ArmProblem:
         some = copy.copy(self)
         keep = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
         some.observed, some.references_m = self.observed.chosen(keep), self.references_m[keep]
+        if self._follows is not None:
+            some._follows = self._follows[0][keep], self._follows[1]
         return some
+
+    def following(self, by_parameter: Mapping[str, Array], at: ModelValues) -> ArmProblem:
+        """The problem where effects follow parameters of the arm: its loads, whose slopes are those at the solution `at`.
+
+        `by_parameter`: how the tips (m, 3) follow, per parameter's own unit, besides what the slopes and the geometry do.
+        """
+        names = [parameter.name for parameter in self.everything]
+        slope, place = np.zeros((len(self), 3, len(names))), np.zeros(len(names))
+        for k, name in enumerate(names):
+            slope[:, :, k] = by_parameter.get(name, 0.0)
+        place[: self._tool_at] = (at.dh - self.model.nominal_dh).ravel()
+        if self._frames_at > self._tool_at:
+            place[self._tool_at : self._frames_at] = at.tool_m - self._tool_m
+        values = [at.corrections.get(one.name, one.nominal) for one in self.observed.corrections]
+        place[self._corrections_at :] = np.array(values) - self._start
+        other = copy.copy(self)
+        other._follows = slope, place
+        return other
 
     def solution(self, x: Array) -> ModelValues:
         """The parameters at unknowns x (k,)."""
@@ -175,7 +197,17 @@ class ArmProblem:
         """Reference minus modelled tip, (m, 3), base frame."""
         dh, tool, moves, values = self._parts(x)
         tips = self.model.tips(dh, self._joint_rad(values, rows), tool)
-        return np.asarray(self._references(moves, rows)[0] - self._bent(tips, values, rows))
+        return np.asarray(
+            self._references(moves, rows)[0] - self._bent(tips, values, rows) - self._followed(x, rows)
+        )
+
+    def _followed(self, x: Array, rows: slice) -> Array:
+        """What effects do at unknowns x beyond their slopes, (m, 3) or 0."""
+        if self._follows is None:
+            return np.zeros(3)
+        whole = np.zeros(self._whole_size)
+        whole[self._places] = x * self._scale
+        return np.asarray(self._follows[0][rows] @ (whole - self._follows[1]))
 
     def residuals_and_jacobian(self, x: Array, rows: slice = ALL) -> tuple[Array, Array]:
         """Residuals (m, 3) and their derivative with respect to x, (m, 3, k)."""
@@ -198,8 +230,10 @@ class ArmProblem:
                 columns[self._tool_at : self._frames_at] = slopes.by_tool.transpose(2, 1, 0)
             self._frame_columns(columns[self._frames_at : self._corrections_at], moves, arms, rows)
             self._correction_columns(columns[self._corrections_at :], slopes.by_dh, rows)
+        if self._follows is not None:
+            columns = columns + self._follows[0][rows].transpose(2, 1, 0)
         return Expansion(
-            residuals=references - self._bent(slopes.tips, values, rows),
+            residuals=references - self._bent(slopes.tips, values, rows) - self._followed(x, rows),
             columns=columns,
             places=self._places,
             scale=self._scale,

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.arm_problem.assembly import BASE, Choice, problem_of, with_own_base
+from calib.arm_problem.assembly import BASE, Choice, followed, problem_of, with_own_base
 from calib.arm_problem.checks import require_usable, still_joints
 from calib.arm_problem.joint_effects import unclear_flanks, unphysical
 from calib.arm_problem.problem import ArmProblem
@@ -28,6 +28,8 @@ from control.model.table import board_cavities
 from control.progress import Advance, silent
 
 NOISE_RATIO = 2.0  # between the scatter of orientations and positions and their stated noises, either way
+SAME_sd = 0.1  # standard deviations that any value moves at most where all predictions together move by less than this
+SLOW = 0.1  # of the step before, from which on the next one is slow
 LeaveOut = Literal["setup"] | int | None
 
 
@@ -108,22 +110,36 @@ def identified(
 ) -> tuple[ArmProblem, Identification]:
     """What is identified at the points, or at those of a mask (m,), and its problem.
 
-    Effects of loads follow the geometry: they are evaluated at that of a first identification, as a reader of the file does.
+    Effects of loads follow the geometry: they are evaluated at that of the identification before, to first order around it, until
+    what the arm predicts moves by less than the noise tells, or no less than before.
     """
 
-    def solved(shaped: Arm | None) -> tuple[ArmProblem, Identification]:
-        problem = problem_of(arm, points, plan.choice, shaped)
-        some = problem if rows is None else problem.of_rows(rows)
-        return some, identify(
-            some,
+    def solved(problem: ArmProblem, starts_count: int) -> Identification:
+        return identify(
+            problem if rows is None else problem.of_rows(rows),
             objective=plan.objective,
-            starts_count=plan.starts_count if shaped is None else 1,
+            starts_count=starts_count,
             seed=plan.seed,
             accuracy_limit_m=plan.accuracy_limit_m,
         )
 
-    problem, found = solved(None)
-    return solved(calibrated_arm(arm, found, points)) if plan.choice.effects else (problem, found)
+    problem = problem_of(arm, points, plan.choice)
+    first = found = solved(problem, plan.starts_count)
+    slopes: dict[str, Array] | None = None
+    moved_m = np.inf
+    while plan.choice.effects:
+        shaped, before, last_m = calibrated_arm(arm, found, points), found, moved_m
+        problem = problem_of(arm, points, plan.choice, shaped)
+        slopes = followed(shaped, points, problem, found.solution) if slopes is None else slopes
+        found = solved(problem.following(slopes, found.solution) if slopes else problem, 1)
+        moved_m = float(np.linalg.norm(found.error_after_m - before.error_after_m))
+        if moved_m <= SAME_sd * found.noise_m or not moved_m < last_m:
+            break
+        if moved_m > SLOW * last_m:
+            slopes = None  # these were of another place
+    before_m, value = first.error_before_m, first.objective_before
+    found = replace(found, error_before_m=before_m, objective_before=value)
+    return problem if rows is None else problem.of_rows(rows), found
 
 
 def _about_frame(arm: Arm) -> str:

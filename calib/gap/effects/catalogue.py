@@ -44,10 +44,13 @@ def series_of(effect: str) -> InSeries | None:
     return RECORDS[effect].series if effect in RECORDS else None
 
 
-def pose_terms(scene: PoseScene) -> tuple[Term, ...]:
-    """Every effect on every joint or link, in every variant, that these poses could show."""
+def pose_terms(scene: PoseScene, effects: Collection[str] = RECORDS.keys()) -> tuple[Term, ...]:
+    """Every effect on every joint or link, in every variant, that these poses could show; `effects`: only these."""
     return tuple(
-        term for one in RECORDS.values() if one.poses is not None for term in one.poses.terms(one, scene)
+        term
+        for one in RECORDS.values()
+        if one.poses is not None and one.effect in effects
+        for term in one.poses.terms(one, scene)
     )
 
 

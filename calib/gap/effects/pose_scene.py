@@ -47,9 +47,9 @@ def stated_kg(points: Points) -> Array:
     return np.nan_to_num(points.payload_kg)
 
 
-def load_of(arm: Arm, points: Points) -> Array | None:
-    """Gravity's torques (m, n); None for an arm without masses."""
+def load_of(arm: Arm, points: Points, joint_rad: Array | None = None) -> Array | None:
+    """Gravity's torques (m, n) at joint angles (m, n), by default the encoders'; None for an arm without masses."""
     try:
-        return gravity_Nm(arm, points.q_rad, stated_kg(points))
+        return gravity_Nm(arm, points.q_rad if joint_rad is None else joint_rad, stated_kg(points))
     except MissingModel:
         return None

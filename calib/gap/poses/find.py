@@ -34,7 +34,7 @@ from calib.points.points import Points
 from control.model.arm import Arm
 from control.progress import Advance, silent
 
-LOOKS = 3  # linearisations, at most
+STAYS = 1.0  # standard deviation of all tips together, by which a step moves them at most when values stay: half in log evidence
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
 
 
@@ -145,31 +145,48 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
 
 
 def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tuple[Looked, Around, Decision]:
-    """Look, linearise anew around what was found, with the noise that repeats then show, and look again until it stays."""
+    """Look, linearise anew where the best set settles, with the noise that repeats then show, and look again until a set is the
+    best at its own place, or was it before.
+    """
     forced = [
         EffectName(one.effect, one.joint) for one in looked.arm.effects if are_total_in_poses(one.effect)
     ]
-    state = State.bare(looked.fit, looked.loaded)
-    known: list[frozenset[Key]] = []
     blocks: tuple[Term, ...] = ()
-    for look in range(LOOKS):
-        advance("weighing effects", 0.2 + 0.2 * look)
+
+    def around_of(state: State, keys: Collection[Key] | None = None) -> Around:
         noise = looked.floor.tip_m, max(looked.floor.doubt, FLOOR_DOUBT)
-        around = Around.of(
+        return Around.of(
             state, looked.bare_arm, looked.points, looked.parts.known, noise, without, blocks,
-            looked.floor.lever_m,
+            looked.floor.lever_m, keys,
         )  # fmt: skip
+
+    def settled(state: State, keys: Collection[Key]) -> State:
+        """The values of a set where they stay: Gauss and Newton's steps, as long as each moves the tips by less than the last."""
+        moved, left_m = math.inf, state.posed().left().tip_m
+        while moved > STAYS:
+            around = around_of(state, keys)
+            further = around.next_state(Search(around.evidence, forced).of(keys), state.follows)
+            last, before_m, left_m = moved, left_m, further.posed().left().tip_m
+            moved = float(np.linalg.norm((left_m - before_m)[around.rows])) / around.noise_m
+            if not moved < last:
+                break
+            state = further
+        return state
+
+    state, starts = State.bare(looked.fit, looked.loaded), list[frozenset[Key]]()
+    seen: set[frozenset[Key]] = set()
+    while True:
+        advance("weighing effects", 0.8 - 0.6 / (1.0 + len(seen)))
+        around = around_of(state)
         blocks = around.blocks
         search = Search(around.evidence, forced)
-        found = search.run(known)
+        found = search.run(starts)
         apart = {one.name: one.confusable_with for one in nameable(around.evidence)}
         decision = decide(around.evidence, found, apart)
         keys = search.keys(decision.best.members)
-        if (look and keys == known[0]) or not keys:
-            break
-        names = frozenset(key for key in keys if isinstance(key, EffectName))
-        known = [keys, names]
-        if look < LOOKS - 1:
-            state = around.next_state(decision.best)
-            looked = looked.refloored(around.fitted(decision.best)[1])
-    return looked, around, decision
+        if keys in seen or not keys:
+            return looked, around, decision
+        seen.add(keys)
+        starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
+        state = settled(around.next_state(decision.best), keys)
+        looked = looked.refloored(state.posed().left())

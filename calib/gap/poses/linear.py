@@ -39,11 +39,17 @@ class Linear:
         terms: Sequence[Term],
         moved: Array | None = None,
         weight: Array | None = None,
+        follows: Array | None = None,
     ) -> Linear:
-        """`moved` (m, 6): what terms that the fit's problem holds already do to tip and last link, to first order."""
+        """`moved` (m, 6): what terms that the fit's problem holds already do to tip and last link, to first order; `follows`
+        (m, 6, k): how that follows the geometry.
+        """
         measured = fit.measured(lever_m)
         count = measured.jacobian.shape[2]
         base = -measured.jacobian.reshape(-1, count)
+        if follows is not None:
+            rows = measured.rows_of(np.moveaxis(follows, 2, 0))
+            base[:, : len(fit.x)] += rows.reshape(len(rows), -1).T
         columns = np.concatenate([measured.moved_by(one) for one in terms])
         ends = np.cumsum([one.count for one in terms])
         places = tuple(slice(int(end) - one.count, int(end)) for one, end in zip(terms, ends, strict=True))
@@ -63,14 +69,14 @@ class Linear:
         base, columns, y = (
             self.whitened(values, poses, noise_m) for values in (self.base, self.columns, self.y[:, None])
         )
-        inner = np.linalg.cholesky(base.T @ base + np.diag(self.precision))
         values = np.column_stack((columns, y))
-        fit = np.linalg.solve(inner.T, np.linalg.solve(inner, base.T @ values))
-        # as residual plus prior's share, not as a difference of large numbers
-        rest, prior = values - base @ fit, np.sqrt(self.precision)[:, None] * fit
-        seen = rest.T @ rest + prior.T @ prior
-        used = float(np.sum(np.linalg.solve(inner, base.T) ** 2))
-        more = np.zeros_like(seen) if held is None else _beside(inner @ inner.T, fit, held)
+        # the prior as rows of its own: what tips leave open, a factor 1e8 in size, is lost in normal equations
+        q, r = np.linalg.qr(np.vstack((base, np.diag(np.sqrt(self.precision)))))
+        fit = np.linalg.solve(r, q[: len(base)].T @ values)
+        rest = np.vstack((values, np.zeros_like(fit))) - q @ (q[: len(base)].T @ values)
+        seen = rest.T @ rest
+        used = float(np.sum(q[: len(base)] ** 2))
+        more = np.zeros_like(seen) if held is None else _beside(r.T @ r, fit, held)
         return Gram(
             seen[:-1, :-1],
             seen[:-1, -1],
@@ -84,7 +90,8 @@ class Linear:
         """Unknowns (K,) of the geometry beside the terms' move `total` (3R,)."""
         base = self.whitened(self.base, poses, noise_m)
         left = self.whitened((self.y - total)[:, None], poses, noise_m)[:, 0]
-        return np.asarray(np.linalg.solve(base.T @ base + np.diag(self.precision), base.T @ left))
+        rows = np.vstack((base, np.diag(np.sqrt(self.precision))))
+        return np.asarray(np.linalg.lstsq(rows, np.concatenate((left, np.zeros(len(self.precision)))))[0])
 
     def whitened(self, values: Array, poses: Mask, noise_m: float) -> Array:
         """Values (3R, c) at some poses (m,), in standard deviations of the noise."""

@@ -22,9 +22,12 @@ from calib.gap.poses.nameless import blocks_of
 from calib.gap.poses.outlying import flank_covariance
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
-from calib.gap.posterior.term import Block, Term
+from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
 from control.model.arm import Arm
+from control.model.effects import EFFECTS
+
+STEP = 1e-3  # of an unknown, in bounds: a few micrometres, some tens of microradians
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +35,8 @@ class State:
     """The point of linearisation: the geometry, joints moved by turn_rad (m, n), tip and last link by `moved` (m, 6: m, rad).
 
     `linear` (m, 6): the part of these moves that is linear in coefficients. `weight` (R, 3, 3) whitens rows whose flank is
-    uncertain, None: of none; `loaded`: the arm with the geometry and the loads found so far.
+    uncertain, None: of none; `loaded`: the arm with the geometry and the loads found so far. `follows` (m, 6, k): how these moves
+    follow the geometry, since loads do; None: not at all.
     """
 
     fit: Fit
@@ -41,6 +45,7 @@ class State:
     linear: Array
     weight: Array | None
     loaded: Arm
+    follows: Array | None = None
 
     @classmethod
     def bare(cls, fit: Fit, arm: Arm) -> State:
@@ -100,15 +105,18 @@ class Around:
         without: Collection[str],
         blocks: Sequence[Term] = (),
         lever_m: float = 0.0,
+        keys: Collection[Key] | None = None,
     ) -> Around:
         """`arm`: without the effects that are looked for; `noise`: floor [m] and its doubt; `blocks`: of a look before.
 
-        `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used.
+        `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used. `keys`: only these terms.
         """
         scene = PoseScene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
-        names = [_unlisted(one, without) for one in pose_terms(scene)]
-        terms = [*names, *(blocks or blocks_of(scene, names))]
-        linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight)
+        names = [_unlisted(one, without) for one in pose_terms(scene, _effects(keys))]
+        terms = [
+            one for one in (*names, *(blocks or blocks_of(scene, names))) if keys is None or one.key in keys
+        ]
+        linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight, state.follows)
         held = holding_currents(state.fit, arm, points, state.joint_rad, state.turn_rad, terms)
         gram = linear.projected(rows, noise[0], None if held is None else held.seen(rows))
         return cls(state, arm, points, rows, noise[0], linear, Evidence(gram, terms, noise[1]))
@@ -156,36 +164,86 @@ class Around:
 
     def gravity_Nm(self) -> Array | None:
         """Gravity's torques under the loads found, (m, n); None for an arm without masses."""
-        return load_of(self.state.loaded, self.points)
+        return load_of(self.state.loaded, self.points, self.state.joint_rad)
 
-    def next_state(self, found: Weighed) -> State:
-        """Linearised anew around a set."""
-        state, linear = self.state, self.linear
+    def next_state(self, found: Weighed, follows: Array | None = None) -> State:
+        """Linearised anew around a set, its laws evaluated at the geometry and loads found with it.
+
+        `follows`: as of a state of the same set before, near enough; else it is found anew, where laws follow the geometry.
+        """
+        linear = self.linear
         size, _ = self.evidence.estimate(found.members, found.kappa)
         fit, _ = self._solved(found)
-        turn, moved, beyond = (
-            np.zeros_like(state.turn_rad),
-            np.zeros_like(state.moved),
-            np.zeros_like(state.moved),
-        )
-        extra, first, loads = np.zeros_like(linear.weight), 0, []
+        beyond, extra, first = np.zeros_like(self.state.moved), np.zeros_like(linear.weight), 0
+        acting, loads = [], []
         for number, _ in found.members:
             one = self.terms[number]
             own = size[first : first + one.count]
             first += one.count
-            turn += 0.0 if one.slope_rad is None else np.einsum("c,cmn->mn", own, one.slope_rad)
-            moved[:, :3] += 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", own, one.slope_m)
-            moved[:, 3:] += 0.0 if one.turn_rad is None else np.einsum("c,cmi->mi", own, one.turn_rad)
+            acting.append((one, own))
             extra += flank_covariance(linear.measured, one, float(own[0]) / self.noise_m)
             if one.key == EffectName(FRAME):
                 beyond[:, :3] += beyond_linear_m(one, own, fit.problem.references_m)
             if isinstance(one.key, EffectName) and is_load(one.key.effect) and one.parameters is not None:
                 loads.append(effect_of(one.key, one.parameters(own[:1] * one.size, np.zeros((1, 1)))))
         weight = np.linalg.inv(np.linalg.cholesky(np.eye(3) + extra))
-        loaded = with_totals(fit.shaped(state.loaded), loads)
+        loaded = with_totals(fit.shaped(self.state.loaded), loads)
+        effects = {one.key.effect for one, _ in acting if isinstance(one.key, EffectName)}
+        encoder_rad = fit.problem.observed.q_rad
+
+        def moves(there: Fit, turn_rad: Array) -> tuple[Array, Array]:
+            scene = PoseScene.of(
+                there.shaped(self.arm), there.shaped(loaded), self.points, encoder_rad + turn_rad
+            )
+            terms = pose_terms(scene, effects)
+            return _moves([(_same(one, terms), own) for one, own in acting], turn_rad.shape)
+
+        before = _moves(acting, encoder_rad.shape)
+        turn, moved = moves(fit, before[0])
         new = State(fit, turn, moved + beyond, moved, weight, loaded)
         by_joint = np.concatenate(by_joints(new.posed()), axis=1)
-        return dataclasses.replace(new, linear=np.einsum("mn,min->mi", turn, by_joint) + moved)
+
+        def at_tip(turned: Array, shifted: Array) -> Array:
+            return np.asarray(np.einsum("mn,min->mi", turned, by_joint) + shifted)
+
+        here = at_tip(turn, moved)
+        change_m = (here - at_tip(*before))[self.rows, :3]
+        if follows is None and float(np.linalg.norm(change_m)) > self.noise_m:
+            follows = np.zeros((*moved.shape, len(fit.x)))
+            for k in _shaping(fit):
+                x = fit.x.copy()
+                x[k] += STEP
+                follows[:, :, k] = (at_tip(*moves(dataclasses.replace(fit, x=x), turn)) - here) / STEP
+        return dataclasses.replace(new, linear=here, follows=follows)
+
+
+def _effects(keys: Collection[Key] | None) -> Collection[str]:
+    """The effects of some keys; of those left out of the list the keys are blocks."""
+    if keys is None:
+        return EFFECTS.keys()
+    return {key.effect if isinstance(key, EffectName) else key.variable for key in keys}
+
+
+def _same(one: Term, terms: Sequence[Term]) -> Term:
+    """A term as it is among others, or itself if it is not among them."""
+    same = (k for k in terms if (k.key, k.variant, k.count) == (one.key, one.variant, one.count))
+    return next(same, one)
+
+
+def _moves(acting: Sequence[tuple[Term, Array]], shape: tuple[int, int]) -> tuple[Array, Array]:
+    """What terms of coefficients (c,) do to joints, (m, n), and to tip and last link, (m, 6)."""
+    turn, moved = np.zeros(shape), np.zeros((shape[0], 6))
+    for one, own in acting:
+        turn += 0.0 if one.slope_rad is None else np.einsum("c,cmn->mn", own, one.slope_rad)
+        moved[:, :3] += 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", own, one.slope_m)
+        moved[:, 3:] += 0.0 if one.turn_rad is None else np.einsum("c,cmi->mi", own, one.turn_rad)
+    return turn, moved
+
+
+def _shaping(fit: Fit) -> list[int]:
+    """Unknowns of the arm's shape: those of frames and boards are none."""
+    frames = {name for frame in fit.problem.free_frames for name in frame.parameter_names}
+    return [k for k, one in enumerate(fit.problem.parameters) if one.name not in frames]
 
 
 def _unlisted(one: Term, without: Collection[str]) -> Term:

@@ -59,8 +59,7 @@ class Search:
             *known,
             *self._starts(),
         ]:  # one after the other: many that fit anything would cut off the few
-            wanted = {*start, *self.forced}  # in the evidence's order: a set's own differs from run to run
-            self.weigh([self._plain(key) for key in self.evidence.of_key if key in wanted])
+            self.of({*start, *self.forced})
             self._improve(expanded)
         best = max(self.seen.values(), key=lambda one: one.log)
         for number, _ in best.members:
@@ -68,6 +67,10 @@ class Search:
                 self._regrow(best, number)
         self._improve(expanded)
         return sorted(self.seen.values(), key=lambda one: -one.log)
+
+    def of(self, keys: Collection[Key]) -> Weighed:
+        """The set of some keys, in the evidence's order: a set's own differs from run to run."""
+        return self.weigh([self._plain(key) for key in self.evidence.of_key if key in keys])
 
     def _improve(self, expanded: set[frozenset[Key]]) -> None:
         """Best first, until nothing near the best is left to look into."""

@@ -15,11 +15,11 @@ def test_loads_are_those_at_the_joints_angles_that_the_arms_effects_give() -> No
     soft = Effect("joint_compliance", 2, {"stiffness_Nm_rad": 400.0})
     arm = dataclasses.replace(arm, effects=(Effect("encoder_scale", 2, {"scale": 0.02}), soft))
     q = np.array(points.q_rad)
-    q[:, 1] *= 1.02
-    q[:, 1] -= gravity_Nm(arm, points.q_rad)[:, 1] / 400.0
+    for _ in range(40):  # the load that turns a joint is that where it has come to rest
+        q[:, 1] = 1.02 * points.q_rad[:, 1] - gravity_Nm(arm, q)[:, 1] / 400.0
     at = resting_points(arm, points)
-    np.testing.assert_allclose(at.joint_rad, q, atol=1e-12)
-    np.testing.assert_allclose(at.gravity_Nm(2), gravity_Nm(arm, q)[:, 1], atol=1e-12)
+    np.testing.assert_allclose(at.joint_rad, q, atol=1e-10)
+    np.testing.assert_allclose(at.gravity_Nm(2), gravity_Nm(arm, q)[:, 1], atol=1e-8)
     assert np.abs(at.gravity_Nm(2) - gravity_Nm(arm, points.q_rad)[:, 1]).max() > 0.5
     softened = known_corrections(arm, points)[:, 1] - 0.02 * points.q_rad[:, 1]
-    np.testing.assert_allclose(softened, -at.gravity_Nm(2) / 400.0, atol=1e-12)
+    np.testing.assert_allclose(softened, -at.gravity_Nm(2) / 400.0, atol=1e-10)

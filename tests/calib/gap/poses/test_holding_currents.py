@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.gap.static.cases import Design, designed
+from benchmarks.gap.static.cases import Design, Hidden, designed
 from benchmarks.gap.static.rough_cases import case
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.gap.poses.currents import holding_currents
@@ -52,3 +52,12 @@ def test_an_arm_off_its_drawing_carries_what_its_geometry_says_and_nothing_is_na
     found = find(one.arm, one.points).finding
     assert {effect.name.effect for effect in found.effects} <= {"link_geometry"}
     assert found.unknown is None
+
+
+def test_a_gear_so_soft_that_its_loads_move_with_it_is_named_beside_an_encoders_error() -> None:
+    hidden = (Hidden("encoder_eccentricity", 4, 0.006, 0.4), Hidden("joint_compliance", 2, 600.0))
+    found = find(*designed(64, hidden, Design(rig="six", free=40, visits=5))).finding
+    assert [(one.name.effect, one.name.joint) for one in found.effects[1:]] == [("joint_compliance", 2)]
+    assert [{name.joint for name in names} for names in found.ambiguous] == [{4}]
+    assert found.unknown is None
+    assert found.gap_after < 1.35
