@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arrays import Array, Mask
 from calib.gap.poses.measured import Left
+from calib.gap.poses.recordings import in_turn
 from calib.points.covariance import matrices_of
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -66,7 +67,9 @@ def noise_floor(arm: Arm, points: Points, left: Left, out: Mask | None = None) -
 def _pairs(points: Points, out: Mask | None) -> list[tuple[int, int]]:
     """Repeats of one pose that follow each other."""
     groups: dict[tuple[object, ...], list[int]] = {}
-    for k in range(len(points)) if out is None else np.flatnonzero(~out).tolist():
+    for k in in_turn(points).tolist():
+        if out is not None and out[k]:
+            continue
         key = (
             points.setup[k],
             points.point[k],

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
-from calib.gap.poses.recordings import parts
+from calib.gap.poses.recordings import in_turn, parts
 from calib.gap.poses.state import Around
 from calib.gap.posterior.constants import FOLDS
 from calib.gap.posterior.search import Weighed
@@ -45,8 +45,9 @@ def shows_in_others(around: Around, best: Weighed, block: Block) -> bool:
     What has no name may be of one recording alone; what is there shows in the poses between those that were left out, and
     what a rich fit made of its own noise does not.
     """
-    count = len(around.points)
-    return _helps(around, best, block, np.array([f"{row % FOLDS}" for row in range(count)]))
+    labels = np.empty(len(around.points), dtype=object)
+    labels[in_turn(around.points)] = [f"{turn % FOLDS}" for turn in range(len(labels))]
+    return _helps(around, best, block, labels.astype(str))
 
 
 def _helps(around: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]) -> bool:
@@ -62,7 +63,8 @@ def _helps(around: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]
 
 def _folds(around: Around, labels: npt.NDArray[np.str_]) -> Iterator[tuple[Mask, Mask]]:
     """Poses (m,) that are fitted and those that are left out: every label once, several at a time where there are many."""
-    names = list(dict.fromkeys(labels[around.rows].tolist()))
+    taken = in_turn(around.points)
+    names = list(dict.fromkeys(labels[taken[around.rows[taken]]].tolist()))
     for first in range(min(FOLDS, len(names))):
         out = np.isin(labels, names[first::FOLDS])
         yield around.rows & ~out, around.rows & out

@@ -39,18 +39,19 @@ class Split:
 
 
 def split(points: Points) -> Split:
-    """By recording, the last one of every setup that has two reports; else every fourth pose of each setup does.
+    """By recording, the last one of every setup that has two reports; else every fourth pose of each setup does. Last and fourth
+    are as the poses were taken, whatever the order of the rows.
 
     A setup never reports as a whole where its board's place is unknown: a board that was not fitted has no place.
     """
-    labels = recordings(points)
-    names = list(dict.fromkeys(labels.tolist()))
+    labels, taken = recordings(points), in_turn(points)
+    names = list(dict.fromkeys(labels[taken].tolist()))
     if len(names) < RECORDINGS_LEAST or len(points) < POSES_LEAST * len(names):
         return _alternating(points)
     setups = np.array(points.setup)
     report = np.zeros(len(points), dtype=bool)
     for setup in dict.fromkeys(points.setup):
-        own = list(dict.fromkeys(labels[setups == setup].tolist()))
+        own = list(dict.fromkeys(labels[taken[setups[taken] == setup]].tolist()))
         report |= (labels == own[-1]) & (len(own) > 1)
     if not report.any():  # every setup is one recording
         report = labels == names[-1]
@@ -69,18 +70,18 @@ def unplaced_setups(points: Points) -> tuple[str, ...]:
 def parts(points: Points, count: int) -> npt.NDArray[np.str_]:
     """What can be left out in turn, (m,) labels: recordings; of a setup on a board, one pose in `count`, as none places it."""
     labels = recordings(points).astype(object)
-    setups = np.array(points.setup)
+    setups, taken = np.array(points.setup), in_turn(points)
     for setup in unplaced_setups(points):
-        rows = np.flatnonzero(setups == setup)
+        rows = taken[setups[taken] == setup]
         labels[rows] = [f"part {place % count + 1}" for place in range(len(rows))]
     return labels.astype(str)
 
 
 def _alternating(points: Points) -> Split:
-    setups = np.array(points.setup)
+    setups, taken = np.array(points.setup), in_turn(points)
     report = np.zeros(len(points), dtype=bool)
     for name in dict.fromkeys(points.setup):
-        report[np.flatnonzero(setups == name)[EVERY - 1 :: EVERY]] = True
+        report[taken[setups[taken] == name][EVERY - 1 :: EVERY]] = True
     if not report.any():
         return Split(~report, ~report, False, len(set(points.setup)))
     return Split(~report, report, True, len(set(points.setup)), is_by_pose=True)
@@ -96,3 +97,10 @@ def recordings(points: Points) -> npt.NDArray[np.str_]:
             )
         ]
     )
+
+
+def in_turn(points: Points) -> npt.NDArray[np.intp]:
+    """The rows as the poses were taken, (m,); where no time tells it, by what was measured: never by how a file has them."""
+    time = np.nan_to_num(points.t_s, nan=np.inf)
+    values = np.nan_to_num(np.column_stack((points.q_rad, points.tip_m, points.direction, points.payload_kg)))
+    return np.lexsort((*values.T[::-1], time))
