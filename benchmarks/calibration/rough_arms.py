@@ -51,19 +51,20 @@ def rough_arm(seed: int, is_half: bool, unseen_count: int) -> RoughArm:
     m = len(q)
     last = np.sign(rng.normal(size=q.shape))
     payload = np.where((np.arange(m) % 3 == 0) & (np.arange(m) < RECORDED), LOADED_kg, 0.0)
-    gravity = gravity_torques(rig, rig.arm.dh, q, payload, {})
-    held = gravity + rig.friction_Nm * last * rng.uniform(0.7, 1.0, q.shape)
+    friction = rig.friction_Nm * last * rng.uniform(0.7, 1.0, q.shape)
+    true_dh = rig.arm.dh + deviations(rng, len(rig.arm.links))
+    gravity = gravity_torques(rig, true_dh, q, payload, {})
+    held = gravity + friction
     poses = Poses(
         q,
         last,
         payload,
         8.0 * np.arange(m),
         gravity,
-        gravity + LINK_SHARE * (held - gravity),
+        gravity + LINK_SHARE * friction,
         ("free",) * m,
         rng,
     )
-    true_dh = rig.arm.dh + deviations(rng, len(rig.arm.links))
     names = tuple(rng.choice([*LAWS, "wobble", "bending"], int(rng.integers(3, 6)), replace=False).tolist())
     encoder, tip = q.copy(), rig.chain.tips(true_dh, q)
     for name in names:

@@ -68,7 +68,7 @@ def session(
     sides = np.sign(rng.normal(size=unseen_q.shape)) if unseen_direction is None else unseen_direction
     last = np.vstack((np.array([row[4] for row in rows]), sides))
     payload = np.concatenate(([row[5] for row in rows], np.zeros(len(unseen_q))))
-    gravity = gravity_torques(rig, ARM.dh, q, payload, {})
+    gravity = gravity_torques(rig, true_dh, q, payload, {})
     held = gravity + rig.friction_Nm * last * rng.uniform(0.7, 1.0, q.shape)
     names = (*(row[0] for row in rows), *["unseen"] * len(unseen_q))
     t_s = np.arange(0.0, 8.0 * len(q), 8.0)

@@ -41,7 +41,9 @@ def angle_maps(arm: Arm, gap: StaticGap) -> tuple[Arm, MapsFound]:
     """
     problem = problem_of(arm, gap.points)
     x = minimise(problem.of_rows(gap.split.known), LeastSquares(), 1).x
-    there = _Poses(gap.points, load_of(arm, gap.points), by_joints(Fit(problem, x, None))[0])
+    there = _Poses(
+        gap.points, load_of(arm, gap.points, problem.observed.q_rad), by_joints(Fit(problem, x, None))[0]
+    )
     measured = _measured(problem, x, gap, there, {(one.joint, one.over) for one in arm.maps})
     found = chosen(measured)
     if found is None:
