@@ -86,7 +86,7 @@ class MoteusMock:
         self.outgoing: list[Frame] = []
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.is_home = False  # pin 1 of aux1
-        self._read_turns = lambda: read_turns() + self._shift_turns
+        self._read_turns: Callable[[], float] = lambda: read_turns() + self._shift_turns
         self._current_A, self._supply_V = 0.0, 24.0
         self.power_up(None)
 

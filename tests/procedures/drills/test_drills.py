@@ -14,7 +14,7 @@ from console.main import main
 from hil_mocks.firmware.choice import VARIABLE
 from procedures.drills.catalogue import drills
 from procedures.drills.drill import Drill
-from procedures.drills.power import Disk, PowerLost
+from procedures.drills.files import Disk, PowerLost
 from procedures.drills.stage import gripping_stage, off_way_m, stage
 from procedures.drills.table import HEADER, header, row, verdict
 from tests.firmware import needs_compiler

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.series.beyond import Ripple, ripples
+from calib.gap.series.find import Ripple, ripples
 from calib.gap.signals.filters import filters_for
 from control.model.description import load_arm
 
