@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import product
 
 import pytest
 
@@ -14,7 +15,9 @@ from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
 from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS
+from tests.thirds import third_of
 
+TAKEN_OVER = ("dynamixel", "odrive", "moteus", "reference")  # a third of cycles and kinds has each of both
 JUMP = Fault("encoder_leap", "joint 1", "its encoder jumped", "look at it", Reaction.CONTROLLED)
 
 
@@ -74,10 +77,10 @@ def test_boards_that_let_go_by_themselves_end_it(held: Cell) -> None:
     assert (held.mode, held.faults) == (Mode.OFF, [])
 
 
-@pytest.mark.parametrize("kind", ["dynamixel", "odrive", "moteus", "reference"])
-@pytest.mark.parametrize("cycles", [0, 1, 2])
-def test_a_stop_while_it_is_taken_over_ends_where_every_stop_does(kind: str, cycles: int) -> None:
+@pytest.mark.parametrize("case", third_of(product([0, 1, 2], TAKEN_OVER)), ids=str)
+def test_a_stop_while_it_is_taken_over_ends_where_every_stop_does(case: tuple[int, str]) -> None:
     """Boards of which some obey already are not left without a watch: the arm holds, under control."""
+    cycles, kind = case
     with held_on(kind) as held:
         before_rad = held.rig.joint_rad()
         held.client.ask("enable")
@@ -88,10 +91,9 @@ def test_a_stop_while_it_is_taken_over_ends_where_every_stop_does(kind: str, cyc
         assert held.rig.joint_rad() == pytest.approx(before_rad, abs=5e-3)
 
 
-@pytest.mark.parametrize("kind", ["dynamixel", "odrive", "moteus", "reference"])
-@pytest.mark.parametrize("cycles", [0, 1, 2])
-@pytest.mark.parametrize("quits", [False, True])
-def test_off_while_it_is_taken_over_is_the_way_off_of_every_arm(kind: str, cycles: int, quits: bool) -> None:
+@pytest.mark.parametrize("case", third_of(product([0, 1, 2], TAKEN_OVER, [False, True]), 1), ids=str)
+def test_off_while_it_is_taken_over_is_the_way_off_of_every_arm(case: tuple[int, str, bool]) -> None:
+    cycles, kind, quits = case
     with held_on(kind) as held:
         held.client.ask("enable")
         held.run(cycles * held.runtime.period_s)
@@ -107,10 +109,10 @@ def test_off_while_it_is_taken_over_is_the_way_off_of_every_arm(kind: str, cycle
         assert (held.torques(), held.faults, held.channel.is_running) == ([False] * 3, [], not quits)
 
 
-@pytest.mark.parametrize("kind", ["dynamixel", "odrive", "moteus", "cia402", "reference"])
-@pytest.mark.parametrize("cycles", [0, 1, 2, 3])
-def test_a_fault_while_it_is_taken_over_leaves_it_held(kind: str, cycles: int) -> None:
+@pytest.mark.parametrize("case", third_of(product([0, 1, 2, 3], [*TAKEN_OVER, "cia402"]), 2), ids=str)
+def test_a_fault_while_it_is_taken_over_leaves_it_held(case: tuple[int, str]) -> None:
     """Boards on their way on hold nothing: the take-over goes to its end, and then they hold."""
+    cycles, kind = case
     with held_on(kind) as held:
         before_rad = held.rig.joint_rad()
         held.client.ask("enable")
