@@ -11,6 +11,9 @@ from firmware_iface.roboclaw.line import VERSION_BYTES, PacketLine, RoboclawQues
 from firmware_iface.roboclaw.wire import RoboclawCommand, RoboclawStatus
 
 CHANNELS = 2
+LONGEST_WAITED = (
+    20  # in 0.1 s; one with a longer time-out, as with none (0), counts as holding what it drives
+)
 LEAST_TIMEOUT = 1  # in 0.1 s; 0 switches the board's time-out off
 
 
@@ -106,9 +109,20 @@ class RoboClaw:
             )
         pins = tuple(self._read(RoboclawCommand.READ_PIN_MODES, wire.PIN_MODE_BYTES))
         modes = struct.unpack(">BB", self._read(RoboclawCommand.READ_ENCODER_MODES, 2))
-        self.found_duty = struct.unpack(">hh", self._read(RoboclawCommand.READ_DUTIES, 4))
+        self.found_duty = self._settled_duty()
         self.identity = RoboClawIdentity(version, pins, modes, self._pwm_idle(len(pins)))
         return self.identity
+
+    def _settled_duty(self) -> tuple[int, int]:
+        """The duties that last: questions feed its time-out, too, so what another host has left is given the time to end."""
+        duties: tuple[int, int] = struct.unpack(">hh", self._read(RoboclawCommand.READ_DUTIES, 4))
+        if any(duties):
+            (steps,) = self._read(RoboclawCommand.READ_SERIAL_TIMEOUT, 1)
+            if 0 < steps <= LONGEST_WAITED:
+                clock = self._line.clock
+                clock.wait_until_s(clock.now_s() + (steps + 1) * wire.TIMEOUT_STEP_s)
+                duties = struct.unpack(">hh", self._read(RoboclawCommand.READ_DUTIES, 4))
+        return duties
 
     def _pwm_idle(self, pins: int) -> tuple[int, int]:
         """How both motors idle; only today's firmware, with more pins, is asked."""

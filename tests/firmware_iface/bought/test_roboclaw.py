@@ -144,6 +144,18 @@ def test_errors_of_the_16_bits_of_older_firmware_are_those_of_the_32(
     assert board.read_status() == RoboclawStatus(error) | RoboclawStatus.S4_TRIGGERED
 
 
+@pytest.mark.parametrize(("timeout", "lasting"), [(2, 0), (0, 3000), (250, 3000)])
+def test_a_duty_that_another_host_left_is_not_kept_alive_by_questions(timeout: int, lasting: int) -> None:
+    cable = Cable(0x80)
+    mock = cable.mocks[0]
+    mock.settings.timeout = timeout
+    mock.obey(wire.command_packet(0x80, RoboclawCommand.DUTY_M1_M2, wire.duty_data(3000, 0)), 0.0)
+    cable.wait_until_s(0.05)
+    board = board_on(cable)
+    board.identify()
+    assert (board.found_duty, round(mock.duty[0])) == ((lasting, 0), lasting)
+
+
 def test_the_board_forgets_half_a_packet_after_a_gap(cable: Cable) -> None:
     cable.link.write(b"\x80")  # of a host that died here
     board = board_on(cable)
