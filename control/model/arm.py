@@ -67,17 +67,15 @@ class Link:
     com_m: Annotated[Position | None, "its centre, in this link's frame"] = None
     inertia_kg_m2: Annotated[
         tuple[NonNegative, NonNegative, NonNegative] | None,
-        "moments about the centre of mass, about the axes of this link's frame",
+        "moments about the centre of mass, along the axes of this link's frame",
     ] = None
     radius_m: Annotated[
         NonNegative,
         "of its body, for floor, table and own base; 0: a line. The tip is a point",
     ] = 0.0
-    joint_name: Annotated[
-        str, PART_NAME, "what its joint is called in messages and in models for other programs", '"joint N"'
-    ] = ""
+    joint_name: Annotated[str, PART_NAME, "in messages and exported models", '"joint N"'] = ""
     link_name: Annotated[
-        str, PART_NAME, "what its body is called in such models; of a fixed first or last row, base or tip"
+        str, PART_NAME, "of its body in exported models; of a fixed first or last row, base or tip"
     ] = ""
 
 
@@ -168,7 +166,7 @@ class Arm:
     gravity_m_s2: Annotated[Vector3, GRAVITY, "in the base frame"] = (0.0, 0.0, -9.81)
     as_given: Annotated[
         bool,
-        "all values are meant as they stand, whatever unit they look like: overrides guesses that refuse the file",
+        "overrides guesses about units that refuse the file",
     ] = False
     dh_convention: Annotated[
         Convention,

@@ -33,7 +33,7 @@ class DrivePid:
 
     mode: Annotated[
         Literal["voltage", "current", "position"],
-        'what is sent to the motor board; "position": the PID runs on the board',
+        'sent to the motor board; "position": the PID runs on the board',
     ] = "voltage"
     kp: Annotated[NonNegative | None, "V/rad or A/rad", "from the model"] = None
     ki: Annotated[NonNegative | None, "V/(rad s) or A/(rad s)", "from the model"] = None
@@ -51,23 +51,23 @@ class Home:
     switch_rad: Annotated[float, "where the home switch changes"]
     index_rad: Annotated[float, "the index pulse after it, best half a motor turn further"]
     speed_rad_s: Annotated[Positive, JOINT_SPEED, "towards the switch"] = 0.2
-    backoff_rad: Annotated[Positive, BACKOFF, "how far it moves back off an active switch"] = 0.05
+    backoff_rad: Annotated[Positive, BACKOFF, "back off an active switch"] = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
     """A joint's motor, gear and encoder; a missing limit is infinite."""
 
-    joint: Annotated[int, ONE_OR_MORE, "which joint, counted from 1 at the base"]
+    joint: Annotated[int, ONE_OR_MORE, "from 1 at the base"]
     gear_ratio: Annotated[Positive, "motor turns per joint turn, belts included"]
     encoder_counts_per_rev: Annotated[int, ONE_OR_MORE, "per motor turn, after quadrature decoding"]
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
-    resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
+    resistance_ohm: Annotated[Positive, "of the winding, between terminals"]
     supply_V: Annotated[Positive, "of the motor board"]
     encoder_bits: Annotated[int, ENCODER_BITS, "width of the counter"] = 32
     inductance_H: Annotated[NonNegative, "of the winding"] = 0.0
     rotor_inertia_kg_m2: Annotated[NonNegative, "of the rotor; counts gear_ratio^2 times at the joint"] = 0.0
-    current_limit_A: Annotated[Positive, "largest motor current"] = math.inf
+    current_limit_A: Annotated[Positive, "of the motor"] = math.inf
     joint_lower_rad: Annotated[float, LIMIT, "lower end of the joint's range"] = -math.inf
     joint_upper_rad: Annotated[float, LIMIT, "upper end"] = math.inf
     joint_speed_limit_rad_s: Annotated[Positive, "of plans and set-points"] = math.inf
@@ -92,7 +92,7 @@ class Drive:
     board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
     servo: Annotated[
         str,
-        "a smart servo of docs/arms.md: gives gear_ratio to supply_V and current_limit_A, where they are not said",
+        "a smart servo of docs/arms.md: default of gear_ratio to supply_V and current_limit_A",
     ] = ""
     servos: Annotated[
         int, ONE_OR_MORE, "that turn the joint together: a shadow has the board's address as its secondary id"

@@ -59,9 +59,9 @@ class Gripper:
     travel_m: Annotated[Positive, TRAVEL, "from closed to open"]
     travel_per_turn_m: Annotated[Positive, TRAVEL, "of the opening, per motor turn"]
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
-    resistance_ohm: Annotated[Positive, "of the winding, from terminal to terminal"]
+    resistance_ohm: Annotated[Positive, "of the winding, between terminals"]
     supply_V: Annotated[Positive, "of the motor board"]
-    current_limit_A: Annotated[Positive, "what the motor bears continuously"]
+    current_limit_A: Annotated[Positive, "continuous, of the motor"]
     speed_limit_m_s: Annotated[Positive, FINGER_SPEED, "of the opening"]
     motor_node: Annotated[int, NODE, "CAN node of its motor board; or `board`", "none"] = -1
     board: Annotated[str, "name of the [[board]] that drives it"] = ""

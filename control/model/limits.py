@@ -35,9 +35,7 @@ class Limits:
     ] = 0.05
     floor_z_m: Annotated[float, HEIGHT, "height in the base frame that the arm stays above"] = 0.0
     floor_clearance_m: Annotated[NonNegative, CLEARANCE, "distance kept from the floor"] = 0.0
-    floor_tolerance_m: Annotated[
-        NonNegative, CLEARANCE, "by which the model may be wrong before calibration"
-    ] = 0.01
+    floor_tolerance_m: Annotated[NonNegative, CLEARANCE, "error of the model before calibration"] = 0.01
     base_radius_m: Annotated[
         NonNegative, BOARD_SIZE, "of the arm's own base about axis 1, up to joint 2; 0: not checked"
     ] = 0.0
@@ -50,7 +48,7 @@ class Limits:
     jog_tip_speed_m_s: Annotated[
         Positive, TIP_SPEED, "reduced speed for people beside the arm (ISO 10218-1)"
     ] = 0.25
-    payload_limit_kg: Annotated[NonNegative, PAYLOAD, "largest mass that a client may state"] = 5.0
+    payload_limit_kg: Annotated[NonNegative, PAYLOAD, "largest that a client may state"] = 5.0
     jog_silence_s: Annotated[
         Positive, "a jog that is not renewed for this long comes to rest; at most 0.5"
     ] = 0.2
