@@ -120,7 +120,7 @@ def test_servos_of_another_voltage_are_named_before_they_are_driven() -> None:
     weak = parse_arm(text, Path("weak.toml"))
     assert weak.drives[0].supply_V == 7.4
     assert (
-        "expected a servo for 12 V, as arm.toml has it, what is stored in it allows 4.9 to 8.6 V"
+        "expected a servo for 12 V, as arm.toml has it, what is stored in it allows 4.0 to 8.6 V"
         in found_bad(weak, owned)
     )
     assert found_bad(weak, weak) == ""
