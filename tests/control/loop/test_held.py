@@ -17,6 +17,7 @@ from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS
 from tests.thirds import third_of
 
+pytestmark = pytest.mark.usefixtures("nobody_below")
 TAKEN_OVER = ("dynamixel", "odrive", "moteus", "reference")  # a third of cycles and kinds has each of both
 JUMP = Fault("encoder_leap", "joint 1", "its encoder jumped", "look at it", Reaction.CONTROLLED)
 
