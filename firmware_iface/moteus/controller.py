@@ -24,6 +24,7 @@ SETTLE_s = 0.02  # in which a fault whose cause persists comes back
 DRIVEN_FOR = 3  # commands of position mode in a row; replies of commands before them have come
 LATER_s, LATER_REPLIES = 0.05, 3  # a start that moves by so much, in so many replies, is another one
 _HALF: Final = 1 << 31  # of the counter's range
+_IDENTITY: Final = {Register.HOME_STATE, Register.FIRMWARE, *(Register.SERIAL + k for k in range(3))}
 OPTIONAL: Final = frozenset(
     (Register.AUX1_INPUTS, Register.MILLISECONDS)
 )  # older firmware does not have them
@@ -185,8 +186,8 @@ class Moteus:
                 self._text = text
                 return
             found = wire.values(payload)
-            if Register.MODE not in found:
-                self._identity = found
+            if Register.MODE not in found:  # to our question who it is, or to one of another program
+                self._identity = found if not found or found.keys() & _IDENTITY else self._identity
                 return
             problem = self._measured(found, now_s)
         except (ValueError, OverflowError, KeyError, struct.error) as error:

@@ -130,6 +130,16 @@ def test_registers_that_older_firmware_does_not_have_are_told_and_stop_nothing()
         cell.board.identify(True)
 
 
+def test_a_reply_to_another_programs_question_is_neither_a_violation_nor_who_it_is() -> None:
+    cell = Cell(home_state=2)
+    cell.wired.put(ID << 8, b"\x21\x02\x05")  # its speed alone
+    cell.bus.update()
+    cell.wired.is_cut = True
+    cell.wired.put(ID << 8, b"\x21\x02\x05")
+    with pytest.raises(BoardSilent):
+        cell.board.identify(True)
+
+
 @pytest.mark.parametrize("up_s", [0.1, 5.0])
 def test_a_restart_is_noticed_however_long_it_was_up_and_does_not_lead_back_into_operation(
     up_s: float,
