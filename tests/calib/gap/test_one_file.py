@@ -51,13 +51,25 @@ def test_the_gap_after_is_what_verify_says_of_the_file_that_is_written(tmp_path)
     assert found.finding.effects[-1].gap_after == found.finding.gap_after < 1.2
 
 
-def test_calibrate_with_the_names_of_gap_makes_the_same_arm_of_the_same_poses() -> None:
-    arm, points = from_afar(44)
+SOFT = (Hidden("encoder_scale", 3, 0.006), Hidden("joint_compliance", 2, 600.0))
+SOFTS = ("base_frame", "encoder_scale:3", "joint_compliance:2")
+
+ARMS = {
+    "two joints, a tracker": (lambda: from_afar(44), {"base_frame", *KEYS}),
+    "six joints, soft": (lambda: designed(64, SOFT, Design(rig="six", free=40, visits=5)), {*SOFTS}),
+}
+
+
+@pytest.mark.parametrize("which", ARMS)
+def test_calibrate_with_the_names_of_gap_makes_the_same_arm_of_the_same_poses(which: str) -> None:
+    made, names = ARMS[which]
+    arm, points = made()
     found = find(arm, points)
     named = {(e.effect, e.joint): e.parameters for e in found.file.effects}
-    assert named.keys() == {("base_frame", None), ("encoder_scale", 1), ("encoder_eccentricity", 2)}
+    keys = {one if joint is None else f"{one}:{joint}" for one, joint in named}
+    assert keys == names
     some = points.chosen(np.flatnonzero(found.split.known))
-    choice = Choice(effects=KEYS).for_points(arm, some)
+    choice = Choice(effects=tuple(sorted(keys - {"base_frame"}))).for_points(arm, some)
     other = calibrated_arm(arm, identified(arm, some, CalibrationPlan(choice))[1], some)
     for one in other.effects:
         assert one.parameters == pytest.approx(named[one.effect, one.joint], rel=2e-3, abs=2e-5)
