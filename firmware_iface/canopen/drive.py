@@ -32,7 +32,7 @@ FAULT_REACTION, FOLLOWING_ERROR_WINDOW = (
 )
 NO_WINDOW = 0xFFFF_FFFF  # of 0x6065: the drive watches no following error
 CONTROLWORD, STATUSWORD = DictionaryObject(0x6040, 0, "u16"), DictionaryObject(0x6041, 0, "u16")
-MODE = DictionaryObject(0x6060, 0, "i8")
+MODE, MODE_NOW = DictionaryObject(0x6060, 0, "i8"), DictionaryObject(0x6061, 0, "i8")
 POSITION, TARGET_POSITION = DictionaryObject(0x6064, 0, "i32"), DictionaryObject(0x607A, 0, "i32")
 TORQUE, TARGET_TORQUE = DictionaryObject(0x6077, 0, "i16"), DictionaryObject(0x6071, 0, "i16")
 RATED_CURRENT, RATED_TORQUE = DictionaryObject(0x6075, 0, "u32"), DictionaryObject(0x6076, 0, "u32")
@@ -277,6 +277,7 @@ class Cia402Drive:
             self.write(CYCLE_TIME, max(1, round(period_s * 1e3)))
             self.write(CYCLE_UNIT, -3)
         self.write(QUICK_STOP_OPTION, STAY_IN_QUICK_STOP)
+        self._end_motion()
         self.write(ABORT_CONNECTION, QUICK_STOP_WITHOUT_HOST)
         self.write(HEARTBEAT_CONSUMER, HOST_NODE << 16 | round(watchdog_s * 1e3))
         self.write(HEARTBEAT_PRODUCER, round(watchdog_s * 1e3))
@@ -284,6 +285,15 @@ class Cia402Drive:
         self._bus.heartbeat()
         self._bus.nmt(NmtCommand.START, self.node)
         self.state = self._max_torque = self._asked_max = None
+
+    def _end_motion(self) -> None:
+        """Bring a drive in operation to rest, as the time-out of another host would, which our heartbeats keep from coming.
+
+        One that holds or follows positions is left so.
+        """
+        in_operation = STATE_OF_STATUSWORD[self.read(STATUSWORD) & 0xFF] is DriveState.OPERATION_ENABLED
+        if in_operation and self.read_if_there(MODE_NOW) != CYCLIC_POSITION:
+            self.write(CONTROLWORD, int(DriveCommand.QUICK_STOP))
 
     def _map_slow_values(self) -> None:
         """The supply where the drive has it as CiA 402 does, and the inputs."""

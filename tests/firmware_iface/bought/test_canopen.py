@@ -227,6 +227,27 @@ def test_a_drive_that_is_found_in_operation_stays_in_it_when_it_is_commanded(
     assert set(cell.states[-4:]) == {MockState.ENABLED}
 
 
+@pytest.mark.parametrize(
+    ("mode", "state"), [(8, MockState.ENABLED), (9, MockState.QUICK_STOP), (10, MockState.QUICK_STOP)]
+)
+def test_a_torque_or_speed_that_another_host_left_is_not_kept_alive_by_our_heartbeats(
+    mode: int, state: MockState
+) -> None:
+    cell = Cell()
+    cell.wired.wait_until_s(0.01)
+    cell.mock.switch_torque(True, 0.0)
+    cell.mock.objects[0x6060, 0] = ("i8", mode)
+    cell.mock.objects[0x6071, 0], cell.mock.objects[0x60FF, 0] = ("i16", 300), ("i32", 5000)
+    cell.drive.identify()
+    cell.drive.set_up(0.002, 0.2)
+    assert cell.mock.state is state
+    for _ in range(3):
+        cell.drive.resume() if state is MockState.QUICK_STOP else cell.drive.command_position(0)
+        cell.bus.sync()
+        cell.wired.wait_until_s(cell.wired.now_s() + 0.002)
+    assert cell.mock.state is MockState.ENABLED  # taken over
+
+
 @pytest.mark.parametrize("vendor", [0x402, MAXON])
 def test_a_tpdo_keeps_its_bit_for_remote_requests(vendor: int) -> None:
     """A drive without them refuses to be told that it has them (CiA 301: 0x06090030)."""
