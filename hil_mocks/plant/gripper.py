@@ -1,7 +1,8 @@
 """The physics of a gripper: a motor, fingers between two ends, and an elastic object between them.
 
 m dv/dt = K i - friction + object, with L neglected: i = (u - K v) / R within the bridge's current limit. The object is a spring
-of its own width; the ends are stiff. Integrated with the physics' time step (semi-implicit Euler), opening positive.
+of its own width; the ends are stiff. Integrated with the physics' time step (semi-implicit Euler), or with parts of it where
+light fingers need them at the ends, opening positive.
 """
 
 from __future__ import annotations
@@ -32,8 +33,10 @@ class GripperPlant:
     """One gripper. The bridge's output is open, voltage (V) or current (A), opening positive."""
 
     def __init__(self, parts: GripperParts, step_s: float) -> None:
-        self._parts, self._step_s = parts, step_s
-        self._mass_kg = parts.rotor_kg + _FINGERS_KG
+        self._parts, self._mass_kg = parts, parts.rotor_kg + _FINGERS_KG
+        # An explicit damper of c throws a mass back that it stops within a step: c h / m must stay below 1.
+        self._splits = math.ceil(step_s * _END_DAMPING_N_s_m / self._mass_kg)
+        self._step_s = step_s / self._splits
         self.opening_m, self.speed_m_s, self.current_A = parts.start_m, 0.0, 0.0
         self.supply_V = parts.supply_V
         self.is_clamped = False
@@ -66,7 +69,7 @@ class GripperPlant:
 
     def step(self, steps: int) -> None:
         """Advance by a number of time steps."""
-        for _ in range(steps):
+        for _ in range(steps * self._splits):
             self._step()
 
     def _step(self) -> None:

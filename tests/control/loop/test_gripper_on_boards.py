@@ -10,6 +10,7 @@ from control.model import arm_checks
 from control.model.arm import Arm, Board
 from control.model.arm_checks import check_arm
 from control.model.board_kinds import KINDS
+from control.model.description import load_arm
 from control.model.reader import Rejected
 from hil_mocks.scenario import GripperTable
 from procedures.on_boards import on_boards
@@ -127,3 +128,11 @@ def test_boards_that_cannot_keep_a_force_are_refused_by_kind(monkeypatch: pytest
     monkeypatch.setattr(arm_checks, "KINDS", weak)
     with pytest.raises(Rejected, match=r"\(roboclaw, vesc\).*a dynamixel"):
         check_arm(ARMS["dynamixel"])
+
+
+def test_light_fingers_rest_at_the_end_of_their_travel() -> None:
+    arm = load_arm("so101")
+    assert arm.gripper is not None
+    with holding_cell(scenario(None), arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        assert cell.client.grip("open")["state"] == "OPEN"
+        assert cell.rig.gripper()[0] == pytest.approx(arm.gripper.travel_m, abs=1e-3)
