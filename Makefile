@@ -77,6 +77,14 @@ test-all: dev .venv/witnesses  ## make test, and what runs at night: every kind 
 	  || { echo "the builds for Cortex-M need, as root: apt-get install $(CORTEX_M)"; exit 2; }
 	@$(MAKE) --no-print-directory -j2 lint suite SELECT="-m ''"
 
+.venv-lerobot/installed: armwright/lerobot_robot_armwright/pyproject.toml
+	$(PYTHON) -m venv .venv-lerobot
+	.venv-lerobot/bin/pip install --quiet --disable-pip-version-check pytest hypothesis -e . -e armwright/lerobot_robot_armwright
+	@touch $@
+
+test-lerobot: .venv-lerobot/installed  ## the plugin beside LeRobot itself, in an environment of its own: 7 GB, for the torch that it needs
+	.venv-lerobot/bin/python -m pytest tests/armwright/test_lerobot_plugin.py
+
 format: dev  ## let ruff write the format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -157,6 +165,6 @@ lock:  ## pin again what pyproject.toml names (needs uv); UPGRADE=--upgrade take
 beside = $(COMPILE) $(2) $(1:%=-c %) $$(sed -n 's/^\([a-z0-9-]*\)==.*/--no-emit-package \1/p' $(1))
 
 clean:  ## remove what make made
-	rm -rf .venv .venv-peers .venv-fuzz out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf .venv .venv-peers .venv-fuzz .venv-lerobot out .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
 .PHONY: $(shell sed -n 's/^\([a-z-]*\):.*\#\#.*/\1/p' $(MAKEFILE_LIST))

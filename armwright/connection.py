@@ -166,6 +166,19 @@ class RunningArm:
         self._client.move_joints(trajectory.start_rad, APPROACH_SPEED)
         self._client.run_path(trajectory.path.to_message(), wait, tool=planned)
 
+    def follow(
+        self, joint_rad: Sequence[float] | Array, speed_rad_s: Sequence[float] | Array | None = None
+    ) -> str:
+        """Jog after joint angles (n,) [rad] that move on, such as those of another arm or a policy; returns what limited it.
+
+        `speed_rad_s` (n,): how fast they move, if that is known; else the arm lags by a sixth of a second. Call it at 10 Hz or
+        faster: without a call for `[limits] jog_silence_s` the arm comes to rest and holds, and the next call goes on.
+        MotionStopped if somebody has stopped the arm since the last call; the call after that begins anew.
+        """
+        count = self._arm.joint_count
+        speeds = None if speed_rad_s is None else _numbers(speed_rad_s, count, "speed_rad_s")
+        return self._client.follow(_numbers(joint_rad, count, "joint_rad"), speeds)
+
     def jog_joint(self, joint: int, by_rad: float) -> str:
         """Move one joint (1-based) by an angle; returns what limited the motion as text, or ""."""
         return self._client.jog(joint=joint, by_rad=by_rad)
@@ -216,9 +229,12 @@ class RunningArm:
         """Wait for the end of a motion that was started with `wait=False`. ArmError after `timeout_s`."""
         self._client.arrive(timeout_s)
 
-    def guide(self) -> None:
-        """Start hand guiding: the drives turn off, so somebody must hold the arm first. `hold` ends it."""
-        self._client.guide()
+    def guide(self, *, weightless: bool = False) -> None:
+        """Start hand guiding: the drives turn off, so somebody must hold the arm first. `hold` ends it.
+
+        `weightless`: gravity compensation by the model, of an arm that is homed.
+        """
+        self._client.guide(weightless)
 
     def hold(self) -> None:
         """End hand guiding; the arm holds its pose."""

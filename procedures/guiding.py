@@ -20,7 +20,6 @@ from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Placed
-from control.motion.jog_limits import JogLimits
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.setpoint import SetPoint
@@ -36,7 +35,6 @@ from control.server.client import ArmClient, ArmFaulted, MotionStopped, RequestR
 
 
 PERIOD_S = 0.02  # of the requests; a jog must be renewed at 10 Hz
-GAIN_per_s = 6.0  # of the distance: it is halved in 0.12 s
 APPROACH_SPEED = 0.3  # of the joints' limits, to where the leader is
 NEAR_rad = 0.02  # of the leader's pose: no approach is needed
 MIRRORED_WITHIN_m = 0.02  # between a mirrored tip and the follower's: two calibrated arms differ by some mm
@@ -102,7 +100,6 @@ class Following:
     ) -> None:
         """`placed`: the follower."""
         self._leader, self._follower, self._signs = leader, follower, tuple(signs)
-        self._most_rad_s = JogLimits.of(placed.arm).joints.speed_rad_s
         self._range_rad = placed.arm.limits_rad
         self._is_jogging = False
         self.limited = ""
@@ -118,18 +115,10 @@ class Following:
 
     def step(self) -> None:
         """One request: the leader's speed, and what brings the follower nearer. ArmFaulted or MotionStopped end it."""
-        leader, follower = self._read(self._leader), self._read(self._follower)
-        if self._is_jogging and follower["mode"] != "JOGGING":
-            raise MotionStopped(f"following has ended: the follower was stopped and is {follower['mode']}")
-        speeds = [
-            min(max(sign * speed + GAIN_per_s * (wanted - q), -most), most)
-            for sign, speed, wanted, q, most in zip(
-                self._signs, leader["speed_rad_s"], self._target_rad(leader), follower["joint_set_rad"], self._most_rad_s,
-                strict=True,
-            )
-        ]  # fmt: skip
+        leader = self._read(self._leader)
+        speeds = [sign * speed for sign, speed in zip(self._signs, leader["speed_rad_s"], strict=True)]
         try:
-            self.limited = str(self._follower.ask("jog", joint_speed_rad_s=speeds)["limited"])
+            self.limited = self._follower.follow(self._target_rad(leader), speeds)
         except RequestRefused as refusal:
             if not self._is_jogging:
                 raise

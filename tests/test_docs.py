@@ -31,6 +31,7 @@ CALL = re.compile(r"(?:^|\s|/)armwright ([a-z][a-z0-9-]*)\b(.*)")
 CODE_SPAN = re.compile(r"`([^`]+)`")
 OPTION = re.compile(r"--[a-z][a-z-]*")
 OF_BENCHMARKS = {"--grid", "--save"}
+OF_LEROBOT = {"--robot", "--teleop", "--dataset"}
 CODE = tuple(f"{name}/" for name in (*PACKAGES, "benchmarks", "tests"))
 TOP = "|".join(name.rstrip("/") for name in CODE)
 PATH = re.compile(rf"(?<![\w./{{}}-])((?:{TOP}|docs)/[\w./{{}},-]*)")
@@ -110,7 +111,9 @@ def test_every_command_that_is_named_exists_with_its_options(page: Path) -> None
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_option_in_a_page_is_one_of_some_command(page: Path) -> None:
-    known = set.union(*(options_of(command) for command in subcommands().values())) | OF_BENCHMARKS
+    known = (
+        set.union(*(options_of(command) for command in subcommands().values())) | OF_BENCHMARKS | OF_LEROBOT
+    )
     text = "\n".join(code_lines(page.read_text(encoding="utf-8")))
     elsewhere = "\n".join(line for line in text.splitlines() if "python" not in line and "nc -UN" not in line)
     assert set(OPTION.findall(elsewhere)) <= known

@@ -21,6 +21,7 @@ from control.server.channel import Channel, Message, RuntimeGone
 RELAPSE_S = 0.1  # a fault whose cause persists is detected again within some cycles
 AVERAGE_LIMIT_S = 2.0  # an average takes its own time; this much more is a host that was paused
 SETTLE_LIMIT_S = 2.0  # drives that do not enable are a fault after half of this time
+FOLLOW_GAIN_per_s = 6.0  # of the distance to what is followed: it is halved in 0.12 s
 POLL_S = 0.02  # polling period of a waiting client; short for an operator, hardly any load for the loop
 
 
@@ -46,6 +47,7 @@ class ArmClient:
     def __init__(self, channel: Channel) -> None:
         """`on_wait`, if set, is called with every status while waiting (docs/socket.md, `mode`)."""
         self._channel = channel
+        self._followed_run: int | None = None  # of the jog that `follow` began
         self.on_wait: Callable[[Message], None] | None = None
 
     def ask(self, do: str, **arguments: Any) -> Message:
@@ -158,6 +160,30 @@ class ArmClient:
             raise ArmFaulted(fault_text(self.status()))
         self.until(["HOLDING"], 2.0)
         return limited
+
+    def follow(self, q_rad: Sequence[float], speed_rad_s: Sequence[float] | None = None) -> str:
+        """Jog once after joint angles that move on, at their speed and what brings the arm nearer; to be renewed as a jog is.
+
+        Returns what limits the jog, as text. MotionStopped if somebody stopped the last one; a silent client may go on.
+        """
+        status = self.status()
+        if status["mode"] == "FAULT":
+            raise ArmFaulted(fault_text(status))
+        if not status["is_homed"]:
+            raise ArmError(f"follow: arm {status['arm']!r} is not homed: home it first")
+        if status["was_stopped"] and status["run"] == self._followed_run:
+            self._followed_run = None
+            raise MotionStopped(
+                f"following has ended: arm {status['arm']!r} was stopped and is {status['mode']}"
+            )
+        speeds = [0.0] * len(q_rad) if speed_rad_s is None else speed_rad_s
+        wanted = [
+            speed + FOLLOW_GAIN_per_s * (goal - q)
+            for speed, goal, q in zip(speeds, q_rad, status["joint_set_rad"], strict=True)
+        ]
+        answer = self.ask("jog", joint_speed_rad_s=wanted)
+        self._followed_run = answer["run"]
+        return str(answer["limited"])
 
     def pause(self) -> None:
         """Slow to rest along the motion's path and hold there."""

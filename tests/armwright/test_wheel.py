@@ -38,7 +38,8 @@ def test_a_wheel_has_every_module_and_every_file_of_data() -> None:
         file
         for package in PACKAGES
         for file in (ROOT / package).rglob("*")
-        if file.is_file() and "__pycache__" not in file.parts
+        if file.is_file()
+        and not any(part == "__pycache__" or part.endswith(".egg-info") for part in file.parts)
     }
     assert there - listed == set()
     kinds = {file.suffix for file in listed}

@@ -61,7 +61,7 @@ def test_a_stop_ends_following_and_a_client_that_falls_silent_lets_the_follower_
         pair.run(0.1)
         pair.channels["left"].request({"do": "stop"})
         pair.run(0.02)
-        with pytest.raises(MotionStopped, match="the follower was stopped"):
+        with pytest.raises(MotionStopped, match="arm 'right' was stopped"):
             following.step()
         again = pair_of(pair, (1.0, 1.0, 1.0))
         pair.until(lambda: pair.mode("right") is Mode.HOLDING, 0.5)
