@@ -80,29 +80,40 @@ class Measurement:
             ]
         is_shifted = self._follow_shifts(counts, shifts)
         late_s = late_s or self._on_time_s
-        for joint, count in enumerate(counts):
-            elapsed_s = counted_at_s[joint] - self._last_s[joint]
+        angles_rad, speeds_rad_s, lates_s, turned_rad = (
+            self.q_rad, self.speed_rad_s, self._late_s, self._turning_point_rad,
+        )  # fmt: skip
+        for joint, (count, made_s, at_most_s) in enumerate(zip(counts, counted_at_s, late_s, strict=True)):
+            elapsed_s = made_s - self._last_s[joint]
             if elapsed_s == 0.0:
                 continue
-            self._last_s[joint] = counted_at_s[joint]
+            self._last_s[joint] = made_s
             self.has_lost_turns[joint] = self._unseen_s[joint] < elapsed_s < math.inf  # inf: the first report
             q = self._maps[joint].radians(self._unwrappers[joint].update(count))
             if 0.0 < elapsed_s < LONGEST_GAP_S:
-                moved_rad = q - self.q_rad[joint]
-                late = max(0.0, late_s[joint] - SPEED_FILTER_S)
-                slowest = moved_rad / (elapsed_s + late)
-                quickest = moved_rad / max(elapsed_s - self._late_s[joint], SHORTEST_s)
-                self._late_s[joint] = late
-                speed = min(max(self.speed_rad_s[joint], min(slowest, quickest)), max(slowest, quickest))
-                is_leap = not abs(moved_rad) <= self._fastest_rad_s[joint] * (elapsed_s + late_s[joint])
+                moved_rad, before_rad_s = q - angles_rad[joint], speeds_rad_s[joint]
+                if at_most_s > SPEED_FILTER_S or lates_s[joint] or elapsed_s < SHORTEST_s:
+                    late = max(0.0, at_most_s - SPEED_FILTER_S)
+                    slowest = moved_rad / (elapsed_s + late)
+                    quickest = moved_rad / max(elapsed_s - lates_s[joint], SHORTEST_s)
+                    lates_s[joint] = late
+                    speed = min(max(before_rad_s, min(slowest, quickest)), max(slowest, quickest))
+                else:  # the usual cycle, in which both are the same
+                    speed = moved_rad / elapsed_s
+                is_leap = not abs(moved_rad) <= self._fastest_rad_s[joint] * (elapsed_s + at_most_s)
                 self.leap_rad[joint] = moved_rad if is_leap else 0.0
                 gain = elapsed_s / (elapsed_s + SPEED_FILTER_S)
-                self.speed_rad_s[joint] += gain * (speed - self.speed_rad_s[joint])
-                self._follow_direction(joint, q)
+                speeds_rad_s[joint] = before_rad_s + gain * (speed - before_rad_s)
+                off_rad, direction = q - turned_rad[joint], self.direction[joint]
+                if off_rad * direction > 0.0:
+                    turned_rad[joint] = q
+                elif abs(off_rad) > DIRECTION_STEP_rad:
+                    self.direction[joint] = 1 if off_rad > 0.0 else -1
+                    turned_rad[joint] = q
             else:
-                self.speed_rad_s[joint] = 0.0
-                self._turning_point_rad[joint] = q
-            self.q_rad[joint] = q
+                speeds_rad_s[joint] = 0.0
+                turned_rad[joint] = q
+            angles_rad[joint] = q
         return is_shifted
 
     def unwrapped_count(self, joint: int, count: int) -> int:
@@ -128,15 +139,6 @@ class Measurement:
             self._turning_point_rad[joint] += moved_rad
             self._shifts[joint] = shift
         return True
-
-    def _follow_direction(self, joint: int, q: float) -> None:
-        turning_point = self._turning_point_rad[joint]
-        direction = self.direction[joint]
-        if (q - turning_point) * direction > 0.0:
-            self._turning_point_rad[joint] = q
-        elif abs(q - turning_point) > DIRECTION_STEP_rad:
-            self.direction[joint] = 1 if q > turning_point else -1
-            self._turning_point_rad[joint] = q
 
 
 @dataclass(slots=True)

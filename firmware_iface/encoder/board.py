@@ -364,17 +364,14 @@ class BoardTime:
     """Unwraps the time stamps of one board and distinguishes a restart from a wrap."""
 
     def __init__(self) -> None:
+        self.seconds = 0.0
+        """Unwrapped board time of the last report; starts at the board's first counter value."""
         self._last_us = 0
         self._host_us = 0
         self._started_us = 0  # on the host's clock
         self._furthest_ahead_us = 0
         self._prompt_ahead_us = 0.0  # lead over the host's time in a report without delay
         self._has_started = False
-
-    @property
-    def seconds(self) -> float:
-        """Unwrapped board time of the last report [s]; starts at the board's first counter value."""
-        return self._last_us * 1e-6
 
     @property
     def lag_s(self) -> float:
@@ -397,13 +394,13 @@ class BoardTime:
             self._start(board_time_us, host_us)
             return False
         self._prompt_ahead_us = max(self._prompt_ahead_us - _DRIFT * (host_us - self._host_us), ahead_us)
-        self._last_us, self._host_us = now_us, host_us
+        self._last_us, self._host_us, self.seconds = now_us, host_us, now_us * 1e-6
         if ahead_us > self._furthest_ahead_us:
             self._furthest_ahead_us = ahead_us
         return True
 
     def _start(self, board_time_us: int, host_us: int) -> None:
-        self._last_us, self._host_us = board_time_us, host_us
+        self._last_us, self._host_us, self.seconds = board_time_us, host_us, board_time_us * 1e-6
         self._started_us = host_us
         self._furthest_ahead_us = board_time_us - host_us
         self._prompt_ahead_us = self._furthest_ahead_us
