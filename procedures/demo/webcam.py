@@ -37,7 +37,7 @@ from control.files import write_whole
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from control.model.description import save_arm
-from control.progress import Advance
+from control.progress import Advance, silent
 from hil_mocks.arm_pictures import FramePose, PicturedArm, looking_at
 from hil_mocks.scenario import load_scenario
 from hil_mocks.webcam import PrintedSheet, Webcam
@@ -81,7 +81,7 @@ def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> WebcamOut
     save_arm(nominal, out / "nominal.toml")
     pictured = _pictured(arm, scenario.drawn_deviations(len(arm.links)), webcam)
     q = _seen_poses(pictured, arm, draw)
-    _photograph_board(webcam, out / "lens", draw, advance)
+    photograph_board(BOARD, webcam, out / "lens", draw, advance)
     points = _photograph_arm(pictured, q, out, draw, advance)
 
     advance("calibrating the lens", 0.75)
@@ -146,13 +146,19 @@ def _seen_poses(pictured: PicturedArm, arm: Arm, draw: np.random.Generator) -> A
         away = float(np.linalg.norm(place.position_m))
         is_above = pictured.last_link(q.tolist()).position_m[2] > LEAST_HEIGHT_m
         is_facing = place.rotation[:, 2] @ place.position_m > FACING * away
-        if is_above and is_facing and NEAREST_m < away < FARTHEST_m and _is_inside(pictured.webcam, place):
+        if (
+            is_above
+            and is_facing
+            and NEAREST_m < away < FARTHEST_m
+            and is_inside(pictured.webcam, BOARD, place)
+        ):
             found.append(q)
     return np.array(found)
 
 
-def _is_inside(webcam: Webcam, place: FramePose) -> bool:
-    width, height = BOARD.print_m
+def is_inside(webcam: Webcam, board: Charuco, place: FramePose) -> bool:
+    """Whether the picture shows the whole board, which is at `place` in the camera's frame."""
+    width, height = board.print_m
     corners = np.array([[x, y, 0.0] for x in (-width / 2, width / 2) for y in (-height / 2, height / 2)])
     points = corners @ place.rotation.T + place.position_m
     values = [*webcam.focal_px, *webcam.centre_px, *webcam.radial, *webcam.tangential, 0.0]
@@ -167,13 +173,15 @@ def _drawn(arm: Arm, draw: np.random.Generator) -> Array:
     return np.asarray(draw.uniform(lower, upper))
 
 
-def _photograph_board(webcam: Webcam, folder: Path, draw: np.random.Generator, advance: Advance) -> None:
+def photograph_board(
+    board: Charuco, webcam: Webcam, folder: Path, draw: np.random.Generator, advance: Advance = silent
+) -> None:
     """The board held before the camera: tilted to all sides, near and far, in all parts of the picture."""
     folder.mkdir(parents=True)
-    grey = BOARD.drawn(DOTS_A_METRE, MARGIN_m)
+    grey = board.drawn(DOTS_A_METRE, MARGIN_m)
     for k in range(LENS_PICTURES):
         advance("pictures of the board", 0.25 * k / LENS_PICTURES)
-        away = draw.uniform(0.28, 0.6)
+        away = draw.uniform(0.28, 0.6) * board.print_m[0] / BOARD.print_m[0]
         column, row = (k % 3 - 1) * 0.28, (k // 3 % 3 - 1) * 0.2
         turn = rotation_of(np.array([*draw.uniform(-0.6, 0.6, 2), 0.0])) @ rotation_of(
             np.array([0, 0, draw.uniform(-1.5, 1.5)])
