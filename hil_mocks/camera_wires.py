@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import random
 import socket
 from collections.abc import Mapping
 from typing import Protocol
@@ -11,6 +13,8 @@ from hil_mocks.devices.camera import Transport
 
 _LONGEST_DATAGRAM = 65536
 LOOPBACK = "127.0.0.1"
+
+GIVEN_TO_NOBODY = (20_000, 32_768)  # ports below those of Linux for sockets that ask for none
 
 
 class CameraWire(Protocol):
@@ -149,7 +153,14 @@ def camera_wire(transport: Transport) -> CameraWire:
 
 
 def free_udp_port() -> int:
-    """A UDP port on loopback that is free at the moment."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
+    """A UDP port on loopback that is free: none of those that a system gives away by itself, before this one is used."""
+    while True:
+        port = random.SystemRandom().randrange(*GIVEN_TO_NOBODY)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind((LOOPBACK, port))
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    raise
+            else:
+                return port

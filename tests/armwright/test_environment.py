@@ -142,7 +142,8 @@ def test_an_action_that_is_none_is_one_error_and_takes_no_time(
 
 
 def test_the_example_of_the_page_reaches_its_target() -> None:
-    (example,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
+    examples = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
+    (example,) = (one for one in examples if "armwright.environment" in one)
     names: dict[str, Any] = {}
     exec(compile(example, "docs/extras.md", "exec"), names)
     assert names["info"]["is_success"]
