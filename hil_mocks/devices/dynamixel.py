@@ -137,7 +137,7 @@ class DynamixelMock:
         self._registered: tuple[int, bytes] | None = None
         self._deaf_until_s = now_s
         self._heard_s = now_s
-        self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
+        self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns, 1.0 / COUNTS_PER_TURN)
         self.write(TORQUE, bytes((self.table[STARTUP] & 1,)))
 
     @property

@@ -104,7 +104,7 @@ class FeetechMock:
         self.output = OPEN
         self._registered: tuple[int, bytes] | None = None
         self._deaf_until_s = now_s + BOOT_S
-        self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns)
+        self._motor = ServoMotor(self.setup.volts_per_rad_s, self._read_turns, 1.0 / COUNTS_PER_TURN)
         self._loaded_from_s = now_s  # since when the load has been above the overload torque
         self._is_overloaded = False
 

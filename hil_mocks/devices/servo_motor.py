@@ -13,11 +13,16 @@ LIMITED_FADE = 0.99  # of the integral, each period
 
 
 class ServoMotor:
-    """`read_turns` gives the angle of the output shaft in turns; `goal_turns` is where the loop goes, `goal_turns_s` how fast."""
+    """`read_turns` gives the angle of the output shaft in turns; `goal_turns` is where the loop goes, `goal_turns_s` how fast.
 
-    def __init__(self, volts_per_rad_s: float, read_turns: Callable[[], float]) -> None:
+    `seen_turns`: what the loop sees of the angle, one count of its encoder; goals are whole counts.
+    """
+
+    def __init__(
+        self, volts_per_rad_s: float, read_turns: Callable[[], float], seen_turns: float = 0.0
+    ) -> None:
         self._volts_per_turn_s = volts_per_rad_s * 6.283185307179586
-        self._read_turns = read_turns
+        self._read_turns, self._seen_turns = read_turns, seen_turns
         self.turns = self.goal_turns = read_turns()
         self.speed_turns_s = self.goal_turns_s = 0.0
         self._step_s = 0.001
@@ -38,12 +43,15 @@ class ServoMotor:
 
     def controlled(self, supply_V: float, is_current_limited: bool = False) -> Output:
         """The output of a control period. Where the current is limited, the integral fades."""
-        wanted = POSITION_RATE * (self.goal_turns - self.turns) + self.goal_turns_s
+        off_turns = self.goal_turns - self.turns
+        wanted = POSITION_RATE * off_turns + self.goal_turns_s
         error_V = self._volts_per_turn_s * (wanted - self.speed_turns_s)
         wanted_V = self._volts_per_turn_s * wanted + SPEED_GAIN * error_V + self._integral_V
         limited_V = min(max(wanted_V, -supply_V), supply_V)
         if is_current_limited:
             self._integral_V *= LIMITED_FADE
         elif wanted_V == limited_V:
+            if abs(off_turns) < 0.5 * self._seen_turns:  # it is there: what nobody sees adds up to nothing
+                error_V = self._volts_per_turn_s * (self.goal_turns_s - self.speed_turns_s)
             self._integral_V += SPEED_INTEGRAL * error_V * self._step_s
         return Output("voltage", limited_V)
