@@ -64,15 +64,19 @@ class Validated:
         missed = np.sum(np.where(rows > 0, rows * errors, 0.0), axis=0) / np.maximum(rows.sum(axis=0), 1)
         return cls(fit, tuple(noises), missed, rows.sum(axis=0) / rows.sum(), scene.kept)
 
-    def unless_worse_than(self, before: Validated | None) -> Validated:
-        """This one, or the one before if that predicted better: by what is worth a word, and by more than runs differ in it."""
+    def unless_worse_than(self, before: Validated | None, is_remeasured: bool = False) -> Validated:
+        """This one, or the one before if that predicted better by what is worth a word.
+
+        `is_remeasured`: it has the noise that the one before left, which is nearer to the truth whatever it predicts by chance:
+        the one before must be better by more than the standard error among the runs, too.
+        """
         if before is None:
             return self
-        worse, weight = self.missed - before.missed, self.weight
-        mean = float(weight @ worse)
-        runs = int(np.count_nonzero(weight))
-        spread = math.sqrt(float(weight**2 @ (worse - mean) ** 2) * runs / max(runs - 1, 1))
-        return self if mean <= max(math.log1p(REMAINS), spread) else before
+        worse = float(self.weight @ self.missed - before.weight @ before.missed)
+        runs = int(np.count_nonzero(self.weight))
+        off = self.missed - before.missed - worse
+        spread = math.sqrt(float(self.weight**2 @ off**2) * runs / max(runs - 1, 1)) if is_remeasured else 0.0
+        return self if worse <= max(math.log1p(REMAINS), spread) else before
 
 
 def fitted(
@@ -98,7 +102,7 @@ def fitted(
         judged = Validated.of(weighed(around, linear, noises, split, starts), split)
         if count or judged.fit.best.kappa > UNTOLD:
             again = Validated.of(weighed(around, linear, judged.noises, split, starts), split)
-            judged = again.unless_worse_than(judged)
+            judged = again.unless_worse_than(judged, is_remeasured=True)
         fit, noises = judged.fit, list(judged.noises)
         last = judged.unless_worse_than(last)
         keys = fit.names
