@@ -205,8 +205,9 @@ def test_a_plan_needs_no_folder_and_a_check_up_asks_for_one(
     asked = ["check-up", "--arm", "right", "--points", "points.csv"]
     assert main([*asked, "--plan-only"]) == 0
     assert "minutes" in capsys.readouterr().out
-    assert main(asked) == 2
-    assert "--out: expected a folder" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main(asked)
+    assert "required: --out (only --plan-only needs none)" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["points.csv"]
 
 

@@ -21,6 +21,7 @@ from tests.procedures.bringup.test_bringup import said_of, short
 from tests.procedures.bringup.test_bringup import short_ways as short_ways
 
 SURVEY = BringupOptions((), None, 0.3, False)
+A_COUNT_rad = 0.0016  # of a servo
 LAST = BringupOptions((3,), None, 0.6, True)
 
 
@@ -91,6 +92,6 @@ def test_a_bench_leaves_boards_that_hold_as_they_are_until_the_operator_allows_a
         currents_A = {drive.joint: 1.0 for drive in arm.drives}
         with open_bench(arm, rig.clock, MockOperator(rig, is_silent=True), currents_A) as bench:
             bench.observe(0.5)
-            assert rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)
+            assert rig.joint_rad() == pytest.approx(before_rad, abs=A_COUNT_rad)
         rig.clock.wait_until_s(rig.clock.now_s() + 0.3)
-        assert rig.joint_rad() == pytest.approx(before_rad, abs=1e-3)
+        assert rig.joint_rad() == pytest.approx(before_rad, abs=A_COUNT_rad)

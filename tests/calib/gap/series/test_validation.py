@@ -57,7 +57,7 @@ def test_a_name_that_the_runs_kept_apart_contradict_is_unknown_with_a_sentence()
     assert outcome.finding.unknown is not None
     assert outcome.finding.gap_after == outcome.finding.gap_before
     assert outcome.finding.unknown.nearest == LOAD_2
-    assert any("not those held out" in text for text in outcome.warnings)
+    assert any("not the held-out ones" in text for text in outcome.warnings)
 
 
 def test_a_name_that_they_bear_out_stays() -> None:
