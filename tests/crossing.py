@@ -128,7 +128,8 @@ class Judge:
                 if speed > SPEED_SHARE * drive.joint_speed_limit_rad_s:
                     self._say(f"joint {joint + 1} is too fast in {mode.name}")
         self._before = now_s, q_rad
-        if self._may_move or not self._stood_rad:
+        meddled = mode is Mode.OFF and any(driven)  # another program's: the runtime ends it within OBEYS_S
+        if self._may_move or meddled or not self._stood_rad:
             self._stood_rad = q_rad
             self._may_move &= mode in TRAVELLING_MODES or mode in (Mode.STOPPING, Mode.FAULT)
         elif max(abs(q - p) for q, p in zip(q_rad, self._stood_rad, strict=True)) > MOVED_rad:
@@ -167,7 +168,7 @@ class Stand:
             judge.broken.clear()
         for step in sequence:
             self._take(step)
-        self._until(lambda: not any(judge.runtime.bound.is_hold for judge in self.judges.values()))
+        self._until(lambda: not any(_is_on_its_way(judge.runtime) for judge in self.judges.values()))
         self._cycles(round(SETTLES_S / self.period_s))
         if any(judge.told == "off" for judge in self.judges.values()):
             self._until(lambda: all(j.told != "off" or self._is_off(j) for j in self.judges.values()))
@@ -255,6 +256,11 @@ def stand(kind: str) -> Iterator[Stand]:
 
 
 SEQUENCES_A_STAND = 25  # then another one: a recording of what happened stays short
+
+
+def _is_on_its_way(runtime: Runtime) -> bool:
+    """Whether it comes to rest, or waits for it."""
+    return runtime.bound.is_hold or runtime.monitor.mode is Mode.STOPPING
 
 
 def played(kind: str, seed: int, count: int) -> Iterator[tuple[int, list[Step], list[str]]]:
