@@ -96,6 +96,7 @@ class Judge:
     arm: Arm
     broken: list[str] = field(default_factory=list)
     told: str = ""  # the last accepted request that leads to a mode
+    is_meddled_with: bool = False  # by another program, in this sequence
     _may_move: bool = False
     _was_let_be: bool = False
     _off_since_s: float | None = None
@@ -128,7 +129,9 @@ class Judge:
                 if speed > SPEED_SHARE * drive.joint_speed_limit_rad_s:
                     self._say(f"joint {joint + 1} is too fast in {mode.name}")
         self._before = now_s, q_rad
-        meddled = mode is Mode.OFF and any(driven)  # another program's: the runtime ends it within OBEYS_S
+        meddled = (
+            self.is_meddled_with and mode is Mode.OFF and any(driven)
+        )  # another program's: the runtime ends it within OBEYS_S
         if self._may_move or meddled or not self._stood_rad:
             self._stood_rad = q_rad
             self._may_move &= mode in TRAVELLING_MODES or mode in (Mode.STOPPING, Mode.FAULT)
@@ -164,7 +167,7 @@ class Stand:
     def play(self, sequence: Sequence[Step]) -> list[str]:
         """What was broken in a sequence. Afterwards the arms are off again, or it is said that they are not."""
         for judge in self.judges.values():
-            judge.told = ""
+            judge.told, judge.is_meddled_with = "", False
             judge.broken.clear()
         for step in sequence:
             self._take(step)
@@ -183,6 +186,7 @@ class Stand:
             return
         judge = self.judges[step["arm"]]
         if "meddle" in step:
+            judge.is_meddled_with = True
             robot = judge.robot
             board = robot.drive_names[step["joint"] % len(robot.drive_names)]
             at_s = judge.runtime.now_s + step["after"] * self.period_s

@@ -196,7 +196,7 @@ class RoboClawMock:
                 return bytes(settings.pin_modes)
             case 78:
                 return struct.pack(">II", self.count(0), self.count(1))
-            case 82:
+            case 82 | 83:
                 return struct.pack(">H", 300)
             case 90:
                 return (
@@ -228,8 +228,6 @@ class RoboClawMock:
             case 81:
                 pairs = zip(settings.duty_accelerations, settings.duty_falls, strict=True)
                 return b"".join(struct.pack(">II", rise, fall) for rise, fall in pairs)
-            case 83:
-                return struct.pack(">H", 300)
             case 100:
                 return struct.pack(">HH", round(self._supply_V * 10), 50)
             case 101:
