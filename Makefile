@@ -127,9 +127,6 @@ mutants: dev  ## are the tests sharp? every small change of the safety layer (te
 screenshots: dev  ## the pictures of docs/console.md, from the mock arm without a terminal; some minutes
 	$(BIN)/python -m tests.console.screen.screenshots docs
 
-arm-reference: dev  ## docs/arm_toml.md, from the definitions that the reader of arm.toml obeys
-	$(BIN)/python -m control.model.reference
-
 gap-score: dev  ## how often the gap workflow is right on poses, time series and the mock arm: fresh cases, six minutes; CASES=60 of each sort
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gap.score $(if $(CASES),--cases $(CASES))
 

@@ -13,7 +13,7 @@ from calib.points.reading import POINTS
 from console.main import parser
 from control.model.board_kinds import KINDS
 from control.model.effects import EFFECTS, parameter_names
-from control.model.reference import reference_text, sections
+from control.model.reference import sections
 from control.recording.layout import END_FIELDS
 from control.recording.record import Layout
 from control.tables import documented
@@ -301,11 +301,6 @@ def test_every_effect_and_its_parameters_are_in_the_formats(name: str) -> None:
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8").replace("{i}", "<i>")
     (row,) = [line for line in text.splitlines() if line.startswith(f"| `{name}` |")]
     assert [parameter for parameter in parameter_names(EFFECTS[name]) if f"`{parameter}`" not in row] == []
-
-
-def test_the_reference_of_arm_toml_is_what_the_reader_obeys() -> None:
-    """`make arm-reference` writes it anew."""
-    assert (ROOT / "docs" / "arm_toml.md").read_text(encoding="utf-8") == reference_text()
 
 
 def test_the_columns_of_points_and_logs_are_those_that_the_reader_obeys() -> None:

@@ -21,7 +21,12 @@ LEROBOT, PYTHON = "lerobot", "python"
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print a summary of the file, write it in another format, or write one from another format."""
+    """Print a summary of the file, or the keys that it may have; write it in another format, or write one from another format."""
+    if given.command == "arm" and given.keys is not None:
+        from control.model.reference import reference_text
+
+        sys.stdout.write(reference_text(given.keys))
+        return 0
     if given.command == "arm" and (given.from_urdf or given.from_mjcf):
         return _imported(given)
     arm = load_arm(given.arm)

@@ -86,6 +86,13 @@ FILES = (
                 metavar="A",
                 help="an arm.toml, or the name of a supplied arm (default: as for --arm of other commands)",
             ),
+            option(
+                "--keys",
+                nargs="?",
+                const="",
+                metavar="SECTION",
+                help="print every key of an arm.toml with its unit and default instead, or those of a section such as drive.home",
+            ),
             JSON,
             *MODEL,
             LEROBOT,

@@ -2,7 +2,7 @@
 
 `control.model.description` reads and writes it. The field names are the keys of the file. An annotation holds the
 conditions on a value (`control.model.rules`), then what the key says and, where the code's default says it badly, its default
-in words; `control.model.reference` makes docs/arm_toml.md of all of them.
+in words; `control.model.reference` prints all of them.
 """
 
 import dataclasses

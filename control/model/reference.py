@@ -1,37 +1,29 @@
-"""docs/arm_toml.md: every key of an arm.toml, from the definitions that the reader obeys (`control.model.arm`).
-
-`make arm-reference` writes it; a test compares.
-"""
+"""Every key of an arm.toml as text, from the definitions that the reader obeys (`control.model.arm`): `armwright arm --keys`."""
 
 import dataclasses
 import math
 import re
-import sys
 import textwrap
 import types
 from collections.abc import Iterator, Mapping
-from pathlib import Path
+from difflib import get_close_matches
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.reader import keys_of
 from control.model.rules import Rule
 
-PAGE = Path("docs/arm_toml.md")
 REQUIRED = "required"  # as a default
-WIDTH, WIDTH_OF_VALUES = 125, 30  # of the page and of its second column, in characters
-HEAD = """# arm.toml: every key
-`armwright new` writes a file with comments ([new_arm.md](new_arm.md)), `armwright arm FILE` checks it; example:
-`control/arms/right.toml`.
+WIDTH, WIDTH_OF_VALUES = 125, 30  # of the text and of its second column, in characters
+HEAD = """Every key of an arm.toml. `armwright new` writes a file with comments, `armwright arm FILE` checks it.
 
-- SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused;
-  `as_given = true` overrides what rests on the other values of the file.
-- Unknown keys are errors. A section without required keys may be absent; a command that needs it says so.
-- `*`: required. In brackets: the default. A range without a type is of a number.
-- A name has 1 to 64 characters without / and \\, and does not begin with . or -. A word has 1 to 32 letters, digits, - and _,
-  and begins with a letter.
+SI units and radians; the unit ends the key's name. Values that look like millimetres, degrees or grams are refused;
+`as_given = true` overrides what rests on the other values of the file. Unknown keys are errors. A section without required keys
+may be absent; a command that needs it says so.
 
-Made by `make arm-reference`. Effects: [formats.md](formats.md#effects).
+*: required. In brackets: the default. A range without a type is of a number. A name has 1 to 64 characters without / and \\, and
+does not begin with . or -. A word has 1 to 32 letters, digits, - and _, and begins with a letter.
 """
 # Conditions as the reader words them in an error, and as a range in the table.
 RANGES = (
@@ -80,13 +72,16 @@ def texts_of(kind: type[Any]) -> dict[str, str]:
     return {key: _notes(hints[field.name])[0] for key, field in keys_of(kind).items()}
 
 
-def reference_text() -> str:
-    """The page."""
-    parts = [HEAD]
-    for section in sections():
-        title = f"`{section.header}`" if section.header else "Top level"
-        parts.append("\n".join((f"## {title}", section.about, "```", *_rows(section.keys), "```")) + "\n")
-    return "\n".join(parts)
+def reference_text(name: str = "") -> str:
+    """Every section with its keys, or only section `name` ("drive.home"). ArmError if there is no such section."""
+    named = {section.header.strip("[]"): section for section in sections()}
+    if name and name not in named:
+        near = get_close_matches(name, named, n=1, cutoff=0.5)
+        meant = f" (did you mean {near[0]}?)" if near else ""
+        raise ArmError(f'--keys: expected one of {", ".join(filter(None, named))}; got "{name}"{meant}')
+    shown = [named[name]] if name else [*named.values()]
+    parts = ["\n".join((s.header or "[top level]", s.about, *_rows(s.keys))) + "\n" for s in shown]
+    return "\n".join(parts if name else (HEAD, *parts))
 
 
 def _rows(keys: tuple[Key, ...]) -> Iterator[str]:
@@ -211,8 +206,3 @@ def _default(field: "dataclasses.Field[Any]") -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(f"{item:g}" for item in value) + "]"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-if __name__ == "__main__":
-    PAGE.write_text(reference_text(), encoding="utf-8")
-    sys.stdout.write(f"{PAGE} written\n")

@@ -1,4 +1,4 @@
-"""An arm.toml with a comment on every key, in the words of docs/arm_toml.md."""
+"""An arm.toml with a comment on every key, in the words of `armwright arm --keys`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SECTIONS = {
     "encoder_board": "encoder boards: three channels each, joints in order",
     "can": "bus of the motor boards; node j of the reference boards drives joint j",
     "rest": "a pose to wait in",
-    "limits": "limits that the loop enforces; more of them in docs/arm_toml.md",
+    "limits": "limits that the loop enforces; more of them: armwright arm --keys limits",
     "effect": "effects of the model (docs/formats.md#effects)",
 }
 LATER = """# Not here yet: [table] with its cavities (session, calibrate without a camera), [camera] (verify), [drive.pid] (gains
@@ -50,7 +50,7 @@ LATER = """# Not here yet: [table] with its cavities (session, calibrate without
 def commented_text(new: NewArm, origin: str) -> str:
     """The arm as a commented arm.toml; `origin` says what it was made from."""
     arm = new.arm
-    lines = [f"# Arm {arm.name}, {origin}. SI units, radians; every key: docs/arm_toml.md."]
+    lines = [f"# Arm {arm.name}, {origin}. SI units, radians; every key: armwright arm --keys."]
     lines += [f"# {_plain(note)}." for note in new.notes]
     lines += _keys(
         arm, Arm, ("name", *(("as_given",) if arm.as_given else ()), "gravity_m_s2", "dh_convention")

@@ -15,6 +15,7 @@ from console.main import main, parser
 from console.options import CommandSpec
 from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
 from control.model.description import load_arm, save_arm
+from control.model.reference import sections
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from tests.cell import RIGHT, scenario, wired_to, with_drive
@@ -64,6 +65,7 @@ def test_who_only_asks_the_runtime_waits_for_no_mathematics() -> None:
     program = f"""
 import sys
 from console.main import main
+from control.model.reference import sections
 for line in ["status", "stop", "enable", "home", "hold", "off", "pause", "resume", "guide", "wait", "acknowledge"]:
     assert main([line]) != 0, line
 heavy = [name for name in {HEAVY} if name in sys.modules and name != "msgspec"]
@@ -336,3 +338,24 @@ def test_an_arm_is_described_for_people_and_programs(capsys: pytest.CaptureFixtu
     assert "arm right" in capsys.readouterr().out
     assert main(["arm", "left", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["joints"] == load_arm("left").joint_count
+
+
+def test_arm_keys_prints_every_key_of_every_section_or_those_of_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["arm", "--keys"]) == 0
+    everything = capsys.readouterr().out
+    for section in sections():
+        assert main(["arm", "--keys", section.header.strip("[]")]) == 0
+        shown = capsys.readouterr().out
+        assert section.header in shown
+        assert [key.name for key in section.keys if f"{key.name} " not in shown] == []
+        assert [key.name for key in section.keys if key.text.split()[0] not in shown] == []
+        assert shown in everything
+
+
+def test_a_section_of_arm_toml_that_there_is_not_is_told_the_nearest(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["arm", "--keys", "drive.hom"]) == 2
+    assert "did you mean drive.home?" in capsys.readouterr().err
