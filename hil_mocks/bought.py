@@ -173,7 +173,7 @@ class RoboClaws:
             for channel, joint in joints.items():
                 volts = mock.duty[channel] / FULL * supply
                 output = Output("voltage", volts) if volts else BRAKE
-                outputs.append((joint, output, mock.settings.current_limits[channel] * 0.01))
+                outputs.append((joint, output, mock.current_limits_A[channel]))
         return outputs
 
     def switch(self, fault: FaultTable, is_on: bool, now_s: float) -> None:
@@ -188,7 +188,7 @@ class RoboClaws:
         elif fault.kind == "board_reset" and is_on:
             mock.power_up()
         elif fault.kind in SWITCHED and is_on:
-            mock.wanted_duty = [FULL // 8 if SWITCHED[fault.kind] else 0] * 2
+            mock.movements = [{"u": FULL // 8 if SWITCHED[fault.kind] else 0} for _ in (0, 1)]
         elif fault.kind == "stuck_encoder":
             mock.stuck.pop(fault.channel, None)
             if is_on and (joint := self.joint(fault)) is not None:

@@ -1,15 +1,21 @@
 """RoboClaw boards on a packet serial line, written from the vendor's manual ("RoboClaw Series User Manual", Basicmicro).
 
 A board is a state machine without I/O: `receive` bytes, `tick` once per control period with the measurements, and read `duty`.
-What the manual leaves open, and what is assumed here, is in docs/roboclaw.md.
+Of newer firmware it has what the vendor's client basicmicro 2.0.10 sends and reads. What these leave open is assumed: that gains
+are of a share of QPPS, how many signals, streams and outputs there are, that nobody else is on its CAN bus, and what is in
+docs/roboclaw.md.
 """
 
 from __future__ import annotations
 
 import binascii
+import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from itertools import accumulate
+from typing import Any
+
+from hil_mocks.devices.servo_motor import POSITION_RATE
 
 ACKNOWLEDGEMENT = b"\xff"
 GAP_S = 0.010  # between two bytes of a packet: longer, and it is discarded
@@ -18,31 +24,104 @@ FULL = 32767
 E_STOP, OVER_HEATED, VOLTAGE_HIGH, VOLTAGE_LOW = 0x1, 0x2, 0x8, 0x4000
 DRIVER_FAULT, OVER_CURRENT_WARNING, PIN_TRIGGERED = (0x40, 0x80), (0x10000, 0x20000), (0x400000, 0x800000)
 ERRORS = 0xFFFF
+LOGIC_TENTHS_V, TENTHS_DEGC = 50, 300
+THERE = 4  # counts, at which a movement is over
+NO_OBJECT = 0x0602_0000  # CANopen's abort code
 
-# Bytes of data of the commands that set or command something; all others here read.
-WRITES = {
-    14: 1, 20: 0, 22: 4, 23: 4, 32: 2, 33: 2, 34: 4, 57: 4, 68: 4, 69: 4, 74: 3, 92: 1, 93: 1, 94: 0, 133: 8, 134: 8, 200: 0,
+# Settings: the command that reads them; those that set them in this order, with their bytes.
+SETTINGS = {
+    15: {14: 1}, 55: {28: 16}, 56: {29: 16}, 59: {57: 5}, 60: {58: 4}, 63: {61: 28}, 64: {62: 28}, 72: {70: 2, 71: 2},
+    75: {74: 5}, 77: {76: 24}, 81: {68: 8, 69: 8}, 91: {92: 1, 93: 1}, 97: {96: 37}, 99: {98: 2}, 104: {102: 10},
+    107: {105: 4, 106: 4}, 110: {109: 4}, 113: {112: 4}, 116: {115: 2}, 130: {128: 8}, 131: {129: 8}, 135: {133: 8},
+    136: {134: 8}, 140: {139: 3}, 142: {141: 2}, 149: {148: 2}, 151: {150: 1}, 161: {160: 2}, 202: {201: 1}, 247: {246: 4},
 }  # fmt: skip
-# Today's firmware, as the vendor's client basicmicro 2.0.10 speaks with it: rise and fall of the duty, and the pins CTRL1, CTRL2.
-CTRL_WRITES = {**WRITES, 68: 8, 69: 8, 74: 5, 160: 2}
-READS = {15, 16, 17, 21, 24, 25, 48, 49, 59, 75, 78, 82, 90, 91, 135, 136}
-CTRL_READS = READS | {161}
-# What the vendor's client sets and reads back of the board's own loops, pins and limits, which nothing here moves by: the command
-# that sets it, its bytes, the command that reads it, and where it stands there.
-KEPT = {
-    28: (16, 55, 0), 29: (16, 56, 0), 58: (4, 60, 0), 61: (28, 63, 0), 62: (28, 64, 0), 70: (2, 72, 0), 71: (2, 72, 2),
-    76: (24, 77, 0), 98: (2, 99, 0), 102: (10, 104, 0), 105: (4, 107, 0), 106: (4, 107, 4), 109: (4, 110, 0), 112: (4, 113, 0),
-    115: (2, 116, 0), 128: (8, 130, 0), 129: (8, 131, 0), 139: (3, 140, 0), 141: (2, 142, 0), 148: (2, 149, 0),
-    150: (1, 151, 0), 201: (1, 202, 0), 246: (4, 247, 0),
-}  # fmt: skip
+LISTS = {
+    138: (137, 2, 1),
+    144: (143, 8, 52),
+    146: (145, 3, 9),
+}  # read as their number and rows; set by the row's index
+PLACES = {  # of what a command sets: the setting, from where, bytes
+    write: (read, end - size, size)
+    for read, writes in SETTINGS.items()
+    for (write, size), end in zip(writes.items(), accumulate(writes.values()), strict=True)
+}
 GAINS = (28, 29, 61, 62)  # set as D, P, I, read as P, I, D
-KEPT_BYTES = {
-    read: max(at + size for size, where, at in KEPT.values() if where == read) for _, read, _ in KEPT.values()
+TIMEOUT, VOLTAGES, VELOCITY_GAINS, POSITION_GAINS, DEFAULT_SPEEDS, RATES, CURRENT_LIMITS = (
+    15,
+    59,
+    55,
+    63,
+    72,
+    81,
+    135,
+)
+DELIVERED = {
+    **{read: bytes(sum(writes.values())) for read, writes in SETTINGS.items()},
+    **{read: bytes((rows,)) + bytes(rows * size) for read, (_, rows, size) in LISTS.items()},
+    TIMEOUT: b"\x0a",  # in 0.1 s; 0: none
+    VELOCITY_GAINS: struct.pack(">4I", 0x10000, 0x8000, 0x4000, 44_000),
+    VELOCITY_GAINS + 1: struct.pack(">4I", 0x10000, 0x8000, 0x4000, 44_000),
+    VOLTAGES: struct.pack(">HHB", 60, 340, 0),  # in 0.1 V
+    75: bytes((0, 0x62, 0x62, 0, 0)),  # S3; S4 and S5 as home switches; CTRL1, CTRL2
+    RATES: struct.pack(">4I", *[655_359] * 4),  # of the duties: rise and fall
+    CURRENT_LIMITS: struct.pack(">II", 6000, 0),  # in 10 mA
+    CURRENT_LIMITS + 1: struct.pack(">II", 6000, 0),
 }
-CTRL_WRITES |= {52: 6, 53: 6, 54: 12, 80: 4, 94: 4, 95: 0} | {
-    command: size for command, (size, _, _) in KEPT.items()
+
+# Movements: what each command carries of motor 0, of motor 1 and of both (2), in its order: duty u, percent of the
+# way %, speed v, acceleration a, deceleration f, distance d, position p, whether it goes before what waits b.
+MOVEMENTS = {
+    32: "0u", 33: "1u", 34: "0u1u", 35: "0v", 36: "1v", 37: "0v1v", 38: "0av", 39: "1av", 40: "2a0v1v", 41: "0vdb", 42: "1vdb",
+    43: "0vd1vd2b", 44: "0avdb", 45: "1avdb", 46: "2a0vd1vd2b", 50: "0av1av", 51: "0avd1avd2b", 52: "0ua", 53: "1ua",
+    54: "0ua1ua", 65: "0avfpb", 66: "1avfpb", 67: "0avfp1avfp2b", 119: "0pb", 120: "1pb", 121: "0p1p2b", 122: "0vpb",
+    123: "1vpb", 124: "0vp1vp2b", 125: "0%b", 126: "1%b", 127: "0%1%2b",
+}  # fmt: skip
+TYPES = dict(zip("u%vafdpb", "hhiIIIiB", strict=True))
+FORMATS = {
+    command: ">" + "".join(TYPES[letter] for letter in carried if letter in TYPES)
+    for command, carried in MOVEMENTS.items()
 }
-CTRL_READS |= {18, 19, 30, 31, 47, 72, 73, 79, 81, 83, 100, 101, 103, 108, 111, 114} | KEPT_BYTES.keys()
+# What is set or done besides; all commands that are not written read.
+WRITES = (
+    {20: 0, 22: 4, 23: 4, 80: 4, 94: 4, 95: 0, 181: 12, 190: 9, 200: 0, 248: 0, 249: 0, 253: 3}
+    | {write: size for write, (_, _, size) in PLACES.items()}
+    | {write: 1 + size for write, _, size in LISTS.values()}
+    | {command: struct.calcsize(layout) for command, layout in FORMATS.items()}
+)
+ASKED = {191: 4, 252: 1}  # bytes of what a question asks for
+SAID: dict[int, tuple[str, Callable[[RoboClawMock], tuple[int, ...]]]] = {
+    16: (">IB", lambda board: (board.count(0), 0)),
+    17: (">IB", lambda board: (board.count(1), 0)),
+    **dict.fromkeys((18, 30), (">iB", lambda board: (board.speeds[0], board.speeds[0] < 0))),
+    **dict.fromkeys((19, 31), (">iB", lambda board: (board.speeds[1], board.speeds[1] < 0))),
+    24: (">H", lambda board: (board.tenths_V,)),
+    25: (">H", lambda board: (LOGIC_TENTHS_V,)),
+    47: (">BB", lambda board: (board.waiting(0), board.waiting(1))),
+    48: (">hh", lambda board: board.duties),
+    49: (">hh", lambda board: board.drawn),
+    73: (">IIHHHHhhhhIIiiiiHHHH", lambda board: board.everything),
+    78: (">II", lambda board: (board.count(0), board.count(1))),
+    **dict.fromkeys((79, 108), (">ii", lambda board: board.speeds)),
+    **dict.fromkeys((82, 83), (">H", lambda board: (TENTHS_DEGC,))),
+    90: (">I", lambda board: (board.status,)),
+    100: (">HH", lambda board: (board.tenths_V, LOGIC_TENTHS_V)),
+    101: (">HH", lambda board: (TENTHS_DEGC, TENTHS_DEGC)),
+    103: (">BB", lambda board: (0, 0)),
+    111: (">HH", lambda board: board.errors("v")),
+    114: (">HH", lambda board: board.errors("p")),
+    147: (">41B", lambda board: (2, *bytes(40))),
+    180: (">I", lambda board: (0,)),
+}  # fmt: skip
+LENGTHS = (
+    {command: 2 + ASKED.get(command, 0) for command in (21, 182, *ASKED, *SAID, *DELIVERED)}
+    | {command: 4 + size for command, size in WRITES.items()}
+)  # fmt: skip
+# The manual of 2017 ends earlier, and some of its packets do.
+OLDER = {*range(14, 70), *range(74, 84), *range(90, 96), 98, 99, *range(133, 137), 148, 149}
+OLDER_LENGTHS = {command: length for command, length in LENGTHS.items() if command in OLDER} | {
+    57: 8, 68: 8, 69: 8, 74: 7, 94: 4,
+}  # fmt: skip
+OLDER_ANSWERS = {59: 4, 75: 3}
 
 
 def crc16(data: bytes) -> int:
@@ -50,32 +129,19 @@ def crc16(data: bytes) -> int:
     return binascii.crc_hqx(data, 0)
 
 
-@dataclass(slots=True)
-class StoredSettings:
-    """What command 94 saves, and what a restart brings back."""
+def _signed(number: int) -> int:
+    return (number + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
 
-    timeout: int = 10  # in 0.1 s; 0: none
-    duty_accelerations: list[int] = field(default_factory=lambda: [655359, 655359])
-    current_limits: list[int] = field(default_factory=lambda: [6000, 6000])  # in 10 mA
-    duty_falls: list[int] = field(default_factory=lambda: [655359, 655359])
-    pin_modes: tuple[int, ...] = (0, 0x62, 0x62, 0, 0)  # S3; S4 and S5 as home switches; CTRL1, CTRL2
-    encoder_modes: list[int] = field(default_factory=lambda: [0, 0])
-    main_voltages: tuple[int, int] = (60, 340)  # in 0.1 V
-    pwm_idle: bytes = bytes(2)  # of both motors: 0x80, and a delay in 0.1 s
-    kept: dict[int, bytes] = field(
-        default_factory=lambda: {read: bytes(size) for read, size in KEPT_BYTES.items()}
-    )
 
-    def copy(self) -> StoredSettings:
-        """A copy that shares nothing."""
-        return StoredSettings(
-            self.timeout, list(self.duty_accelerations), list(self.current_limits), list(self.duty_falls),
-            self.pin_modes, list(self.encoder_modes), self.main_voltages, self.pwm_idle, dict(self.kept),
-        )  # fmt: skip
+Movement = dict[str, int]
+"""By the letters of `MOVEMENTS`."""
 
 
 class RoboClawMock:
-    """One board. `read_shaft(channel)` gives the edges counted by an encoder input, without wrap; channels 0 and 1."""
+    """One board. `read_shaft(channel)` gives the edges counted by an encoder input, without wrap; channels 0 and 1.
+
+    `settings`: by the command that reads them, as it answers; `saved`: what command 94 saves, and a restart brings back.
+    """
 
     version = "RoboClaw 2x15A v4.3.6"
 
@@ -83,13 +149,15 @@ class RoboClawMock:
         self, address: int, read_shaft: Callable[[int], int], has_ctrl_pins: bool = True, has_short_status: bool = False
     ) -> None:  # fmt: skip
         """`has_ctrl_pins`: its firmware is today's, and not that of the manual of 2017. `has_short_status`: it is older still."""
-        self._has_short_status = has_short_status
-        self.address = address
-        self.writes = CTRL_WRITES if has_ctrl_pins else WRITES
-        self.reads = CTRL_READS if has_ctrl_pins else READS
-        self.saved = StoredSettings()
-        if not has_ctrl_pins:
-            self.saved.pin_modes = self.saved.pin_modes[:3]
+        self.address, self._has_short_status = address, has_short_status
+        self.is_older = not has_ctrl_pins
+        self.saved = dict(DELIVERED)
+        self.eeprom: dict[int, int] = {}
+        self.objects: dict[
+            bytes, tuple[int, int]
+        ] = {}  # of CANopen, by node, index and subindex: value, size
+        self.can_sent: list[bytes] = []
+        self.can_heard: list[bytes] = []
         self.forced_errors = 0  # persistent causes, set by a fault of the scenario
         self.stuck: dict[int, int] = {}  # channel: the count at which its input stands still
         self.are_switches_on = [False, False]
@@ -98,39 +166,64 @@ class RoboClawMock:
 
     def be_of_older_firmware(self) -> None:
         """As if it had been flashed: of before the manual of 2017."""
-        self.writes, self.reads, self._has_short_status = WRITES, READS, True
-        for settings in (self.saved, self.settings):
-            settings.pin_modes = settings.pin_modes[:3]
+        self.is_older = self._has_short_status = True
 
     def power_up(self) -> None:
         """State after power-up or a restart: duties and counts 0, settings as saved."""
-        self.settings = self.saved.copy()
-        self.duty = [0.0, 0.0]  # applied, ramped towards `wanted_duty`
-        self.wanted_duty = [0, 0]
-        self._changes: list[int | None] = [None, None]  # of the duty, with which it was commanded
-        self._speeds = [0, 0]  # counts/s
+        self.settings = dict(self.saved)
+        self.duty = [0.0, 0.0]  # applied, ramped towards what is wanted
+        self.movements: list[Movement] = [{"u": 0}, {"u": 0}]
+        self.queues: list[list[Movement]] = [[], []]
         self._offsets = [-self._shaft(channel) for channel in (0, 1)]
         self._shafts = [self._shaft(channel) for channel in (0, 1)]
+        self._starts = [0, 0]  # counts at which the movements began
+        self._set_speeds = [0.0, 0.0]  # counts/s, of the profile
+        self._integrals = [0.0, 0.0]
+        self.speeds: tuple[int, int] = (0, 0)  # counts/s
         self._currents = [0.0, 0.0]
         self._is_limited = [False, False]
         self._supply_V = 24.0
-        self._is_driven = False
         self._obeyed_s = self._ticked_s = 0.0
 
     def _shaft(self, channel: int) -> int:
         return self.stuck.get(channel, self._read_shaft(channel))
+
+    # ---- what it tells
 
     def count(self, channel: int) -> int:
         """The counter of a channel, 32 bits."""
         return (self._shaft(channel) + self._offsets[channel]) & 0xFFFF_FFFF
 
     @property
+    def tenths_V(self) -> int:
+        """The main supply."""
+        return round(self._supply_V * 10)
+
+    @property
+    def duties(self) -> tuple[int, int]:
+        """As they are applied."""
+        return round(self.duty[0]), round(self.duty[1])
+
+    @property
+    def current_limits_A(self) -> tuple[float, float]:
+        """Of the motors."""
+        first, second = (
+            int.from_bytes(self.settings[CURRENT_LIMITS + channel][:4], "big") for channel in (0, 1)
+        )
+        return first * 0.01, second * 0.01
+
+    @property
+    def drawn(self) -> tuple[int, ...]:
+        """What the motors draw in 10 mA: positive while they drive, negative while they feed back."""
+        signs = (-1.0 if duty < 0.0 else 1.0 for duty in self.duty)
+        return tuple(round(sign * one * 100) for sign, one in zip(signs, self._currents, strict=True))
+
+    @property
     def status(self) -> int:
         """The 32 bits of command 90."""
-        low, high = self.settings.main_voltages
-        tenths = round(self._supply_V * 10)
+        low, high, _ = struct.unpack(">HHB", self.settings[VOLTAGES])
         bits = self.forced_errors
-        bits |= (VOLTAGE_LOW if tenths < low else 0) | (VOLTAGE_HIGH if tenths > high else 0)
+        bits |= (VOLTAGE_LOW if self.tenths_V < low else 0) | (VOLTAGE_HIGH if self.tenths_V > high else 0)
         for channel in (0, 1):
             bits |= OVER_CURRENT_WARNING[channel] if self._is_limited[channel] else 0
             bits |= PIN_TRIGGERED[channel] if self.are_switches_on[channel] else 0
@@ -145,153 +238,179 @@ class RoboClawMock:
         }  # fmt: skip
         return sum(short for bit, short in old.items() if self.status & bit)
 
+    @property
+    def everything(self) -> tuple[int, ...]:
+        """Command 73."""
+        return (
+            round(self._ticked_s * 1e3) & 0xFFFF_FFFF, self.status, TENTHS_DEGC, TENTHS_DEGC, self.tenths_V, LOGIC_TENTHS_V,
+            *self.duties, *self.drawn, self.count(0), self.count(1), 0, 0, *self.speeds, *self.errors("v"), *self.errors("p"),
+        )  # fmt: skip
+
+    def waiting(self, channel: int) -> int:
+        """How many movements wait behind the one that lasts; 0x80: none lasts."""
+        return len(self.queues[channel]) if self.queues[channel] or abs(self._left(channel)) > THERE else 0x80
+
+    def errors(self, of: str) -> tuple[int, ...]:
+        """How far speed or position is from what is wanted, where a movement has one."""
+        speeds = zip(self._set_speeds, self.speeds, strict=True)
+        off = [wanted - speed for wanted, speed in speeds] if of == "v" else map(self._left, (0, 1))
+        moved = zip(self.movements, off, strict=True)
+        return tuple(0 if "u" in movement else min(round(abs(one or 0)), 0xFFFF) for movement, one in moved)
+
+    # ---- control
+
     def tick(self, now_s: float, currents_A: list[float], supply_V: float, is_limited: list[bool]) -> None:
-        """Run one control period: measure, watch the time-out, and ramp the duties."""
+        """Run one control period: measure, watch the time-out, and control the duties."""
         step_s, self._ticked_s = now_s - self._ticked_s, now_s
         self._currents, self._supply_V, self._is_limited = currents_A, supply_V, is_limited
-        timeout_s = self.settings.timeout * 0.1
+        timeout_s = self.settings[TIMEOUT][0] * 0.1
         if timeout_s and now_s - self._obeyed_s > timeout_s:
-            self.wanted_duty = [0, 0]
+            self.movements, self.queues = [{"u": 0}, {"u": 0}], [[], []]
+        before, self._shafts = self._shafts, [self._shaft(channel) for channel in (0, 1)]
+        rates = [
+            (now - then) / step_s if step_s > 0.0 else 0.0
+            for now, then in zip(self._shafts, before, strict=True)
+        ]
+        self.speeds = (round(rates[0]), round(rates[1]))
         is_stopped = bool(self.status & ERRORS)
         for channel in (0, 1):
-            shaft, self._shafts[channel] = self._shafts[channel], self._shaft(channel)
-            self._speeds[channel] = round((self._shafts[channel] - shaft) / step_s) if step_s > 0.0 else 0
-            wanted = 0 if is_stopped else self.wanted_duty[channel]
-            change = wanted - self.duty[channel]
-            is_falling = change * self.duty[channel] < 0.0
-            rates = self.settings.duty_falls if is_falling else self.settings.duty_accelerations
-            most = (self._changes[channel] or rates[channel]) * step_s
-            self.duty[channel] += min(max(change, -most), most)
+            movement = self._movement(channel)
+            if is_stopped or "u" in movement:
+                self._ramp(channel, 0 if is_stopped else movement["u"], movement.get("a", 0), step_s)
+                self._set_speeds[channel] = self._integrals[channel] = 0.0
+            else:
+                self.duty[channel] = self._controlled(channel, movement, step_s)
+
+    def _ramp(self, channel: int, wanted: int, own_rate: int, step_s: float) -> None:
+        """The duty goes to the wanted one."""
+        change = wanted - self.duty[channel]
+        is_falling = change * self.duty[channel] < 0.0
+        rates = struct.unpack_from(">II", self.settings[RATES], 8 * channel)
+        most = (own_rate or rates[is_falling]) * step_s
+        self.duty[channel] += min(max(change, -most), most)
+
+    def _movement(self, channel: int) -> Movement:
+        """The one that lasts: one that is over is followed by the next."""
+        while self.queues[channel] and abs(self._left(channel)) <= THERE:
+            self.movements[channel] = self.queues[channel].pop(0)
+            self._starts[channel] = self.count(channel)
+        return self.movements[channel]
+
+    def _left(self, channel: int) -> int:
+        """Counts to the end of the movement, 0 for one without an end, or that is there."""
+        movement, count = self.movements[channel], self.count(channel)
+        if "d" in movement:
+            passed = _signed(count - self._starts[channel])
+            way = math.copysign(movement["d"], movement["v"])
+            return int(way - passed) if abs(passed) < movement["d"] else 0
+        if "%" in movement:
+            lowest, highest = struct.unpack_from(">ii", self.settings[POSITION_GAINS + channel], 20)
+            return _signed(round(lowest + (highest - lowest) * (movement["%"] / FULL + 1.0) / 2.0) - count)
+        return _signed(movement["p"] - count) if "p" in movement else 0
+
+    def _controlled(self, channel: int, movement: Movement, step_s: float) -> float:
+        """The duty that makes the motor follow its speed, which is 0 at the end of the way."""
+        p, i, _, most = struct.unpack(">4I", self.settings[VELOCITY_GAINS + channel])
+        (default,) = struct.unpack_from(">H", self.settings[DEFAULT_SPEEDS], 2 * channel)
+        wanted = float(movement.get("v", default) or most)
+        if not movement.keys().isdisjoint("dp%"):
+            left = self._left(channel)
+            slowing = movement.get("f", movement.get("a", 0)) or math.inf
+            top = math.sqrt(2.0 * slowing * abs(left)) if left else 0.0
+            wanted = math.copysign(min(abs(wanted), POSITION_RATE * abs(left), top), left)
+        faster = (movement.get("a", 0) or math.inf) * step_s
+        self._set_speeds[channel] += min(max(wanted - self._set_speeds[channel], -faster), faster)
+        error = self._set_speeds[channel] - self.speeds[channel]
+        corrected = self._set_speeds[channel] + (p * error + i * self._integrals[channel]) / 0x10000
+        share: float = corrected / max(most, 1)
+        if abs(share) < 1.0:
+            self._integrals[channel] += error * step_s
+        return FULL * min(max(share, -1.0), 1.0)
+
+    # ---- packets
 
     def obey(self, packet: bytes, now_s: float) -> bytes:
         """The answer to a whole, valid packet for this board, after having obeyed it."""
         self._obeyed_s = now_s
         command = packet[1]
-        if command in self.writes:
-            self._set(command, packet[2:-2])
-            return ACKNOWLEDGEMENT
-        data = self._said(command)
+        if command in WRITES:
+            return ACKNOWLEDGEMENT + self._obey(command, packet[2:-2])
+        data = self._said(command, packet[2:])
         return data + struct.pack(">H", crc16(packet + data))
 
-    def _said(self, command: int) -> bytes:
-        settings = self.settings
-        match command:
-            case 15:
-                return bytes((settings.timeout,))
-            case 16 | 17:
-                return struct.pack(">IB", self.count(command - 16), 0)
-            case 21:
-                return self.version.encode("ascii") + b"\n\0"
-            case 24:
-                return struct.pack(">H", round(self._supply_V * 10))
-            case 25:
-                return struct.pack(">H", 50)
-            case 48:
-                return struct.pack(">hh", *(round(duty) for duty in self.duty))
-            case 49:
-                return struct.pack(">hh", *(self._drawn(channel) for channel in (0, 1)))
-            case 59:
-                return struct.pack(">HH", *settings.main_voltages)
-            case 75:
-                return bytes(settings.pin_modes)
-            case 78:
-                return struct.pack(">II", self.count(0), self.count(1))
-            case 82 | 83:
-                return struct.pack(">H", 300)
-            case 90:
-                return (
-                    struct.pack(">H", self._short_status())
-                    if self._has_short_status
-                    else struct.pack(">I", self.status)
-                )
-            case 91:
-                return bytes(settings.encoder_modes)
-            case 161:
-                return settings.pwm_idle
-            case _ if command in settings.kept:
-                return settings.kept[command]
-            case 18 | 19 | 30 | 31:
-                speed = self._speeds[command % 6 if command < 20 else command - 30]
-                return struct.pack(">iB", speed, speed < 0)
-            case 79 | 108:
-                return struct.pack(">ii", *self._speeds)
-            case 47:
-                return b"\x80\x80"  # no movement waits
-            case 73:
-                duties = (round(duty) for duty in self.duty)
-                currents = (self._drawn(channel) for channel in (0, 1))
-                volts = (round(self._supply_V * 10), 50)
-                return struct.pack(
-                    ">IIHHHHhhhhIIiiiiHHHH", round(self._ticked_s * 1e3) & 0xFFFF_FFFF, self.status, 300, 300, *volts, *duties,
-                    *currents, self.count(0), self.count(1), 0, 0, *self._speeds, 0, 0, 0, 0,
-                )  # fmt: skip
-            case 81:
-                pairs = zip(settings.duty_accelerations, settings.duty_falls, strict=True)
-                return b"".join(struct.pack(">II", rise, fall) for rise, fall in pairs)
-            case 100:
-                return struct.pack(">HH", round(self._supply_V * 10), 50)
-            case 101:
-                return struct.pack(">HH", 300, 300)
-            case 103:
-                return bytes(2)
-            case 111 | 114:
-                return bytes(4)
-            case _:  # 135, 136
-                return struct.pack(">II", settings.current_limits[command - 135], 0)
+    def _said(self, command: int, asked: bytes) -> bytes:
+        if command == 21:
+            return self.version.encode("ascii") + b"\n\0"
+        if command == 90 and self._has_short_status:
+            return struct.pack(">H", self._short_status())
+        if command == 182:
+            return b"\xff" + self.can_heard.pop(0) if self.can_heard else bytes(13)
+        if command == 191:
+            value, size = self.objects.get(asked, (0, 0))
+            return struct.pack(">IBBI", value, size, 0, 0 if asked in self.objects else NO_OBJECT)
+        if command == 252:
+            return struct.pack(">H", self.eeprom.get(asked[0], 0xFFFF))
+        if command in self.settings:
+            return self.settings[command][: OLDER_ANSWERS.get(command) if self.is_older else None]
+        layout, values = SAID[command]
+        return struct.pack(layout, *values(self))
 
-    def _set(self, command: int, data: bytes) -> None:
+    def _obey(self, command: int, data: bytes) -> bytes:
+        """What follows the acknowledgement is nearly always nothing."""
         settings = self.settings
-        if command in (32, 33, 34):
-            self._changes = [None, None]
+        if command in MOVEMENTS:
+            self._move(MOVEMENTS[command], struct.unpack(FORMATS[command], data))
+        elif command in PLACES:
+            read, at, size = PLACES[command]
+            data = data[4:12] + data[:4] + data[12:] if command in GAINS else data
+            if command in (68, 69):
+                data = (data * 2)[:size]  # older firmware: one rate for both
+            settings[read] = settings[read][:at] + data + settings[read][at + len(data) :]
         match command:
-            case _ if command in KEPT:
-                size, read, at = KEPT[command]
-                data = data[4:12] + data[:4] + data[12:] if command in GAINS else data
-                settings.kept[read] = settings.kept[read][:at] + data + settings.kept[read][at + size :]
-            case 52 | 53:
-                self.wanted_duty[command - 52], self._changes[command - 52] = struct.unpack(">hI", data)
-            case 54:
-                first, first_change, second, second_change = struct.unpack(">hIhI", data)
-                self.wanted_duty, self._changes = [first, second], [first_change, second_change]
-            case 80:
-                self.saved = StoredSettings()
-                self.settings = self.saved.copy()
-            case 95:
-                self.settings = self.saved.copy()
-            case 14:
-                settings.timeout = data[0]
+            case 137 | 143 | 145:
+                size, before = len(data) - 1, settings[command + 1]
+                at = 1 + data[0] * size
+                settings[command + 1] = (before[:at] + data[1:] + before[at + size :])[: len(before)]
             case 20:
                 self._offsets = [-self._shaft(channel) for channel in (0, 1)]
             case 22 | 23:
-                (count,) = struct.unpack(">I", data)
-                self._offsets[command - 22] = count - self._shaft(command - 22)
-            case 32 | 33:
-                (self.wanted_duty[command - 32],) = struct.unpack(">h", data)
-            case 34:
-                self.wanted_duty = list(struct.unpack(">hh", data))
-            case 57:
-                low, high = struct.unpack(">HH", data)
-                settings.main_voltages = (low, high)
-            case 68 | 69:
-                settings.duty_accelerations[command - 68] = int.from_bytes(data[:4], "big")
-                settings.duty_falls[command - 68] = int.from_bytes(data[-4:], "big")
-            case 74:
-                settings.pin_modes = tuple(data)
-            case 92 | 93:
-                settings.encoder_modes[command - 92] = data[0]
+                self._offsets[command - 22] = int.from_bytes(data, "big") - self._shaft(command - 22)
+            case 80:
+                self.saved = dict(DELIVERED)
+                self.settings = dict(DELIVERED)
             case 94:
-                self.saved = settings.copy()
-            case 160:
-                settings.pwm_idle = data
-            case 133 | 134:
-                settings.current_limits[command - 133], _ = struct.unpack(">II", data)
-            case _:  # 200
+                self.saved = dict(settings)
+            case 95:
+                self.settings = dict(self.saved)
+            case 181:
+                self.can_sent.append(data)
+            case 190:
+                self.objects[data[:4]] = (int.from_bytes(data[4:8], "big"), data[8])
+                return bytes(4) + struct.pack(">H", crc16(bytes(4)))
+            case 200:
                 self.forced_errors &= ~E_STOP
+            case 253:
+                self.eeprom[data[0]] = int.from_bytes(data[1:], "big")
+        return b""
 
-    def _drawn(self, channel: int) -> int:
-        """What the motor draws in 10 mA: positive while it drives, negative while it feeds back."""
-        sign = -1.0 if self.duty[channel] < 0.0 else 1.0
-        return round(sign * self._currents[channel] * 100)
+    def _move(self, carried: str, values: tuple[Any, ...]) -> None:
+        """Begin a movement, or let it wait for the end of the one that lasts."""
+        commanded: dict[int, Movement] = {}
+        given = iter(values)
+        channels: tuple[int, ...] = ()
+        for letter in carried:
+            if letter.isdigit():
+                channels = ((0,), (1,), (0, 1))[int(letter)]
+                continue
+            value = next(given)
+            for channel in channels:
+                commanded.setdefault(channel, {})[letter] = value
+        for channel, movement in commanded.items():
+            if movement.pop("b", 1):
+                self.queues[channel].clear()
+                self.movements[channel], self._starts[channel] = movement, self.count(channel)
+            else:
+                self.queues[channel].append(movement)
 
 
 class RoboClawLineMock:
@@ -323,17 +442,17 @@ class RoboClawLineMock:
             return None
         address, command = self._packet[0], self._packet[1]
         board = self.boards.get(address)
-        writes, reads = (CTRL_WRITES, CTRL_READS) if board is None else (board.writes, board.reads)
-        if not 0x80 <= address <= 0x87 or (command not in writes and command not in reads):
+        lengths = OLDER_LENGTHS if board is not None and board.is_older else LENGTHS
+        if not 0x80 <= address <= 0x87 or command not in lengths:
             self._packet, self._is_deaf = b"", True
             return None
-        return 2 if command in reads else 4 + writes[command]
+        return lengths[command]
 
     def _take(self, packet: bytes, now_s: float) -> None:
         board = self.boards.get(packet[0])
         if board is None:
             return
-        if packet[1] in CTRL_WRITES and crc16(packet[:-2]) != int.from_bytes(packet[-2:], "big"):
+        if packet[1] in WRITES and crc16(packet[:-2]) != int.from_bytes(packet[-2:], "big"):
             return  # invalid: no answer
         answer = board.obey(packet, now_s)
         there_s = now_s + LATENCY_S + (len(packet) + len(answer)) * self._byte_s

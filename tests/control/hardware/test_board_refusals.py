@@ -11,7 +11,9 @@ from control.model.joint_map import JointMap
 from control.safety.table import Mode
 from firmware_iface.canopen.drive import MAKERS
 from firmware_iface.errors import ConnectionFailed
+from firmware_iface.roboclaw.wire import RoboclawCommand
 from firmware_iface.vesc import wire
+from hil_mocks.devices import roboclaw
 from hil_mocks.devices.cia402_drive import MAXON, Cia402Mock, Cia402Setup
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.vesc import VescMock, VescSetup
@@ -42,10 +44,7 @@ def test_a_vesc_at_its_joint_and_within_half_a_turn_takes_angles() -> None:
 def test_a_roboclaw_whose_pins_tell_of_no_switch_is_refused_where_the_joint_has_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(
-        "hil_mocks.devices.roboclaw.StoredSettings.copy",
-        lambda settings: replace(settings, pin_modes=(0,) * 5),
-    )
+    monkeypatch.setitem(roboclaw.DELIVERED, RoboclawCommand.READ_PIN_MODES, bytes(5))
     with (
         pytest.raises(ConnectionFailed, match='expected S4 as "Home'),
         open_cell(scenario(), on_boards(RIGHT, "roboclaw"), period_s=0.01),
@@ -54,10 +53,7 @@ def test_a_roboclaw_whose_pins_tell_of_no_switch_is_refused_where_the_joint_has_
 
 
 def test_a_roboclaw_that_lets_its_motor_go_at_duty_0_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "hil_mocks.devices.roboclaw.StoredSettings.copy",
-        lambda settings: replace(settings, pwm_idle=b"\0\x8f"),
-    )
+    monkeypatch.setitem(roboclaw.DELIVERED, RoboclawCommand.READ_PWM_IDLE, b"\0\x8f")
     with (
         pytest.raises(ConnectionFailed, match=r"PWM idle of motor 2 off, it is on after 1.5 s at"),
         open_cell(scenario(), on_boards(RIGHT, "roboclaw"), period_s=0.01),

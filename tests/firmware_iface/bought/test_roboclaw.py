@@ -1,5 +1,6 @@
 """RoboClaw's packet serial: bytes, answers that are wrong, late or missing, and a board that is not what it should be."""
 
+import struct
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from firmware_iface.roboclaw import wire
 from firmware_iface.roboclaw.board import RoboClaw
 from firmware_iface.roboclaw.line import ANSWER_TIMEOUT_s, PacketLine
 from firmware_iface.roboclaw.wire import RoboclawCommand, RoboclawStatus
-from hil_mocks.devices.roboclaw import RoboClawLineMock, RoboClawMock
+from hil_mocks.devices.roboclaw import RATES, TIMEOUT, RoboClawLineMock, RoboClawMock
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "roboclaw.txt"
 ROWS = [
@@ -123,12 +124,12 @@ def test_the_firmware_of_the_manual_and_todays_are_told_apart_by_their_pin_modes
     cable = Cable()
     mock = RoboClawMock(0x80, lambda channel: 0, has_ctrl_pins)
     cable.mock.boards[0x80] = mock
-    mock.settings.duty_accelerations, mock.settings.duty_falls = [1, 1], [2, 2]
+    mock.settings[RATES] = bytes(16)
     board = board_on(cable)
     board.set_up(0.2, (10.0, 10.0))
     assert board.identity is not None
     assert board.identity.pin_modes == (0, 0x62, 0x62, 0, 0)[: 5 if has_ctrl_pins else 3]
-    assert mock.settings.duty_accelerations == mock.settings.duty_falls == [wire.FASTEST_DUTY_CHANGE] * 2
+    assert struct.unpack(">4I", mock.settings[RATES]) == (wire.FASTEST_DUTY_CHANGE,) * 4
 
 
 @pytest.mark.parametrize("has_short_status", [False, True])
@@ -148,7 +149,7 @@ def test_errors_of_the_16_bits_of_older_firmware_are_those_of_the_32(
 def test_a_duty_that_another_host_left_is_not_kept_alive_by_questions(timeout: int, lasting: int) -> None:
     cable = Cable(0x80)
     mock = cable.mocks[0]
-    mock.settings.timeout = timeout
+    mock.settings[TIMEOUT] = bytes((timeout,))
     mock.obey(wire.command_packet(0x80, RoboclawCommand.DUTY_M1_M2, wire.duty_data(3000, 0)), 0.0)
     cable.wait_until_s(0.05)
     board = board_on(cable)
@@ -167,7 +168,9 @@ def test_a_board_restart_is_told_by_its_saved_time_out(cable: Cable) -> None:
     line = PacketLine(cable.link, cable)
     board = RoboClaw(line, 0x80, "base")
     board.set_up(0.25, (10.0, 10.0))
-    assert cable.mocks[0].settings.timeout == 2  # rounded down: the arm may not wait longer than it was told
+    assert (
+        cable.mocks[0].settings[TIMEOUT] == b"\x02"
+    )  # rounded down: the arm may not wait longer than it was told
     cable.mocks[0].power_up()
     for _ in range(200):
         board.post_cycle()
@@ -194,14 +197,16 @@ def test_a_line_too_slow_for_the_cycle_still_brings_the_counts(cable: Cable) -> 
 
 
 def test_a_time_out_that_the_board_has_already_is_set_to_another(cable: Cable) -> None:
-    cable.mocks[0].settings.timeout = 2
+    cable.mocks[0].settings[TIMEOUT] = b"\x02"
     board_on(cable).set_up(0.2, (10.0, 10.0))
-    assert cable.mocks[0].settings.timeout == 1
+    assert cable.mocks[0].settings[TIMEOUT] == b"\x01"
 
 
 def test_a_pin_that_tells_of_no_home_switch_is_refused(cable: Cable) -> None:
     board = board_on(cable)
-    cable.mocks[0].settings.pin_modes = (0, 0x04, 0x01, 0, 0)  # home of an earlier manual; emergency stop
+    cable.mocks[0].settings[RoboclawCommand.READ_PIN_MODES] = (
+        b"\0\4\1\0\0"  # home of an earlier manual; emergency stop
+    )
     board.identify()
     board.require_home_switch(1)
     with pytest.raises(
@@ -212,7 +217,7 @@ def test_a_pin_that_tells_of_no_home_switch_is_refused(cable: Cable) -> None:
 
 def test_what_is_not_a_roboclaw_or_counts_no_edges_is_refused(cable: Cable) -> None:
     board = board_on(cable)
-    cable.mocks[0].settings.encoder_modes[1] = 1
+    cable.mocks[0].settings[RoboclawCommand.READ_ENCODER_MODES] = b"\0\1"
     board.identify()
     board.require_quadrature(1)
     with pytest.raises(WrongIdentity, match="quadrature encoder at channel 2"):
