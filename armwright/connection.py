@@ -29,7 +29,7 @@ APPROACH_SPEED = 0.5  # of the joints' limits, for the move to the start of a pa
 class Status:
     """State of the arm at the loop's time `t_s`.
 
-    `mode` is one of docs/state_machine.md. joint_rad, encoder_rad (they differ if the arm's file has backlash, compliance
+    `mode`: `armwright status --modes` explains it. joint_rad, encoder_rad (they differ if the arm's file has backlash, compliance
     or encoder errors), speed_rad_s, current_A: (n,). tip_m (3,) and tip_pose (7,), as of `Kinematics.pose`, in the base frame by
     the model, None before homing; camera_m (3,) by the camera, None without a fresh frame. `faults` and `warnings` are sentences.
     """

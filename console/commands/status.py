@@ -17,7 +17,12 @@ STALE = " *"
 
 
 def run(given: argparse.Namespace) -> int:
-    """Print the status; exit status 1 if the arm is in FAULT."""
+    """Print the status; exit status 1 if the arm is in FAULT. Or print the table of modes, which needs no arm."""
+    if given.modes:
+        from control.safety.table import table_text
+
+        sys.stdout.write(f"{table_text()}\n")
+        return 0
     client = listening(given)
     status = client.status()
     if getattr(given, "has_arm", True) or not given.socket:

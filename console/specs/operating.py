@@ -53,7 +53,20 @@ OPERATING = (
         ),
         "Space always stops the arm. `?` shows the keys. The console is a client: `armwright serve` runs the arm.",
     ),
-    CommandSpec("status", "state of the arm, its warnings and faults", (ARM, SOCKET, JSON)),
+    CommandSpec(
+        "status",
+        "state of the arm, its warnings and faults",
+        (
+            ARM,
+            SOCKET,
+            option(
+                "--modes",
+                action="store_true",
+                help="print all modes and what leads from one to another instead",
+            ),
+            JSON,
+        ),
+    ),
     CommandSpec("enable", "turn the drives on and hold the present pose", (ARM, SOCKET), module="requests"),
     CommandSpec(
         "home",

@@ -1,4 +1,4 @@
-"""Modes and events of the arm in one transition table, from which docs/state_machine.md is printed."""
+"""Modes and events of the arm in one transition table, which `armwright status --modes` prints."""
 
 from enum import Enum
 from typing import Final
@@ -158,24 +158,18 @@ def next_towards_off(mode: Mode, is_still: bool, is_held_fault: bool = False) ->
     return Event.SWITCH_OFF
 
 
-def as_markdown() -> str:
-    """The table as docs/state_machine.md: modes, and a row per event with the next mode of each mode."""
+def table_text() -> str:
+    """Every mode, and every event with the next mode of each mode, as `armwright status --modes` prints them."""
     lines = [
-        "# Modes of the arm",
-        "An event without an entry for the present mode raises `IllegalTransition` and changes nothing",
-        "(`control.safety.table`).",
+        "Modes, and what the drives do",
+        *(f"  {mode.name:<9} {mode.value}" for mode in Mode),
         "",
-        "| mode | drives |",
-        "| --- | --- |",
-        *(f"| {mode.name} | {mode.value} |" for mode in Mode),
+        "Events: when one is raised, and from which modes it leads where. In any other mode it is refused and changes nothing.",
+        *(f"  {event.name}: {event.value}\n    {_transitions_in_words(event)}" for event in Event),
         "",
-        "| event | raised when | modes → next mode |",
-        "| --- | --- | --- |",
-        *(f"| {event.name} | {event.value} | {_transitions_in_words(event)} |" for event in Event),
-        "",
-        *_NOTES,
+        _NOTES,
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _transitions_in_words(event: Event) -> str:
@@ -190,14 +184,11 @@ def _transitions_in_words(event: Event) -> str:
     )
 
 
-_NOTES: Final = (
-    "Beyond the table ([faults](safety.md), [jogs, ways on and off](socket.md)):",
-    "",
-    "- CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.",
-    "- A jog that is not renewed slows to rest (ARRIVED); one whose connection closes gets a STOP.",
-    "- PAUSED begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED.",
-    "- Acknowledging, after the controlled stop, switches no drive on; in OFF it only clears the list.",
-    "- Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest. Ctrl-C in HELD leaves the arm held.",
-    "- From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then; `stop` or `off`",
-    "  meanwhile is done from HOLDING.",
-)
+_NOTES: Final = """Beyond the table (docs/safety.md, docs/socket.md)
+  CONNECT is refused while faults are not acknowledged, MOVE while a joint has no zero.
+  A jog that is not renewed slows to rest (ARRIVED); one whose connection closes gets a STOP.
+  PAUSED begins while the arm still slows down; a motion that ends meanwhile raises ARRIVED.
+  Acknowledging, after the controlled stop, switches no drive on; in OFF it only clears the list.
+  Shutdown (Ctrl-C, an error): stop, hold, 0 V at rest, off when still at rest. Ctrl-C in HELD leaves the arm held.
+  From OFF the arm is BRAKED until all drives are on. From HELD its boards hold it until then; `stop` or `off` meanwhile is
+  done from HOLDING."""

@@ -16,6 +16,7 @@ from console.options import CommandSpec
 from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
 from control.model.description import load_arm, save_arm
 from control.model.reference import sections
+from control.safety.table import Mode
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from tests.cell import RIGHT, scenario, wired_to, with_drive
@@ -359,3 +360,9 @@ def test_a_section_of_arm_toml_that_there_is_not_is_told_the_nearest(
 ) -> None:
     assert main(["arm", "--keys", "drive.hom"]) == 2
     assert "did you mean drive.home?" in capsys.readouterr().err
+
+
+def test_status_explains_the_modes_without_a_runtime(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["status", "--modes"]) == 0
+    shown = capsys.readouterr().out
+    assert [mode.name for mode in Mode if mode.value not in shown] == []

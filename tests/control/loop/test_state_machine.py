@@ -1,6 +1,6 @@
 """Random sequences of requests, faults and time against a model of the modes: runtime and mock boards on the stepped clock.
 
-The model is written from docs/state_machine.md and docs/safety.md, not from the table in the code. STATE_MACHINE_EXAMPLES=500 in
+The model is written from the promises of docs/safety.md, not from the table in the code. STATE_MACHINE_EXAMPLES=500 in
 the environment looks longer than the suite does.
 """
 

@@ -1,12 +1,13 @@
 """The whole table of modes and events, and what the monitor holds beyond it."""
 
 import itertools
+import re
 
 import pytest
 
 from control.safety.fault import LOSES_ZERO, Fault, Reaction
 from control.safety.monitor import IllegalTransition, Monitor
-from control.safety.table import TRANSITIONS, Event, Mode, as_markdown, legal_events, next_towards_off
+from control.safety.table import TRANSITIONS, Event, Mode, legal_events, next_towards_off, table_text
 from tests.places import ROOT
 
 CONTROLLED = Fault(
@@ -311,20 +312,16 @@ def test_a_fault_reads_as_place_what_happened_and_remedy():
     assert str(BRAKE) == "board enc0: no report for 0.05 s; check its cable"
 
 
-def test_the_document_is_the_table():
-    document = ROOT / "docs" / "state_machine.md"
-    assert document.read_text(encoding="utf-8") == as_markdown()
-
-
-def test_the_document_shows_every_transition_and_no_other():
-    shown = {}
-    for line in as_markdown().splitlines():
-        if "→" in line and not line.startswith("| event |"):
-            event, _, cell = (part.strip() for part in line.strip("|").split("|"))
-            for origins, following in (part.split(" → ") for part in cell.split("; ")):
-                modes = Mode if origins == "all" else [Mode[name] for name in origins.split(", ")]
-                shown |= {(mode, Event[event]): Mode[following] for mode in modes}
+def test_what_status_prints_of_modes_is_the_whole_table_and_no_other_transition():
+    shown, event = {}, Event.STOP
+    for line in table_text().splitlines():
+        if named := re.match(r"  ([A-Z_]+): ", line):
+            event = Event[named[1]]
+        for origins, following in (part.split(" → ") for part in line.strip().split("; ") if "→" in line):
+            modes = Mode if origins == "all" else [Mode[name] for name in origins.split(", ")]
+            shown |= {(mode, event): Mode[following] for mode in modes}
     assert shown == dict(TRANSITIONS)
+    assert [mode for mode in Mode if f"  {mode.name:<9} {mode.value}\n" not in table_text()] == []
 
 
 # ---- the boards hold; doubted zeros
