@@ -14,7 +14,7 @@ from typing import NamedTuple
 from control.hardware.interface import Feedback
 from control.hardware.words import OPERATION_ENABLED, QUADRATURE_ERROR, SIGNAL_LOST, STATE_MASK, ZERO_SET
 from control.safety.fault import Fault, Reaction
-from control.safety.limits import following_error_excess, is_stale, overrun
+from control.safety.limits import allowed_lag, is_stale, overrun
 
 DRIVE_FAULTS = {
     0: ("over-current", "check for a blocked joint or a short circuit; reduce the acceleration"),
@@ -33,7 +33,10 @@ DRIVE_FAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class MeasuredLimits:
-    """Limits of one joint's measured values; allowed following error = base + per_speed * |speed|."""
+    """Limits of one joint's measured values.
+
+    Allowed following error = base + `control.safety.limits.allowed_lag`.
+    """
 
     lower_rad: float
     upper_rad: float
@@ -81,6 +84,8 @@ class Watch:
     def __init__(self, limits: WatchLimits, joint_names: Sequence[str]) -> None:
         self._limits = limits
         self._names = joint_names
+        self._lag_rad = [0.0] * len(limits.joints)
+        self._lag_at_s = -math.inf
         self._pauses: deque[tuple[float, float]] = deque()  # (when the host was back, how long it was away)
         self._waited: tuple[float, float] = (-math.inf, 0.0)  # the same of the loop's last wait for a board
 
@@ -119,12 +124,13 @@ class Watch:
         expected: Expectation,
     ) -> list[Fault]:
         """Return all faults of this cycle, the most likely cause first. `missed_in_row`: 0 where nothing is controlled."""
+        self._allow_lag(now_s, speed_set_rad_s)
         is_in_order = (
             self._are_boards_well(now_s, feedback, expected)
             and missed_in_row <= self._limits.missed_in_row
             and (
                 not expected.is_servoing
-                or self._is_motion_well(q_rad, speed_rad_s, q_set_rad, speed_set_rad_s, expected.is_homed)
+                or self._is_motion_well(q_rad, speed_rad_s, q_set_rad, expected.is_homed)
             )
         )
         if is_in_order:
@@ -146,6 +152,13 @@ class Watch:
         if missed_in_row > self._limits.missed_in_row:
             faults.append(self._late(missed_in_row))
         return faults
+
+    def _allow_lag(self, now_s: float, speed_set_rad_s: Sequence[float]) -> None:
+        elapsed_s, self._lag_at_s = now_s - self._lag_at_s, now_s
+        for joint, limit in enumerate(self._limits.joints):
+            self._lag_rad[joint] = allowed_lag(
+                speed_set_rad_s[joint], limit.following_error_per_speed_s, self._lag_rad[joint], elapsed_s
+            )
 
     def miscounts(
         self, leap_rad: Sequence[float], has_lost_turns: Sequence[bool], is_homed: bool
@@ -203,12 +216,10 @@ class Watch:
         q_rad: Sequence[float],
         speed_rad_s: Sequence[float],
         q_set_rad: Sequence[float],
-        speed_set_rad_s: Sequence[float],
         is_homed: bool,
     ) -> bool:
         for joint, limit in enumerate(self._limits.joints):
-            q, allowed_rad = q_rad[joint], limit.following_error_rad
-            allowed_rad += limit.following_error_per_speed_s * abs(speed_set_rad_s[joint])
+            q, allowed_rad = q_rad[joint], limit.following_error_rad + self._lag_rad[joint]
             if not (
                 abs(speed_rad_s[joint]) <= limit.speed_rad_s
                 and abs(q_set_rad[joint] - q) <= allowed_rad
@@ -303,15 +314,12 @@ class Watch:
                 "check gains, the signs of motor and encoder, and external forces",
                 Reaction.BRAKE,
             )
-        excess_rad = following_error_excess(
-            q_set_rad, q_rad, speed_set_rad_s, limit.following_error_rad, limit.following_error_per_speed_s
-        )
-        if excess_rad > 0.0:
-            error_rad = q_set_rad - q_rad
+        error_rad, allowed_rad = q_set_rad - q_rad, limit.following_error_rad + self._lag_rad[joint]
+        if overrun(error_rad, allowed_rad) > 0.0:
             yield Fault(
                 "following_error",
                 self._names[joint],
-                f"following error {error_rad:.4f} rad (limit {abs(error_rad) - excess_rad:.4f} rad at"
+                f"following error {error_rad:.4f} rad (limit {allowed_rad:.4f} rad at"
                 f" {speed_set_rad_s:.2f} rad/s)",
                 "check for a collision, a loose belt or a load beyond the current limit",
                 Reaction.CONTROLLED,

@@ -31,7 +31,7 @@ class Limits:
     tip_turn_acceleration_rad_s2: Annotated[Positive, "of the tip's orientation, in plans"] = 20.0
     following_error_rad: Annotated[float, FOLLOWING, "largest error of a joint at rest"] = 0.05
     following_error_per_speed_s: Annotated[
-        float, LAG, "this much more with every rad/s of set-point speed"
+        float, LAG, "this much more with every rad/s of set-point speed; dies away in this time"
     ] = 0.05
     floor_z_m: Annotated[float, HEIGHT, "height in the base frame that the arm stays above"] = 0.0
     floor_clearance_m: Annotated[NonNegative, CLEARANCE, "distance kept from the floor"] = 0.0

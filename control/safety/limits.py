@@ -232,30 +232,20 @@ def stopping_speed(distance_rad: float, acceleration_rad_s2: float, period_s: fl
     return (whole + part) * change
 
 
-def following_error_limit(base_rad: float, per_speed_s: float, speed_rad_s: float) -> float:
-    """Largest allowed |set - measured|: base + per_speed * |speed|; a lag of `per_speed` seconds is normal."""
-    return base_rad + per_speed_s * abs(speed_rad_s)
+def allowed_lag(speed_set_rad_s: float, lag_s: float, before_rad: float, elapsed_s: float) -> float:
+    """Following error [rad] that a joint may have because it lags behind its set-point by up to `lag_s`.
 
-
-def following_error_excess(
-    set_rad: float, measured_rad: float, speed_rad_s: float, base_rad: float, per_speed_s: float
-) -> float:
-    """Excess of the following error over its limit [rad]; zero or negative: within the limit.
-
-    Raises:
-        NotFinite: any number is NaN or infinite (a NaN would pass the comparison).
+    It grows with the set speed at once. When the set-point slows down, a joint that lags still has its way to go: then it is
+    the error e of a first-order lag, de/dt = |speed| - e/lag_s, from what was allowed `elapsed_s` before.
     """
-    excess = abs(set_rad - measured_rad) - following_error_limit(base_rad, per_speed_s, speed_rad_s)
-    if excess - excess != 0.0:
-        raise NotFinite(
-            f"following error: expected finite numbers, got set {set_rad}, measured {measured_rad} rad,"
-            f" speed {speed_rad_s} rad/s"
-        )
-    return excess
+    speed_rad_s = abs(speed_set_rad_s)
+    steady_rad = lag_s * speed_rad_s
+    left_rad = (before_rad + speed_rad_s * elapsed_s) * lag_s / (lag_s + elapsed_s) if lag_s > 0.0 else 0.0
+    return left_rad if left_rad > steady_rad else steady_rad
 
 
 def overrun(measured: float, limit: float) -> float:
-    """Excess of |measured| over `limit`; zero or negative: within the limit. For speeds and currents.
+    """Excess of |measured| over `limit`; zero or negative: within the limit. For speeds, currents and following errors.
 
     Raises:
         NotFinite: either is NaN or infinite.

@@ -187,6 +187,20 @@ def test_a_joint_that_was_taken_out_of_its_range_by_hand_may_be_held_there_but_g
     ).codes()
 
 
+def test_a_joint_that_lags_may_arrive_after_its_set_point_and_must_then_be_there() -> None:
+    def found(after_s: float, error_rad: float) -> list[tuple[str, str]]:
+        watch = Watch(LIMITS, ("joint 1", "joint 2"))
+        assert changed(speed_set_rad_s=[0.0, 1.0]).codes(watch) == []  # 0.125 rad of lag
+        now_s = NOW_S + after_s
+        fresh = {"now_s": now_s, "encoder_at_s": now_s, "reply_at_s": [now_s] * 2}
+        return changed(q_rad=[0.5, 0.5 + error_rad], **fresh).codes(watch)
+
+    fault = [("following_error", "joint 2")]
+    assert (found(0.0, 0.1875), found(0.0, 0.1875 + TINY)) == ([], fault)
+    assert (found(0.125, 0.125), found(0.125, 0.125 + TINY)) == ([], fault)
+    assert (found(12.375, 0.0625), found(12.375, 0.0625 + 0.002)) == ([], fault)
+
+
 def test_motion_is_not_judged_where_nothing_is_controlled() -> None:
     cycle = changed(speed_rad_s=[9.0, 9.0], q_set_rad=[3.0, 3.0], expected=Expectation(True, True, False))
     assert cycle.codes() == []

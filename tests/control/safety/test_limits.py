@@ -251,25 +251,35 @@ def test_voltage_range_refuses_nan(position):
 
 
 @pytest.mark.parametrize("speed", [0.5, -0.5])
-def test_following_error_limit_grows_with_speed_in_both_directions(speed):
-    assert limits.following_error_limit(0.05, 0.1, 0.0) == 0.05
-    assert limits.following_error_limit(0.05, 0.1, speed) == pytest.approx(0.1)
+def test_allowed_lag_grows_with_speed_in_both_directions_at_once(speed):
+    assert limits.allowed_lag(0.0, 0.1, 0.0, 0.002) == 0.0
+    assert limits.allowed_lag(speed, 0.1, 0.0, 0.002) == 0.05
+    assert limits.allowed_lag(speed, 0.1, 0.049, 0.0) == 0.05
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_following_error_at_its_limit_is_in_order_and_beyond_it_is_not(sign):
-    at_limit = limits.following_error_excess(sign * 0.5, sign * 0.25, sign * 2.0, 0.125, 0.0625)
-    assert at_limit == 0.0
-    assert limits.following_error_excess(sign * _above(0.5), sign * 0.25, sign * 2.0, 0.125, 0.0625) > 0.0
-    assert limits.following_error_excess(sign * 0.25, sign * 0.5, sign * 2.0, 0.125, 0.0625) == 0.0
+@pytest.mark.parametrize("lag_s", [0.02, 0.05, 0.5])
+@pytest.mark.parametrize("deceleration", [5.0, 20.0, 1e3])
+def test_allowed_lag_holds_the_error_of_every_first_order_lag_up_to_its_time(lag_s, deceleration):
+    """A move of 1 rad/s that ends: each joint that follows with a time constant up to lag_s is within what is allowed."""
+    period_s, speed, allowed, errors = 1e-3, 0.0, 0.0, {lag_s * share: 0.0 for share in (0.1, 0.5, 1.0)}
+    for cycle in range(4000):
+        speed = (
+            min(1.0, speed + 20.0 * period_s) if cycle < 2000 else max(0.0, speed - deceleration * period_s)
+        )
+        allowed = limits.allowed_lag(speed, lag_s, allowed, period_s)
+        for time_s, error in errors.items():
+            errors[time_s] = (error + speed * period_s) * time_s / (time_s + period_s)
+            assert errors[time_s] <= allowed + 1e-12
+    assert allowed < 0.03 * lag_s  # and at rest nothing of it is left
 
 
-@pytest.mark.parametrize("position", range(5))
-def test_following_error_refuses_nan_which_would_compare_as_in_order(position):
-    numbers = [0.0, 0.0, 0.0, 0.1, 0.1]
-    numbers[position] = math.nan
-    with pytest.raises(NotFinite, match="following error"):
-        limits.following_error_excess(*numbers)
+def test_without_a_lag_time_nothing_is_allowed_for_it():
+    assert limits.allowed_lag(3.0, 0.0, 1.0, 0.0) == 0.0
+
+
+def test_allowed_lag_of_a_speed_that_is_none_is_forgotten_with_it():
+    assert math.isnan(limits.allowed_lag(math.nan, 0.1, 0.5, 0.002))
+    assert limits.allowed_lag(0.0, 0.1, math.nan, 0.002) == 0.0
 
 
 @pytest.mark.parametrize("measured", [2.0, -2.0])
