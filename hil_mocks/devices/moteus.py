@@ -1,7 +1,8 @@
 """A moteus controller on CAN FD, written from moteus' CAN protocol, register, diagnostic and configuration references.
 
 A state machine without I/O: `receive` frames, `tick` once per control period, read `output`. Its position loop is that of a board
-tuned on the bench; registers that no test needs are unknown to it. Of its console it knows `conf get`.
+tuned on the bench. A field that stands still (modes PWM, voltage and voltage FOC, fixed voltage) pulls the rotor to its angle, of
+as many pole pairs as are stored. Of its console it knows `conf` and `tel`, and one channel of telemetry.
 """
 
 from __future__ import annotations
@@ -14,36 +15,72 @@ from dataclasses import dataclass
 from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Frame, Output
 from hil_mocks.devices.servo_motor import ServoMotor
 
-STOPPED, FAULT, CURRENT, POSITION, TIMEOUT, ZERO_VELOCITY, BRAKED = 0, 1, 9, 10, 11, 12, 15
-Q_CURRENT, SET_NEAREST, SET_EXACT = 0x01C, 0x130, 0x131
+STOPPED, FAULT, PWM, VOLTAGE, VOLTAGE_FOC, VOLTAGE_DQ, CURRENT, POSITION, TIMEOUT = (
+    0,
+    1,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+    11,
+)
+ZERO_VELOCITY, STAY_WITHIN, BRAKED = 12, 13, 15
+DRIVEN = (PWM, VOLTAGE, VOLTAGE_FOC, VOLTAGE_DQ, CURRENT, POSITION, ZERO_VELOCITY, STAY_WITHIN)
+Q_CURRENT, SET_NEAREST, SET_EXACT, REINDEX, RECAPTURE = 0x01C, 0x130, 0x131, 0x132, 0x133
+RELATIVE, ROTOR, OUTPUT = 0, 1, 2  # home states
 DRIVER_FAULT, OVER_VOLTAGE, OVER_HEATED, SUPPLY_LOW, NO_ACCEL_LIMIT = 33, 34, 38, 40, 47
 LIMITED_SHARE = 0.98  # of the current limit: more is at the limit
-NOP, TEXT_TO, TEXT_FROM, ASK_TEXT = 0x50, 0x40, 0x41, 0x42
+NOP, TEXT_TO, TEXT_FROM, ASK_TEXT, FLOW_FROM, ASK_FLOW = 0x50, 0x40, 0x41, 0x42, 0x43, 0x44
 _HALF = 1 << 31  # of the range of the counter of milliseconds
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+FLOW_HEAD = 4  # bytes before a text: kind, channel, packet number, length
 BOOT_S = 0.15
+THERE_TURNS = 1e-6  # of the goal to its target
 LOWEST_SUPPLY_V, HIGHEST_SUPPLY_V = 9.0, 46.0
 FORMATS = ("<b", "<h", "<i", "<f")
-SCALES = {  # of a register's integers: int8, int16, int32
-    0x001: (1e-2, 1e-4, 1e-5), 0x002: (0.1, 2.5e-4, 1e-5), 0x003: (0.5, 1e-2, 1e-3), 0x004: (1.0, 0.1, 1e-3),
-    0x00D: (0.5, 0.1, 1e-3), 0x00E: (1.0, 0.1, 1e-3), 0x020: (1e-2, 1e-4, 1e-5), 0x021: (0.1, 2.5e-4, 1e-5),
-    0x022: (0.5, 1e-2, 1e-3), 0x023: (1 / 127, 1 / 32767, 1 / 2147483647), 0x024: (1 / 127, 1 / 32767, 1 / 2147483647),
-    0x025: (0.5, 1e-2, 1e-3), 0x027: (1e-2, 1e-3, 1e-6), 0x028: (0.1, 2.5e-4, 1e-5),
-    0x029: (0.05, 1e-3, 1e-5), 0x02B: (1 / 127, 1 / 32767, 1 / 2147483647),
-    Q_CURRENT: (1.0, 0.1, 1e-3), SET_NEAREST: (1e-2, 1e-4, 1e-5), SET_EXACT: (1e-2, 1e-4, 1e-5),
+# Of a register's integers: int8, int16, int32.
+_POSITION, _VELOCITY, _TORQUE, _CURRENT = (
+    (1e-2, 1e-4, 1e-5),
+    (0.1, 2.5e-4, 1e-5),
+    (0.5, 1e-2, 1e-3),
+    (1.0, 0.1, 1e-3),
+)
+_VOLTAGE, _SHARE, _TIME, _ACCELERATION = (
+    (0.5, 0.1, 1e-3),
+    (1 / 127, 1 / 32767, 1 / 2147483647),
+    (1e-2, 1e-3, 1e-6),
+    (0.05, 1e-3, 1e-5),
+)
+SCALES = {
+    **dict.fromkeys((0x001, 0x006, 0x020, 0x026, 0x038, 0x03B, 0x040, 0x041, 0x050, SET_NEAREST, SET_EXACT), _POSITION),
+    **dict.fromkeys((0x002, 0x01E, 0x021, 0x028, 0x039, 0x03C, 0x051), _VELOCITY), 0x007: (10.0, 0.05, 1e-4),
+    **dict.fromkeys((0x003, 0x022, 0x025, 0x042, 0x045), _TORQUE), 0x029: _ACCELERATION,
+    **dict.fromkeys((0x004, 0x005, 0x00A, 0x00E, Q_CURRENT, 0x01D, 0x02C), _CURRENT), **dict.fromkeys((0x027, 0x046), _TIME),
+    **dict.fromkeys((0x00D, 0x014, 0x015, 0x016, 0x019, 0x01A, 0x01B, 0x02A), _VOLTAGE),
+    **dict.fromkeys((0x010, 0x011, 0x012, 0x018, 0x023, 0x024, 0x02B, 0x043, 0x044, 0x047, 0x073, 0x075), _SHARE),
+    **dict.fromkeys((*range(0x060, 0x065), *range(0x068, 0x06D), *range(0x076, 0x080)), _SHARE),
 }  # fmt: skip
-COMMAND = {
-    0x020: 0.0,
-    0x021: 0.0,
-    0x022: 0.0,
-    0x023: 1.0,
-    0x024: 1.0,
-    0x025: math.nan,
-    0x027: 0.0,
-    0x028: math.nan,
-    0x029: math.nan,
-    0x02B: 1.0,
-}
+COMMAND = {  # registers that count with a mode in the same frame, and what they are without
+    **dict.fromkeys((*range(0x010, 0x013), *range(0x014, 0x017), *range(0x018, 0x01F), 0x020, 0x021, 0x022, 0x027, 0x02D), 0.0),
+    **dict.fromkeys((0x023, 0x024, 0x02B), 1.0),
+    **dict.fromkeys((0x025, 0x026, 0x028, 0x029, 0x02A, 0x02C, 0x040, 0x041), math.nan),
+}  # fmt: skip
+SHADOWS = {0x042: 0x022, 0x043: 0x023, 0x044: 0x024, 0x045: 0x025, 0x046: 0x027, 0x047: 0x02B, 0x048: 0x02D}
+KEPT = (0x05C, 0x05D, 0x071, *range(0x076, 0x080))  # pins and clock: without a mode
+UUID, UUID_MASK = range(0x150, 0x154), range(0x154, 0x158)
+TELEMETRY = "servo_stats"
+# Its schema: an object (type 16) of an unsigned byte (4), a boolean (2) and a float (7): flags, name, aliases, type, no default.
+SCHEMA = b"\x10\0" + b"".join(
+    bytes((0, len(name))) + name + b"\0" + kind + b"\0"
+    for name, kind in (
+        (b"mode", b"\x04\x01"),
+        (b"trajectory_done", b"\x02"),
+        (b"position", b"\x07"),
+        (b"", b"\0"),
+    )
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +111,8 @@ class MoteusSetup:
             "servo.default_velocity_limit": "nan",
             "servo.default_accel_limit": f"{self.accel_limit_turns_s2:.6f}",
             "servo.bemf_feedforward": f"{self.bemf_feedforward:.6f}",
-            "servo.max_current_A": f"{self.limit_A:.6f}", "aux1.pins.0.mode": "14" if self.home_switch else "0",
+            "motor.poles": "14", "servo.max_current_A": f"{self.limit_A:.6f}",
+            "aux1.pins.0.mode": "14" if self.home_switch else "0",
         }  # fmt: skip
 
 
@@ -87,14 +125,15 @@ class MoteusMock:
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.is_home = False  # pin 1 of aux1
         self._read_turns: Callable[[], float] = lambda: read_turns() + self._shift_turns
+        self.settings = self._written_settings = setup.stored()
         self._current_A, self._supply_V = 0.0, 24.0
         self.power_up(None)
 
     @property
     def limit_A(self) -> float:
-        """The largest current: in position mode, what the command's largest torque allows."""
-        most_Nm = self._command[0x025]
-        if self.mode != POSITION or math.isnan(most_Nm):
+        """The largest current: in the modes of a position, what the command's largest torque allows."""
+        most_Nm: float = self._command[0x025]
+        if self.mode not in (POSITION, STAY_WITHIN) or math.isnan(most_Nm):
             return self.setup.limit_A
         return min(self.setup.limit_A, most_Nm / self.setup.torque_constant_Nm_A)
 
@@ -105,12 +144,16 @@ class MoteusMock:
         self._began_s = 0.0 if now_s is None else now_s
         self._boots_until_s = -math.inf if now_s is None else now_s + BOOT_S
         self._now_s = self._began_s
-        self._command = dict(COMMAND)
+        self._command, self._began_mode_s = dict(COMMAND), 0.0
         self._expires_s = math.inf
-        self._shift_turns = self._q_current_A = 0.0
+        self._shift_turns = 0.0
         self._target = self._goal_turns_s = 0.0  # of a position that is gone to by the limit of acceleration
         self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns)
+        self.settings = dict(self._written_settings)
+        self.home_state = self.setup.home_state
+        self.kept: dict[int, float] = dict.fromkeys(KEPT, 0)
         self._typed = self._says = b""  # to its console and by it
+        self._flow = (0, b"")  # number and text of what was said last, until it is acknowledged
 
     @property
     def milliseconds(self) -> int:
@@ -146,17 +189,13 @@ class MoteusMock:
             if kind == NOP:
                 continue
             type_, count = kind >> 2 & 3, kind & 3
-            if kind in (TEXT_TO, ASK_TEXT):
+            if kind in (TEXT_TO, ASK_TEXT, ASK_FLOW):
                 _, at = _varuint(payload, at)  # the channel
+                acknowledged, at = (payload[at], at + 1) if kind == ASK_FLOW else (0, at)
                 length, at = _varuint(payload, at)
-                if not self.setup.has_console:
-                    at += 0 if kind == ASK_TEXT else length
-                elif kind == ASK_TEXT:
-                    said, self._says = self._says[:length], self._says[length:]
-                    texts += bytes((TEXT_FROM, 1, len(said))) + said
-                else:
-                    self._type(payload[at : at + length])
-                    at += length
+                typed, at = (payload[at : at + length], at + length) if kind == TEXT_TO else (b"", at)
+                if self.setup.has_console:
+                    texts += self._converse(kind, typed, length, acknowledged)
                 continue
             if not count:
                 count, at = _varuint(payload, at)
@@ -166,21 +205,74 @@ class MoteusMock:
                 continue
             for register in range(first, first + count):
                 raw = struct.unpack_from(FORMATS[type_], payload, at)[0]
+                if (
+                    register in UUID_MASK
+                    and raw != self._registers()[register - UUID_MASK.start + UUID.start]
+                ):
+                    return b""  # for another one
                 written[register] = _from_raw(register, type_, raw)
                 at += struct.calcsize(FORMATS[type_])
-        reply = b"".join(self._reply(*one) for one in wanted) + texts
+        values = self._registers() if wanted else {}
+        reply = b"".join(self._reply(values, *one) for one in wanted) + texts
+        self.kept |= {register: written[register] for register in written.keys() & self.kept.keys()}
         if 0x000 in written:
             self._obey(int(written[0x000]), written)
         for register in written.keys() & {SET_NEAREST, SET_EXACT}:
             self._set_output(written[register], register == SET_NEAREST)
+        if REINDEX in written:
+            self.home_state = RELATIVE
+        if RECAPTURE in written and self.mode == POSITION:
+            self._motor.engage()
+            self._target = self._motor.goal_turns = self._motor.turns
+            self._goal_turns_s = 0.0
         return reply
 
-    def _type(self, text: bytes) -> None:
-        """Text to its console; lines are obeyed."""
-        *lines, self._typed = (self._typed + text).split(b"\n")
-        for line in lines:
-            name = line.decode().removeprefix("conf get ").strip()
-            self._says += (self.setup.stored().get(name, "ERR error reading") + "\r\n").encode()
+    def _converse(self, kind: int, typed: bytes, length: int, acknowledged: int) -> bytes:
+        """Text to its console, or what it says; with flow control again and again, until that is acknowledged."""
+        if kind == TEXT_TO:
+            *lines, self._typed = (self._typed + typed).split(b"\n")
+            for line in lines:
+                self._says += self._said(*line.decode().split())
+            return b""
+        if kind == ASK_FLOW and acknowledged != self._flow[0]:
+            said = self._flow[1]
+        else:
+            length = min(length, FD_LENGTHS[-1] - FLOW_HEAD)
+            said, self._says = self._says[:length], self._says[length:]
+            self._flow = (self._flow[0] % 255 + 1, said) if kind == ASK_FLOW else self._flow
+        head = bytes((TEXT_FROM, 1)) if kind == ASK_TEXT else bytes((FLOW_FROM, 1, self._flow[0]))
+        return head + bytes((len(said),)) + said
+
+    def _said(self, *words: str) -> bytes:
+        """To a line typed to its console."""
+        match words:
+            case "conf", "get", name if name in self.settings:
+                return self.settings[name].encode() + b"\r\n"
+            case "conf", "set", name, value if name in self.settings:
+                self.settings[name] = value
+            case "conf", "enumerate":
+                lines = "".join(f"{name} {value}\r\n" for name, value in self.settings.items())
+                return f"{lines}OK\r\n".encode()
+            case "conf", "write":
+                self._written_settings = dict(self.settings)
+            case "conf", "load":
+                self.settings = dict(self._written_settings)
+            case "conf", "default":
+                self.settings = self.setup.stored()
+            case "tel", "list":
+                return f"{TELEMETRY}\r\nOK\r\n".encode()
+            case "tel", "schema", name if name == TELEMETRY:
+                return f"schema {name}\r\n".encode() + struct.pack("<I", len(SCHEMA)) + SCHEMA
+            case "tel", "fmt", name, _ if name == TELEMETRY:
+                pass
+            case "tel", "get", name if name == TELEMETRY:
+                seen = struct.pack("<B?f", self.mode, bool(self._is_there), self._motor.turns)
+                return f"emit {name}\r\n".encode() + struct.pack("<I", len(seen)) + seen
+            case "conf" | "tel", *_:
+                return b"ERR error reading\r\n"
+            case _:
+                return b"ERR unknown command\r\n"
+        return b"OK\r\n"
 
     def _obey(self, mode: int, written: dict[int, float]) -> None:
         """Enter a mode. A fault and a time-out are left by STOPPED alone."""
@@ -191,16 +283,16 @@ class MoteusMock:
             return
         elif mode == BRAKED:
             self.mode, self._expires_s = BRAKED, math.inf
-        elif mode == POSITION:
-            self._control(COMMAND | written, self._now_s)
-        elif mode in (CURRENT, ZERO_VELOCITY):
-            self._control(COMMAND | {0x020: math.nan} | written, self._now_s)
-            self.mode, self._q_current_A = mode, written.get(Q_CURRENT, 0.0)
+        elif mode in DRIVEN:
+            given = {SHADOWS.get(register, register): value for register, value in written.items()}
+            unsaid = {} if mode == POSITION else {0x020: math.nan}
+            self._control(mode, COMMAND | unsaid | given, self._now_s)
 
     def _set_output(self, turns: float, is_nearest: bool) -> None:
         """The position is this from now on; `is_nearest`: by whole turns of the rotor, which is the output here."""
         shift = turns - self._motor.turns
         self._shift_turns += round(shift) if is_nearest else shift
+        self.home_state = OUTPUT
         self._motor.turns = self._read_turns()
 
     def switch_torque(self, is_on: bool, now_s: float) -> None:
@@ -208,45 +300,52 @@ class MoteusMock:
         self._now_s = now_s
         self._obey(POSITION if is_on else STOPPED, {0x020: math.nan, 0x027: math.nan})
 
-    def _control(self, command: dict[int, float], now_s: float) -> None:
+    def _control(self, mode: int, command: dict[int, float], now_s: float) -> None:
         motor = self._motor
-        if self.mode != POSITION:
+        if self.mode != mode:
             motor.engage()
             motor.goal_turns, self._goal_turns_s = motor.turns, 0.0
-        self.mode, self._command = POSITION, command
-        if self.setup.bemf_feedforward and math.isinf(self._accel_turns_s2):
+        self.mode, self._command, self._began_mode_s = mode, command, now_s
+        if (
+            float(self.settings["servo.bemf_feedforward"])
+            and math.isinf(self._accel_turns_s2)
+            and mode == POSITION
+        ):
             self.mode, self.fault = FAULT, NO_ACCEL_LIMIT
         self._target = motor.goal_turns if math.isnan(command[0x020]) else command[0x020]
         if math.isinf(self._accel_turns_s2):
             motor.goal_turns = self._target
         motor.goal_turns_s = 0.0 if math.isnan(command[0x021]) else command[0x021]
-        timeout_s = command[0x027] or self.setup.timeout_s
+        timeout_s = command[0x027] or float(self.settings["servo.default_timeout_s"])
         self._expires_s = math.inf if math.isnan(timeout_s) else now_s + timeout_s
 
     @property
     def _accel_turns_s2(self) -> float:
         """By which it goes to a position: of the command, else as stored; negative: at once."""
         commanded = self._command[0x029]
-        limit = self.setup.accel_limit_turns_s2 if math.isnan(commanded) else commanded
+        limit = float(self.settings["servo.default_accel_limit"]) if math.isnan(commanded) else commanded
         return math.inf if math.isnan(limit) or limit < 0.0 else limit
 
     def _follow_ramp(self, step_s: float) -> None:
         """The goal goes to the target, faster and slower by the limit of acceleration."""
         limit, motor = self._accel_turns_s2, self._motor
         way = self._target - motor.goal_turns
-        wanted = math.copysign(min(math.sqrt(2.0 * limit * abs(way)), abs(way) / step_s), way)
+        fastest = self._command[0x028]
+        if math.isnan(fastest):
+            fastest = float(self.settings["servo.default_velocity_limit"])
+        top = fastest if fastest >= 0.0 else math.inf
+        wanted = math.copysign(min(math.sqrt(2.0 * limit * abs(way)), abs(way) / step_s, top), way)
         self._goal_turns_s += min(max(wanted - self._goal_turns_s, -limit * step_s), limit * step_s)
         motor.goal_turns += self._goal_turns_s * step_s
 
-    def _reply(self, type_: int, first: int, count: int) -> bytes:
-        values = {
-            register: value
-            for register, value in self._registers().items()
-            if register not in self.setup.unknown
-        }
+    @property
+    def _is_there(self) -> bool:
+        return abs(self._target - self._motor.goal_turns) < THERE_TURNS
+
+    def _reply(self, values: dict[int, float], type_: int, first: int, count: int) -> bytes:
         packed = b""
         for register in range(first, first + count):
-            if register not in values:
+            if register not in values or register in self.setup.unknown:
                 return bytes((0x31,)) + _as_varuint(register) + b"\x01"
             packed += struct.pack(FORMATS[type_], _to_raw(register, type_, values[register]))
         head = bytes((0x20 | type_ << 2 | count,)) if count < 4 else bytes((0x20 | type_ << 2, count))
@@ -254,12 +353,20 @@ class MoteusMock:
 
     def _registers(self) -> dict[int, float]:
         motor, setup = self._motor, self.setup
+        torque_Nm = self._current_A * setup.torque_constant_Nm_A
+        off = (motor.turns - motor.goal_turns, motor.speed_turns_s - motor.goal_turns_s)
         return {
-            0x000: self.mode, 0x001: motor.turns, 0x002: motor.speed_turns_s,
-            0x003: self._current_A * setup.torque_constant_Nm_A, 0x004: self._current_A, 0x005: 0.0,
-            0x00B: 0, 0x00C: setup.home_state, 0x00D: self._supply_V, 0x00E: 35.0, 0x00F: self.fault,
-            0x05E: int(self.is_home), 0x070: self.milliseconds, 0x100: 4,
-            0x101: setup.firmware, 0x102: 5, **{0x120 + k: word for k, word in enumerate(setup.serial)},
+            **self._command, **{shadow: self._command[register] for shadow, register in SHADOWS.items()}, **self.kept,
+            **dict.fromkeys((0x005, 0x006, 0x00A, *range(0x030, 0x035), 0x03A, 0x03D, 0x05F, 0x072, 0x074, 0x140, 0x141), 0),
+            **dict.fromkeys((*range(0x052, 0x056), *range(0x060, 0x065), *range(0x068, 0x06D)), 0),
+            0x073: math.nan, 0x075: math.nan,
+            0x000: self.mode, 0x001: motor.turns, 0x002: motor.speed_turns_s, 0x003: torque_Nm, 0x004: self._current_A,
+            0x007: self.output.value * self._current_A if self.output.kind == "voltage" else 0.0,
+            0x00B: int(self._is_there), 0x00C: self.home_state, 0x00D: self._supply_V, 0x00E: 35.0, 0x00F: self.fault,
+            0x038: motor.goal_turns, 0x039: motor.goal_turns_s, 0x03B: off[0], 0x03C: off[1], 0x050: motor.turns,
+            0x051: motor.speed_turns_s, 0x058: 3, 0x05E: int(self.is_home), 0x070: self.milliseconds, 0x100: 4,
+            0x101: setup.firmware, 0x102: 5, 0x110: setup.number, **{0x120 + k: word for k, word in enumerate(setup.serial)},
+            **{register: setup.serial[k % 3] + k for k, register in enumerate(UUID)}, 0x158: 1,
         }  # fmt: skip
 
     # ---- control
@@ -271,7 +378,7 @@ class MoteusMock:
         motor.measure(now_s)
         if now_s < self._boots_until_s:
             return
-        if self.mode in (CURRENT, POSITION, ZERO_VELOCITY) and now_s > self._expires_s:
+        if self.mode in DRIVEN and now_s > self._expires_s:
             self.mode = TIMEOUT
             motor.goal_turns, motor.goal_turns_s = motor.turns, 0.0
         if self.mode not in (STOPPED, FAULT) and (cause := self._cause(supply_V)):
@@ -279,8 +386,17 @@ class MoteusMock:
         if self.mode == POSITION and math.isfinite(self._accel_turns_s2) and step_s > 0.0:
             self._follow_ramp(step_s)
         else:
-            motor.goal_turns += motor.goal_turns_s * max(step_s, 0.0)
+            self._move_on(motor.goal_turns_s * max(step_s, 0.0))
         self.output = self._driven(supply_V)
+
+    def _move_on(self, turns: float) -> None:
+        """At the commanded speed, up to the stop position."""
+        motor, stop = self._motor, self._command[0x026]
+        left = stop - motor.goal_turns
+        if self.mode == POSITION and abs(turns) >= abs(left) and turns * left >= 0.0:
+            motor.goal_turns, motor.goal_turns_s = stop, 0.0
+        else:
+            motor.goal_turns += turns
 
     def _cause(self, supply_V: float) -> int:
         if supply_V < LOWEST_SUPPLY_V:
@@ -288,23 +404,62 @@ class MoteusMock:
         return OVER_VOLTAGE if supply_V > HIGHEST_SUPPLY_V else self.forced_error
 
     def _driven(self, supply_V: float) -> Output:
-        mode = self.setup.timeout_mode if self.mode == TIMEOUT else self.mode
-        if mode == BRAKED:
-            return BRAKE
-        if mode == ZERO_VELOCITY:
-            self._motor.goal_turns = self._motor.turns
-        if (self.mode == TIMEOUT and mode != STOPPED) or mode == ZERO_VELOCITY:
-            return self._motor.controlled(supply_V)
-        if mode == CURRENT:
-            return Output("current", min(max(self._q_current_A, -self.setup.limit_A), self.setup.limit_A))
-        if self.mode != POSITION:
-            return OPEN
-        most_A = self.limit_A
-        if self._command[0x023]:
-            return self._motor.controlled(supply_V, abs(self._current_A) > LIMITED_SHARE * most_A)
-        wanted_A = self._command[0x022] / self.setup.torque_constant_Nm_A
-        limited_A = min(max(wanted_A, -most_A), most_A)
+        mode = int(self.settings["servo.timeout_mode"]) if self.mode == TIMEOUT else self.mode
+        command, motor = self._command, self._motor
+        match mode:
+            case 0 | 1:
+                return OPEN
+            case _ if mode == BRAKED:
+                return BRAKE
+            case _ if mode == PWM:
+                return self._pulled(
+                    *_field(*(supply_V * command[register] for register in range(0x010, 0x013)))
+                )
+            case _ if mode == VOLTAGE:
+                return self._pulled(*_field(*(command[register] for register in range(0x014, 0x017))))
+            case _ if mode == VOLTAGE_FOC:
+                turned = command[0x01E] * (self._now_s - self._began_mode_s)
+                return self._pulled(math.pi * (command[0x018] + turned), command[0x019])
+            case _ if mode == VOLTAGE_DQ:
+                return Output("voltage", command[0x01B])
+            case _ if mode == CURRENT:
+                return self._current(command[Q_CURRENT])
+            case _ if mode == ZERO_VELOCITY:
+                motor.goal_turns = motor.turns
+        if self.mode == TIMEOUT or mode == ZERO_VELOCITY:
+            return motor.controlled(supply_V)
+        if mode == STAY_WITHIN:
+            nearest = max(min(motor.turns, _or(command[0x041], math.inf)), _or(command[0x040], -math.inf))
+            if nearest == motor.turns:
+                return self._current(command[0x022] / self.setup.torque_constant_Nm_A)
+            motor.goal_turns = nearest
+        if not math.isnan(command[0x02A]):
+            return self._pulled(math.pi * self._poles * motor.goal_turns, command[0x02A])
+        if command[0x023]:
+            return motor.controlled(supply_V, abs(self._current_A) > LIMITED_SHARE * self.limit_A)
+        return self._current(command[0x022] / self.setup.torque_constant_Nm_A)
+
+    @property
+    def _poles(self) -> int:
+        return int(self.settings["motor.poles"])
+
+    def _pulled(self, theta_rad: float, volts: float) -> Output:
+        """A field at an electrical angle turns the rotor towards itself: by the part of its voltage that is across the rotor."""
+        return Output("voltage", volts * math.sin(theta_rad - math.pi * self._poles * self._motor.turns))
+
+    def _current(self, wanted_A: float) -> Output:
+        limited_A = min(max(wanted_A, -self.limit_A), self.limit_A)
         return Output("current", limited_A) if limited_A else OPEN
+
+
+def _or(value: float, otherwise: float) -> float:
+    return otherwise if math.isnan(value) else value
+
+
+def _field(a: float, b: float, c: float) -> tuple[float, float]:
+    """Electrical angle and size of the field of three phases (Clarke)."""
+    alpha, beta = (2.0 * a - b - c) / 3.0, (b - c) / math.sqrt(3.0)
+    return math.atan2(beta, alpha), math.hypot(alpha, beta)
 
 
 def _from_raw(register: int, type_: int, raw: float) -> float:
@@ -317,9 +472,11 @@ def _from_raw(register: int, type_: int, raw: float) -> float:
 def _to_raw(register: int, type_: int, value: float) -> float:
     if type_ == 3:
         return float(value)
-    raw = round(value / SCALES[register][type_]) if register in SCALES else int(value)
     bits = 8 << type_
-    if register in (0x120, 0x121, 0x122):
+    if math.isnan(value):
+        return -(1 << bits - 1)
+    raw = round(value / SCALES[register][type_]) if register in SCALES else int(value)
+    if 0x120 <= register <= 0x122 or register in UUID:
         return raw - (1 << bits) if raw >= 1 << bits - 1 else raw
     most = (1 << bits - 1) - 1
     return min(max(raw, -most), most)
