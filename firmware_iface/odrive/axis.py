@@ -22,11 +22,12 @@ VERSION_WAIT_s = 0.01  # for an answer that only firmware 0.5 gives; no longer, 
 GAP_s = 0.1  # without a heartbeat: it may have restarted meanwhile
 ASK_AGAIN_s = 0.1  # for a state: the heartbeat tells of it a little later, and asking twice leaves the state
 _GOES_ON: Final = (0, 1, 2, 3)  # procedure results: well, busy, cancelled, disarmed (an error says why)
+# What switches a message on that is needed here: the loop watches current and supply. As delivered IQ and BUS are off.
 _SETTINGS: Final = {
-    OdriveCommand.HEARTBEAT: "heartbeat_msg_rate_ms",
-    OdriveCommand.ENCODER: "encoder_msg_rate_ms",
-    OdriveCommand.IQ: "iq_msg_rate_ms",
-    OdriveCommand.BUS: "bus_voltage_msg_rate_ms",
+    OdriveCommand.HEARTBEAT: "heartbeat_msg_rate_ms = 10",
+    OdriveCommand.ENCODER: "encoder_msg_rate_ms = 4",
+    OdriveCommand.IQ: "iq_msg_rate_ms = 4",
+    OdriveCommand.BUS: "bus_voltage_msg_rate_ms = 10",
 }
 
 
@@ -154,13 +155,14 @@ class OdriveAxis:
         """Wait for values that are sent from now on. BoardSilent."""
         asked_s = self._bus.clock.now_s()
         if not self._bus.waits(lambda: self.at_s > asked_s, STATUS_WAIT_s):
-            missing = [_SETTINGS[command] for command, at_s in self._at_s.items() if at_s <= asked_s]
+            missing = [command for command, at_s in self._at_s.items() if at_s <= asked_s]
             remedy = (
-                f"set {', '.join(missing)} in axis0.config.can"
+                f"set {', '.join(map(_SETTINGS.__getitem__, missing))} in axis0.config.can with odrivetool, and save it"
                 if len(missing) < len(_SETTINGS)
                 else f"check its supply, node id {self.node} and bit rate"
             )
-            raise BoardSilent(f"{self.where}: not all of its messages within {STATUS_WAIT_s} s: {remedy}")
+            names = ", ".join(command.name for command in missing)
+            raise BoardSilent(f"{self.where}: no {names} within {STATUS_WAIT_s} s: {remedy}")
 
     def await_count(self) -> None:
         """Wait for a count that is sent from now on; its other messages may be slower. BoardSilent."""

@@ -147,7 +147,7 @@ class MoteusMock:
         self._command, self._began_mode_s = dict(COMMAND), 0.0
         self._expires_s = math.inf
         self._shift_turns = 0.0
-        self._target = self._goal_turns_s = 0.0  # of a position that is gone to by the limit of acceleration
+        self._target = 0.0  # to which the position goes by the limit of acceleration
         self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns)
         self.settings = dict(self._written_settings)
         self.home_state = self.setup.home_state
@@ -224,7 +224,6 @@ class MoteusMock:
         if RECAPTURE in written and self.mode == POSITION:
             self._motor.engage()
             self._target = self._motor.goal_turns = self._motor.turns
-            self._goal_turns_s = 0.0
         return reply
 
     def _converse(self, kind: int, typed: bytes, length: int, acknowledged: int) -> bytes:
@@ -304,7 +303,7 @@ class MoteusMock:
         motor = self._motor
         if self.mode != mode:
             motor.engage()
-            motor.goal_turns, self._goal_turns_s = motor.turns, 0.0
+            motor.goal_turns = motor.turns
         self.mode, self._command, self._began_mode_s = mode, command, now_s
         if (
             float(self.settings["servo.bemf_feedforward"])
@@ -325,18 +324,6 @@ class MoteusMock:
         commanded = self._command[0x029]
         limit = float(self.settings["servo.default_accel_limit"]) if math.isnan(commanded) else commanded
         return math.inf if math.isnan(limit) or limit < 0.0 else limit
-
-    def _follow_ramp(self, step_s: float) -> None:
-        """The goal goes to the target, faster and slower by the limit of acceleration."""
-        limit, motor = self._accel_turns_s2, self._motor
-        way = self._target - motor.goal_turns
-        fastest = self._command[0x028]
-        if math.isnan(fastest):
-            fastest = float(self.settings["servo.default_velocity_limit"])
-        top = fastest if fastest >= 0.0 else math.inf
-        wanted = math.copysign(min(math.sqrt(2.0 * limit * abs(way)), abs(way) / step_s, top), way)
-        self._goal_turns_s += min(max(wanted - self._goal_turns_s, -limit * step_s), limit * step_s)
-        motor.goal_turns += self._goal_turns_s * step_s
 
     @property
     def _is_there(self) -> bool:
@@ -384,7 +371,11 @@ class MoteusMock:
         if self.mode not in (STOPPED, FAULT) and (cause := self._cause(supply_V)):
             self.mode, self.fault = FAULT, cause
         if self.mode == POSITION and math.isfinite(self._accel_turns_s2) and step_s > 0.0:
-            self._follow_ramp(step_s)
+            fastest = self._command[0x028]
+            if math.isnan(fastest):
+                fastest = float(self.settings["servo.default_velocity_limit"])
+            limit = self._accel_turns_s2
+            motor.follow_ramp(self._target, limit, limit, fastest if fastest >= 0.0 else math.inf)
         else:
             self._move_on(motor.goal_turns_s * max(step_s, 0.0))
         self.output = self._driven(supply_V)

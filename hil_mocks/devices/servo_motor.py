@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from hil_mocks.devices.motor_inputs import Output
@@ -25,9 +26,10 @@ class ServoMotor:
         self._read_turns, self._seen_turns = read_turns, seen_turns
         self.turns = self.goal_turns = read_turns()
         self.speed_turns_s = self.goal_turns_s = 0.0
+        self.position_rate = POSITION_RATE
         self._step_s = 0.001
         self._ticked_s: float | None = None
-        self._integral_V = 0.0
+        self._integral_V = self.ramp_turns_s = 0.0
 
     def measure(self, now_s: float) -> None:
         """Take the angle, and follow the speed."""
@@ -39,12 +41,23 @@ class ServoMotor:
 
     def engage(self) -> None:
         """The torque was switched on: the loop begins anew."""
-        self._integral_V = 0.0
+        self._integral_V = self.ramp_turns_s = 0.0
+
+    def follow_ramp(
+        self, target_turns: float, faster: float, slower: float, top_turns_s: float = math.inf
+    ) -> None:
+        """The goal goes on to a target: faster and slower by so many turns/s², at most at `top_turns_s`."""
+        way = target_turns - self.goal_turns
+        coming_turns_s = min(math.sqrt(2.0 * slower * abs(way)), abs(way) / self._step_s, top_turns_s)
+        change = math.copysign(coming_turns_s, way) - self.ramp_turns_s
+        most = (faster if change * self.ramp_turns_s >= 0.0 else slower) * self._step_s
+        self.ramp_turns_s += min(max(change, -most), most)
+        self.goal_turns += self.ramp_turns_s * self._step_s
 
     def controlled(self, supply_V: float, is_current_limited: bool = False) -> Output:
         """The output of a control period. Where the current is limited, the integral fades."""
         off_turns = self.goal_turns - self.turns
-        wanted = POSITION_RATE * off_turns + self.goal_turns_s
+        wanted = self.position_rate * off_turns + self.goal_turns_s
         error_V = self._volts_per_turn_s * (wanted - self.speed_turns_s)
         wanted_V = self._volts_per_turn_s * wanted + SPEED_GAIN * error_V + self._integral_V
         limited_V = min(max(wanted_V, -supply_V), supply_V)
