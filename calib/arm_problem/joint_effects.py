@@ -32,6 +32,7 @@ from calib.arm_problem.observations import Correction
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
 from calib.points.points import Points
+from calib.settling import Settling
 from control.model.arm import Arm, Effect
 from control.model.effects import COUPLED, EFFECTS, linear_values, moved_joint, place_of
 
@@ -80,20 +81,15 @@ def known_corrections(arm: Arm, points: Points, wanted: Sequence[str] = ()) -> A
 def resting_points(arm: Arm, points: Points, near_rad: Array | None = None) -> RestingPoints:
     """The points at the joints' angles that the arm's own effects and maps give; they begin at `near_rad`, if it is there.
 
-    Loads act there, and soft and loose gears follow loads: q = encoder + added(q), repeated at every pose until q stays, or gets
-    no nearer: where gravity turns round, a loose gear may lie on either flank.
+    Loads act there, and soft and loose gears follow loads: q = encoder + added(q), repeated at every pose until q settles. Where
+    gravity turns round, a loose gear may lie on either flank.
     """
-    joint_rad = points.q_rad if near_rad is None else near_rad
-    last_rad = np.full(len(points), np.inf)
-    while True:
-        at = RestingPoints(arm, points, frozen(joint_rad))
-        wanted = points.q_rad + _known(arm, at, ())
-        apart_rad = np.abs(wanted - joint_rad).max(axis=1, initial=0.0)
-        is_nearer = (SAME_rad < apart_rad) & (apart_rad < last_rad)
-        if not is_nearer.any():
-            return at
-        joint_rad = np.where(is_nearer[:, None], wanted, joint_rad)
-        last_rad = np.where(is_nearer, apart_rad, 0.0)
+    joint_rad, settling = points.q_rad if near_rad is None else near_rad, Settling()
+    while settling.goes_on:
+        wanted = points.q_rad + _known(arm, RestingPoints(arm, points, frozen(joint_rad)), ())
+        step_rad = np.abs(wanted - joint_rad).max(axis=1, initial=0.0)
+        joint_rad = np.where(settling.takes(step_rad, SAME_rad)[:, None], wanted, joint_rad)
+    return RestingPoints(arm, points, frozen(joint_rad))
 
 
 def _known(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> Array:

@@ -21,6 +21,7 @@ from calib.identify.objective import Objective, SumOfDistances
 from calib.identify.suspects import Suspects, find_suspects
 from calib.identify.tilted_axes import tilted_axes
 from calib.points.points import Points
+from calib.settling import Settling
 from calib.validation.holdout import HeldOut, held_out
 from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
 from control.model.arm import Arm
@@ -29,7 +30,6 @@ from control.progress import Advance, silent
 
 NOISE_RATIO = 2.0  # between the scatter of orientations and positions and their stated noises, either way
 SAME_sd = 0.1  # standard deviations that any value moves at most where all predictions together move by less than this
-SLOW = 0.1  # of the step before, from which on the next one is slow
 LeaveOut = Literal["setup"] | int | None
 
 
@@ -111,7 +111,7 @@ def identified(
     """What is identified at the points, or at those of a mask (m,), and its problem.
 
     Effects of loads follow the geometry: they are evaluated at that of the identification before, to first order around it, until
-    what the arm predicts moves by less than the noise tells, or no less than before.
+    what the arm predicts settles.
     """
 
     def solved(problem: ArmProblem, starts_count: int) -> Identification:
@@ -125,18 +125,15 @@ def identified(
 
     problem = problem_of(arm, points, plan.choice)
     first = found = solved(problem, plan.starts_count)
-    slopes: dict[str, Array] | None = None
-    moved_m = np.inf
-    while plan.choice.effects:
-        shaped, before, last_m = calibrated_arm(arm, found, points), found, moved_m
-        problem = problem_of(arm, points, plan.choice, shaped)
-        slopes = followed(shaped, points, problem, found.solution) if slopes is None else slopes
-        found = solved(problem.following(slopes, found.solution) if slopes else problem, 1)
-        moved_m = float(np.linalg.norm(found.error_after_m - before.error_after_m))
-        if moved_m <= SAME_sd * found.noise_m or not moved_m < last_m:
-            break
-        if moved_m > SLOW * last_m:
-            slopes = None  # these were of another place
+    settling = Settling()
+    while plan.choice.effects and settling.goes_on:
+        shaped = calibrated_arm(arm, found, points)
+        there = problem_of(arm, points, plan.choice, shaped)
+        slopes = followed(shaped, points, there, found.solution)
+        further = solved(there.following(slopes, found.solution) if slopes else there, 1)
+        moved_m = float(np.linalg.norm(further.error_after_m - found.error_after_m))
+        if settling.takes(moved_m, SAME_sd * further.noise_m):
+            problem, found = there, further
     before_m, value = first.error_before_m, first.objective_before
     found = replace(found, error_before_m=before_m, objective_before=value)
     return problem if rows is None else problem.of_rows(rows), found

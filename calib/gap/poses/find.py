@@ -25,16 +25,16 @@ from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.outlying import middle, outlying
 from calib.gap.poses.recordings import Split, split
 from calib.gap.poses.state import Around, State
-from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED
+from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED, SETTLED_sd
 from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
+from calib.settling import Settling
 from control.model.arm import Arm
 from control.progress import Advance, silent
 
-STAYS = 1.0  # standard deviation of all tips together, by which a step moves them at most when values stay: half in log evidence
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
 
 
@@ -161,16 +161,14 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
         )  # fmt: skip
 
     def settled(state: State, keys: Collection[Key]) -> State:
-        """The values of a set where they stay: Gauss and Newton's steps, as long as each moves the tips by less than the last."""
-        moved, left_m = math.inf, state.posed().left().tip_m
-        while moved > STAYS:
+        """The values of a set where they settle, by Gauss and Newton's steps."""
+        settling = Settling()
+        while settling.goes_on:
             around = around_of(state, keys)
             further = around.next_state(Search(around.evidence, forced).of(keys), state.follows)
-            last, before_m, left_m = moved, left_m, further.posed().left().tip_m
-            moved = float(np.linalg.norm((left_m - before_m)[around.rows])) / around.noise_m
-            if not moved < last:
-                break
-            state = further
+            moved_m = (further.posed().left().tip_m - state.posed().left().tip_m)[around.rows]
+            if settling.takes(float(np.linalg.norm(moved_m)), SETTLED_sd * around.noise_m):
+                state = further
         return state
 
     state, starts = State.bare(looked.fit, looked.loaded), list[frozenset[Key]]()

@@ -43,6 +43,9 @@ LAW_MOST: Final = 2.0 * max(DEPARTURES)
 CREDIBLE_LEAST: Final = 0.005
 # Log evidence below the best at which a variant or size of an effect no longer counts in its parameters.
 NEGLIGIBLE: Final = 5.0
+# Standard deviations of all rows together, by which a step of a linearisation moves them at most when values have settled: half
+# in log evidence.
+SETTLED_sd: Final = 1.0
 # Log evidence that an unknown size costs an effect which just stands out.
 SIZE_COST: Final = 1.5
 # Noise adds one standard deviation to how far an effect stands out: enough standard deviations in 97 of 100 recordings.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,17 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import comes_round, is_gear, series_of, series_terms, usual
 from calib.gap.effects.departures import departures
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import DEPARTURES, FLOOR_DOUBT, IMMATERIAL, MARGIN, NEARLY, REMAINS, UNTOLD
+from calib.gap.posterior.constants import (
+    DEPARTURES,
+    FLOOR_DOUBT,
+    IMMATERIAL,
+    MARGIN,
+    NEARLY,
+    REMAINS,
+    SIZE_LEVELS,
+    UNTOLD,
+    SETTLED_sd,
+)
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.term import Block, Key
@@ -23,12 +33,10 @@ from calib.gap.residuals.whitening import Noise
 from calib.gap.series.blocks import blocks_of
 from calib.gap.series.fit import SeriesFit, weighed
 from calib.gap.series.linear import SeriesLinear, cross_validated, marginalised, noises_of
-from calib.gap.series.settling import remains, settled
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
+from calib.settling import Settling
 from control.progress import Advance
-
-LINEARISATIONS = 3  # linearisations, at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,31 +102,106 @@ def fitted(
         terms = [*series_terms(point, names, first), *blocks]
         return SeriesLinear.around(point, terms, tuple(nuisances(point, terms)))
 
-    for count in range(LINEARISATIONS):
-        advance("what every effect would do", 0.1 + 0.28 * count)
+    seen: set[frozenset[Key]] = set()
+    while True:
+        to_go = 0.84 * (2.0 / 3.0) ** len(seen)
+        advance("what every effect would do", 0.94 - to_go)
         linear = linearised(around)
         first = first or list(linear.terms)
-        advance("weighing effects", 0.2 + 0.28 * count)
+        advance("weighing effects", 0.94 - 0.88 * to_go)
         judged = Validated.of(weighed(around, linear, noises, split, starts), split)
-        if count or judged.fit.best.kappa > UNTOLD:
+        if seen or judged.fit.best.kappa > UNTOLD:
             again = Validated.of(weighed(around, linear, judged.noises, split, starts), split)
             judged = again.unless_worse_than(judged, is_remeasured=True)
         fit, noises = judged.fit, list(judged.noises)
         last = judged.unless_worse_than(last)
         keys = fit.names
-        laws = fit.laws()
-        if last is not judged or not laws or (count and starts[:1] == [keys]) or count == LINEARISATIONS - 1:
+        if last is not judged or not fit.laws() or keys in seen:
             break
+        seen.add(keys)
         starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
-        advance("settling what bends", 0.36 + 0.28 * count)
+        advance("settling what bends", 0.94 - 0.69 * to_go)
         after = settled(fit, split)
-        if remains(after, fit) > remains(around, fit):  # no better point of linearisation
-            break
+        if np.linalg.norm(remains(after, fit)) > np.linalg.norm(remains(around, fit)):
+            break  # no better point of linearisation
         around = after
     assert last is not None  # the first is taken
     scene.keep(last.kept)
     advance("rivals of what was found", 0.94)
     return against_rivals(last.fit, split, linearised)
+
+
+def remains(around: OperatingPoint, fit: SeriesFit) -> Array:
+    """What a model leaves of the rows that decide, each cell by its noise, (thin rows,); blocks are in no model."""
+    thin = zip(around.scene.thinned, around.scene.cells, strict=True)
+    left = np.concatenate([one.of(around.residual[cell.rows]) for one, cell in thin])
+    return np.asarray(fit.linear.whitened(left[:, None], fit.noises)[fit.rows, 0])
+
+
+def settled(fit: SeriesFit, split: RowSplit) -> OperatingPoint:
+    """Around the best set, with its laws' values refitted until what the model leaves settles."""
+    scene, known = fit.around.scene, fit.around.known
+
+    def at(laws: Mapping[Key, Law]) -> OperatingPoint:
+        scene.keep(scene.rows.resting((*known, *laws.values())))
+        return OperatingPoint.of(scene, known, laws)
+
+    around, settling = at(fit.laws()), Settling()
+    while settling.goes_on and not all(law.form.is_straight for law in around.found.values()):
+        kept = scene.kept
+        further = at(_refitted(fit, around, split))
+        before, after = remains(around, fit), remains(further, fit)
+        # what a play does to the rows bends so much that a refit may lead away
+        if after @ after <= before @ before and settling.takes(
+            float(np.linalg.norm(after - before)), SETTLED_sd
+        ):
+            around = further
+        else:
+            scene.keep(kept)
+            break
+    return around
+
+
+def _refitted(fit: SeriesFit, around: OperatingPoint, split: RowSplit) -> dict[Key, Law]:
+    """The laws of a model one step further."""
+    scene, laws = around.scene, around.found
+    blocks = [fit.linear.terms[k] for k in fit.numbers if fit.linear.terms[k].law is None]
+    terms = [one for one in series_terms(around, keys=laws.keys()) if one.now is not None]
+    linear = SeriesLinear.around(around, [*terms, *blocks])
+    gram = linear.gram(fit.noises, scene.picked(split.deciding & scene.kept))
+    sd = np.concatenate([_usual(one) for one in linear.terms])
+    inner = np.eye(len(sd)) + sd[:, None] * gram.tip * sd
+    covariance = sd[:, None] * np.linalg.inv(inner) * sd
+    size, first = covariance @ gram.pull, 0
+    moved = dict(laws)
+    for one in terms:
+        place = slice(first, first + one.count)
+        own = size[place]
+        first += one.count
+        if one.law is None or not isinstance(one.key, EffectName):
+            continue
+        if one.curve is not None:
+            own, _ = one.curve.held(own, covariance[place, place])
+        if one.is_positive and own[0] <= 0.0:
+            continue
+        moved[one.key] = one.law(own).bounded()
+    return moved
+
+
+def _usual(one: SeriesTerm) -> Array:
+    """Standard deviations of a term that is surely there: of a large size and of the usual roughness."""
+    scales, _ = one.scales()
+    return (
+        np.asarray(scales[-1])
+        if not one.is_name
+        else np.concatenate(
+            [
+                np.full(one.laws, SIZE_LEVELS[-1]),
+                np.full(one.departures, DEPARTURES[2]),
+                np.ones(one.count - one.laws - one.departures),
+            ]
+        )
+    )
 
 
 # Names that explain nearly the same rows, compared each at the operating point of its own.
