@@ -22,7 +22,7 @@ from calib.identify.suspects import Suspects, find_suspects
 from calib.identify.tilted_axes import tilted_axes
 from calib.points.points import Points
 from calib.settling import Settling
-from calib.validation.holdout import HeldOut, held_out
+from calib.validation.holdout import HeldOut, Prediction, held_out
 from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
 from control.model.arm import Arm
 from control.model.table import board_cavities
@@ -190,9 +190,13 @@ def _held_out(
     def done(count: int, total: int) -> None:
         advance("leaving points out", 0.5 + 0.5 * count / total)
 
+    def predicted(some: Points, rest: Points) -> tuple[Prediction, Prediction]:
+        problem, found = identified(arm, some, replace(plan, starts_count=1))
+        nominal = problem.solution(np.zeros(len(found.x)))
+        shaped = problem_of(arm, rest, plan.choice, calibrated_arm(arm, found, some))
+        return (problem_of(arm, rest, plan.choice), nominal), (shaped, found.solution)
+
     try:
-        return held_out(
-            lambda some: problem_of(arm, some, plan.choice), points, plan.leave_out, plan.objective, done
-        ), []
+        return held_out(predicted, points, plan.leave_out, done), []
     except CalibrationError as error:
         return None, [f"no held-out error: {error}"]

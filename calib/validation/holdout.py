@@ -18,15 +18,15 @@ import numpy.typing as npt
 from calib.arm_problem.problem import ArmProblem, ModelValues
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
-from calib.identify.identification import fit
-from calib.identify.objective import Objective
 from calib.points.points import Points, seen_again
 
 FOLDS_COUNT = 5
 GROUPS_PER_FOLD = 3
 FREE = "free"  # the setup of poses away from the board
 FREE_PARTS = 4
-Builder = Callable[[Points], ArmProblem]
+Prediction = tuple[ArmProblem, ModelValues]
+# Of the points that a fit may use and of others: the others' problem with the nominal values, and that with the fit's.
+Predictor = Callable[[Points, Points], tuple[Prediction, Prediction]]
 Measure = Literal["error", "scatter"]
 
 
@@ -118,24 +118,23 @@ class HeldOut:
 
 
 def held_out(
-    builder: Builder,
+    predictor: Predictor,
     points: Points,
     by: Literal["setup"] | int | None = None,
-    objective: Objective | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> HeldOut:
     """Leave out each setup (`by` "setup"; free poses in parts) or every k-th point (`by` k).
 
     By default setups if there are several, else every fifth point.
 
-    `builder` makes the problem of some of the points; `report` gets the number of folds done, and the total.
+    `predictor` makes the fit whose predictions are judged; `report` gets the number of folds done, and the total.
     CalibrationError if nothing can be left out.
     """
     chosen = by if by is not None else ("setup" if len(set(points.setup)) > 1 else FOLDS_COUNT)
     parts = _setups(points) if chosen == "setup" else _every(points, chosen)
     folds: list[Fold] = []
     for name, rows in parts:
-        folds += _fold(builder, points, name, rows, objective)
+        folds += _fold(predictor, points, name, rows)
         if report is not None:
             report(len(folds), len(parts))
     if not folds:
@@ -186,22 +185,19 @@ def _every(points: Points, k: int) -> list[tuple[str, list[int]]]:
     ]
 
 
-def _fold(
-    builder: Builder, points: Points, name: str, rows: Sequence[int], objective: Objective | None
-) -> list[Fold]:
+def _fold(predictor: Predictor, points: Points, name: str, rows: Sequence[int]) -> list[Fold]:
     """Evaluate one left-out part; None if it has no reference and no two tips of one cavity."""
     is_left_out = np.zeros(len(points), dtype=np.bool_)
     is_left_out[list(rows)] = True
-    trained, seen = builder(points.chosen(np.flatnonzero(~is_left_out))), builder(points.chosen(list(rows)))
-    best, _ = fit(trained, objective, starts_count=1)
-    before, after = trained.solution(np.zeros(len(best.x))), trained.solution(best.x)
-    known = {frame.name for frame in after.frames}
+    before, after = predictor(points.chosen(np.flatnonzero(~is_left_out)), points.chosen(list(rows)))
+    seen, values = after
+    known = {frame.name for frame in values.frames}
     is_referred = np.array([_is_known(seen, k, known) for k in range(len(seen))])
     groups = _cavity_groups(seen, ~is_referred)
     used = np.flatnonzero(is_referred | (groups >= 0))
     if not len(used):
         return []
-    distances = [_distances(seen, solution, is_referred, groups)[used] for solution in (before, after)]
+    distances = [_distances(*one, is_referred, groups)[used] for one in (before, after)]
     measure: Measure = "error" if is_referred.any() else "scatter"
     return [
         Fold(name, tuple(rows[int(k)] for k in used), measure, frozen(distances[0]), frozen(distances[1]))

@@ -28,16 +28,16 @@ from benchmarks.gap.static import cases
 from benchmarks.gap.static.cases import RIGS, Design, designed
 from benchmarks.gap.static.physics import Hidden, Rig
 from benchmarks.gap.static.rough_cases import ON_TIP, PARAMETER, Rough, several
-from calib.arm_problem.assembly import BASE, Choice, problem_of
+from calib.arm_problem.assembly import BASE, Choice
 from calib.arm_problem.joint_laws import LAWS
 from calib.arrays import Array, Mask
 from calib.boards import best_motion
+from calib.calibration.calibrate import CalibrationPlan, identified
 from calib.calibration.outcome import calibrated_arm
 from calib.errors import CalibrationError
 from calib.gap.model_update import with_totals
 from calib.gap.poses.recordings import split
 from calib.gap.workflow import Recordings, find_gap_in, write_gap
-from calib.identify.identification import identify
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
 from calib.validation.verify import measuring_frame, predicted_tips
@@ -190,7 +190,7 @@ def _calibrated(one: Set, points: Points, with_truth: bool) -> Arm:
     arm = with_totals(one.arm, [*given, *drifts])
     try:
         choice = Choice(effects=keys, freed=freed).for_points(arm, points)
-        return calibrated_arm(arm, identify(problem_of(arm, points, choice)), points)
+        return calibrated_arm(arm, identified(arm, points, CalibrationPlan(choice))[1], points)
     except CalibrationError:
         return one.arm
 

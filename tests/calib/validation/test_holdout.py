@@ -5,12 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calib.arm_problem.assembly import Choice
 from calib.arm_problem.link_bending import known_bending
 from calib.arrays import norms
+from calib.calibration.calibrate import CalibrationPlan, calibrate, identified
+from calib.calibration.outcome import calibrated_arm
 from calib.errors import CalibrationError
-from calib.identify import ArmModel, LeastSquares, problem_of
+from calib.identify import ArmModel, Bounds, LeastSquares, problem_of
+from calib.identify.identification import fit
 from calib.points.points import joined, make_points
 from calib.validation.holdout import held_out
+from calib.validation.verify import errors_of, predicted_tips
 from control.model.arm import Effect
 from tests.calib.simulated import RIGHT, NOISE_m, board_points, true_dh, with_rows
 
@@ -22,10 +27,20 @@ def build(points):
     return problem_of(RIGHT, points)
 
 
+def predicted_by(build):
+    """By least squares of the problem that is built of the other points."""
+
+    def predicted(some, rest):
+        best, _ = fit(problem := build(some), LSQ, starts_count=1)
+        return tuple((build(rest), problem.solution(x)) for x in (np.zeros(len(best.x)), best.x))
+
+    return predicted
+
+
 def test_each_setup_is_left_out_once_and_predicted_to_about_the_noise() -> None:
     rng = np.random.default_rng(1)
     points = board_points(rng, true_dh(rng))
-    found = held_out(build, points, "setup", LSQ)
+    found = held_out(predicted_by(build), points, "setup")
     assert [fold.name for fold in found.folds] == ['setup "normal"', 'setup "roll"', 'setup "pitch"']
     assert sorted(row for fold in found.folds for row in fold.rows) == list(range(99))
     nominal = norms(problem_of(RIGHT, points).residuals(np.zeros(16)))
@@ -40,14 +55,14 @@ def test_a_gross_error_in_one_setup_shows_there_and_not_in_its_own_fit() -> None
     points = board_points(rng, true_dh(rng))
     tips = np.array(points.tip_m)
     tips[66:] += [0.0, 0.0, 0.004]
-    found = held_out(build, with_rows(points, tip_m=tips), "setup", LSQ)
+    found = held_out(predicted_by(build), with_rows(points, tip_m=tips), "setup")
     assert found.folds[2].mean_after_m > 0.0025
 
 
 def test_every_third_point_is_left_out_interleaved() -> None:
     rng = np.random.default_rng(3)
     points = board_points(rng, true_dh(rng), ("normal",))
-    found = held_out(build, points, 3, LSQ)
+    found = held_out(predicted_by(build), points, 3)
     assert [fold.rows[:3] for fold in found.folds] == [(0, 3, 6), (1, 4, 7), (2, 5, 8)]
     assert {fold.measure for fold in found.folds} == {"error"}
 
@@ -56,7 +71,7 @@ def test_a_board_of_unknown_place_that_is_left_out_is_scored_by_the_scatter_in_i
     rng = np.random.default_rng(4)
     dh = true_dh(rng, size=0.4)
     both = joined([board_points(rng, dh, is_measured=False) for _ in range(2)])
-    found = held_out(lambda points: problem_of(UNPLACED, points), both, "setup", LSQ)
+    found = held_out(predicted_by(lambda points: problem_of(UNPLACED, points)), both, "setup")
     assert found.is_scatter
     # Two tips about their mean: 1.6 * 0.14 mm / sqrt(2).
     assert np.mean(found.after_m) == pytest.approx(1.6 * NOISE_m / np.sqrt(2), rel=0.15)
@@ -65,23 +80,23 @@ def test_a_board_of_unknown_place_that_is_left_out_is_scored_by_the_scatter_in_i
 def test_without_a_choice_setups_are_left_out_if_there_are_several_else_every_fifth_point() -> None:
     rng = np.random.default_rng(5)
     points = board_points(rng, true_dh(rng), ("normal",))
-    assert held_out(build, points, objective=LSQ).by == "every 5th point"
+    assert held_out(predicted_by(build), points).by == "every 5th point"
 
 
 def test_one_setup_cannot_be_left_out() -> None:
     rng = np.random.default_rng(6)
     points = board_points(rng, true_dh(rng), ("normal",))
     with pytest.raises(CalibrationError, match=r"got one \(\"normal\"\).*every 5th point"):
-        held_out(build, points, "setup")
+        held_out(predicted_by(build), points, "setup")
     with pytest.raises(CalibrationError, match="k from 2 to 33; got 1"):
-        held_out(build, points, 1)
+        held_out(predicted_by(build), points, 1)
 
 
 def test_progress_is_reported_fold_by_fold() -> None:
     rng = np.random.default_rng(7)
     heard = []
     points = board_points(rng, true_dh(rng))
-    held_out(build, points, "setup", LSQ, report=lambda done, of: heard.append((done, of)))
+    held_out(predicted_by(build), points, "setup", report=lambda done, of: heard.append((done, of)))
     assert heard == [(1, 3), (2, 3), (3, 3)]
 
 
@@ -93,7 +108,7 @@ def test_free_poses_are_left_out_part_by_part() -> None:
     q = rng.uniform(-1.0, 1.0, (12, 3))
     tips = model.tips(dh, q) + rng.normal(0.0, NOISE_m, (12, 3))
     free = make_points(["free"] * 12, [f"f{k}" for k in range(12)], [1] * 12, q, tips)
-    found = held_out(build, joined([board, free]), objective=LSQ)
+    found = held_out(predicted_by(build), joined([board, free]))
     assert [fold.name for fold in found.folds[:3]] == ['setup "normal"', 'setup "roll"', 'setup "pitch"']
     assert [fold.name for fold in found.folds[3:]] == [f'part {k} of 4 of setup "free"' for k in (1, 2, 3, 4)]
     assert [len(fold.rows) for fold in found.folds[3:]] == [3, 3, 3, 3]
@@ -109,5 +124,30 @@ def test_a_flexure_that_the_arms_file_has_bends_what_is_left_out_too() -> None:
     bent = known.shift
     assert norms(bent).min() > 10 * NOISE_m
     points = with_rows(points, tip_m=points.tip_m + bent)
-    found = held_out(lambda some: problem_of(arm, some), points, 3, LSQ)
+    found = held_out(predicted_by(lambda some: problem_of(arm, some)), points, 3)
     assert np.mean(found.after_m) < 2 * NOISE_m
+
+
+def test_what_calibrate_holds_out_is_predicted_by_the_same_fit_as_its_result() -> None:
+    """Loads of the arm as it was drawn are others than those of the arm as it is: links are 20 mm longer."""
+    rng = np.random.default_rng(10)
+    q = rng.uniform([-1.5, 0.2, -1.8], [1.5, 1.8, -0.2], (40, 3))
+    arm = RIGHT.with_dh(np.array(RIGHT.dh) * [1.4, 1.3, 1.0, 1.0])
+    longer = np.array(arm.dh)
+    longer[1:, 1] += 0.02
+    soft = Effect("joint_compliance", 2, {"stiffness_Nm_rad": 150.0})
+    true = dataclasses.replace(arm.with_dh(longer), effects=(soft,))
+    names = [f"p{k}" for k in range(40)]
+    bare = make_points(["free"] * 40, names, [1] * 40, q, np.zeros((40, 3)))
+    tips = predicted_tips(true, bare) + rng.normal(0.0, NOISE_m, (40, 3))
+    points = with_rows(bare, tip_m=tips)
+    plan = CalibrationPlan(
+        Choice(effects=("joint_compliance:2",), bounds=Bounds(length_m=0.03)), LSQ, None, 2
+    )
+    held = calibrate(arm, points, plan).held
+    assert held is not None
+    for fold in held.folds:
+        rest, some = list(fold.rows), [k for k in range(40) if k not in fold.rows]
+        others = points.chosen(some)
+        own = calibrated_arm(arm, identified(arm, others, plan)[1], others)
+        np.testing.assert_allclose(fold.after_m, norms(errors_of(own, points.chosen(rest))), atol=2e-6)
