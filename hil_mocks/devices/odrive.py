@@ -97,7 +97,7 @@ class OdriveMock:
         self.state, self.errors, self.result = IDLE, 0, SUCCESS
         self.output = OPEN
         self.control, self._input_mode = POSITION_CONTROL, 1  # as stored
-        self.endpoints = {}  # settings by the numbers of its firmware
+        self.endpoints = dict(self._stored)  # settings by the numbers of its firmware
         self._trajectory = {TOP_SPEED: (2.0,), RAMPS: (0.5, 0.5), INERTIA: (0.0,), VELOCITY_GAINS: (0.0, 0.0)}
         self._target = 0.0
         self.limit_A, self._limit_turns_s = self.setup.limit_A, math.inf
