@@ -52,6 +52,7 @@ _COARSE: Final = {
     1000: "XH430-W350", 1010: "XH430-W210", 1020: "XM430-W350", 1030: "XM430-W210", 1100: "XH540-W270", 1110: "XH540-W150",
     1120: "XM540-W270", 1130: "XM540-W150", 1140: "XH540-V270", 1150: "XH540-V150", 1001: "XD430-T350", 1011: "XD430-T210",
     1101: "XD540-T270", 1111: "XD540-T150", 1170: "XW540-T260", 1180: "XW540-T140", 1270: "XW430-T333", 1280: "XW430-T200",
+    1310: "XW540-H260",  # its control table is that of the XW540-T260
 }  # fmt: skip
 # They measure no current: at its place they have the load, the share of the supply that is on the motor, in 0.1 %.
 WITH_LOAD: Final = {
@@ -130,7 +131,8 @@ class DynamixelServo(SmartServo):
         if self.model not in MODELS:
             raise WrongIdentity(
                 f"{self.where}: expected a Dynamixel X that measures its current or its load (docs/dynamixel.md), it is model"
-                f" {self.model}"
+                f" {self.model}, whose control table is not known here: put an X servo there, or drive the joint by another kind"
+                " of board"
             )
         self.model_name, self.bears_V = MODELS[self.model], (lowest_100mV * 0.1, highest_100mV * 0.1)
         self._current_unit_A = CURRENT_UNIT_A.get(self.model, math.nan)

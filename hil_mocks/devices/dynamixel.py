@@ -1,7 +1,7 @@
 """Dynamixel X servos on a half-duplex line, written from the ROBOTIS e-Manual (protocol 2.0).
 
-A servo is a control table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period. It cannot
-be reset to its state at delivery, and has no indirect addresses. Of several servos that are read at once each waits for the
+A servo is a control table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period. It has no
+indirect addresses. Of several servos that are read at once each waits for the
 one before it: after a silent one nobody answers.
 """
 
@@ -51,6 +51,10 @@ DELAY_STEP_S = 2e-6
 REBOOT_S = 0.2
 LATENCY_S = 0.0001
 STORED = {RETURN_DELAY: 0}  # other than at delivery
+FIRMWARE = 46
+NUMBER, BAUD = 7, 8
+KEPT_AT_RESET: dict[bytes, tuple[int, ...]] = {b"\xff": (), b"\x01": (NUMBER,), b"\x02": (NUMBER, BAUD)}
+CLEAR_TURNS = b"\x01\x44\x58\x4c\x22"
 NOMINAL_V = 12.0  # of the voltage limits in the table
 
 
@@ -120,15 +124,22 @@ class DynamixelMock:
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.turned_on = 0  # whole turns that it has counted on since its supply came on; in an extended mode
         self._read_turns: Callable[[], float] = lambda: read_turns() + self.turned_on
-        self.table = bytearray(control_table.initial(0))
-        struct.pack_into("<H", self.table, 0, setup.model)
-        self.table[6], self.table[7], self.table[MODE] = 46, setup.number, setup.mode
-        for address in (MIN_VOLTAGE, MAX_VOLTAGE):
-            limit = control_table.value(self.table, address) * setup.supply_V / NOMINAL_V
-            struct.pack_into("<H", self.table, address, round(limit))
-        for address, value in STORED.items():
+        self.table = bytearray(control_table.TABLE_BYTES)
+        self._deliver(())
+        for address, value in {**STORED, NUMBER: setup.number, MODE: setup.mode}.items():
             self.table[address] = value
         self.power_up()
+
+    def _deliver(self, kept: tuple[int, ...]) -> None:
+        """All that is stored as at delivery, but for some addresses."""
+        before, self.table[:STORED_END] = bytes(self.table), control_table.initial(0)[:STORED_END]
+        struct.pack_into("<H", self.table, 0, self.setup.model)
+        self.table[6] = FIRMWARE
+        for address in (MIN_VOLTAGE, MAX_VOLTAGE):
+            limit = control_table.value(self.table, address) * self.setup.supply_V / NOMINAL_V
+            struct.pack_into("<H", self.table, address, round(limit))
+        for address in kept:
+            self.table[address] = before[address]
 
     def power_up(self, now_s: float = 0.0) -> None:
         """State after power-up or a restart: what is not stored at its defaults, torque off."""
@@ -170,9 +181,13 @@ class DynamixelMock:
         if now_s < self._deaf_until_s:
             return None
         self._heard_s = now_s
-        level, alert = self.table[RETURN_LEVEL], ALERT if self.table[ERROR_STATUS] else 0
+        number, level, alert = (
+            self.table[NUMBER],
+            self.table[RETURN_LEVEL],
+            ALERT if self.table[ERROR_STATUS] else 0,
+        )
         error, data = self._obey(instruction, parameters, now_s)
-        return self.status(error | alert, data) if level >= LEVELS.get(instruction, 2) else None
+        return status_packet(number, error | alert, data) if level >= LEVELS.get(instruction, 2) else None
 
     def read(self, address: int, count: int, now_s: float) -> tuple[int, bytes] | None:
         """Error number and bytes for one of several servos that are read at once; None if it is not there to answer."""
@@ -203,7 +218,7 @@ class DynamixelMock:
     def crc_error(self, now_s: float) -> bytes | None:
         """The answer to a packet whose CRC is wrong."""
         is_there = now_s >= self._deaf_until_s and self.table[RETURN_LEVEL] == 2
-        return self.status(CRC_ERROR) if is_there else None
+        return status_packet(self.table[NUMBER], CRC_ERROR) if is_there else None
 
     def _obey(self, instruction: int, parameters: bytes, now_s: float) -> tuple[int, bytes]:
         address, data = int.from_bytes(parameters[:2], "little"), parameters[2:]
@@ -225,6 +240,15 @@ class DynamixelMock:
                 self.power_up(now_s)
                 self._deaf_until_s = now_s + REBOOT_S
                 return 0, b""
+            case DynamixelInstruction.RESET if parameters in KEPT_AT_RESET and not self.table[TORQUE]:
+                self._deliver(KEPT_AT_RESET[parameters])
+                self.power_up(now_s)
+                self._deaf_until_s = now_s + REBOOT_S
+                return 0, b""
+            case DynamixelInstruction.CLEAR if parameters == CLEAR_TURNS and not self._motor.speed_turns_s:
+                self.turned_on -= self.position // COUNTS_PER_TURN
+                self._motor.turns = self._read_turns()
+                return 0, b""
             case DynamixelInstruction.RESET | DynamixelInstruction.CLEAR:
                 return RESULT_FAIL, b""
         return INSTRUCTION_ERROR, b""
@@ -238,12 +262,6 @@ class DynamixelMock:
     def _act(self) -> int:
         registered, self._registered, self.table[REGISTERED] = self._registered, None, 0
         return INSTRUCTION_ERROR if registered is None else self.write(*registered)
-
-    def status(self, error: int, parameters: bytes = b"") -> bytes:
-        """A status packet."""
-        inside = bytes((0x55, error)) + parameters
-        inside = inside.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-        return _with_crc(_header(self.setup.number, len(inside) + 2) + inside)
 
     # ---- control
 
@@ -310,7 +328,7 @@ class DynamixelLineMock:
                 self.outgoing.append((there_s, status))
 
     def _asked(self, number: int) -> list[DynamixelMock]:
-        return [self.servos[number]] if number in self.servos else []
+        return [servo for servo in self.servos.values() if servo.table[NUMBER] == number]
 
     def _answers(
         self, number: int, instruction: int, parameters: bytes, now_s: float
@@ -322,7 +340,7 @@ class DynamixelLineMock:
         elif instruction in (DynamixelInstruction.SYNC_READ, DynamixelInstruction.BULK_READ):
             for which, address, count in _read_at_once(instruction, parameters):
                 said = self._read(which, address, count, now_s)
-                yield (0.0, None) if said is None else (said[0].delay_s, said[0].status(*said[1:]))
+                yield (0.0, None) if said is None else (said[0].delay_s, status_packet(which, *said[1:]))
         elif instruction in FAST:
             yield LATENCY_S, self._chained(FAST[instruction], parameters, now_s)
         elif instruction in (DynamixelInstruction.SYNC_WRITE, DynamixelInstruction.BULK_WRITE):
@@ -339,7 +357,7 @@ class DynamixelLineMock:
         self, number: int, address: int, count: int, now_s: float
     ) -> tuple[DynamixelMock, int, bytes] | None:
         """A servo, its error number and its bytes; None if it does not answer."""
-        servo = self.servos.get(number)
+        servo = next(iter(self._asked(number)), None)
         said = servo.read(address, count, now_s) if servo else None
         return None if servo is None or said is None else (servo, *said)
 
@@ -354,6 +372,12 @@ class DynamixelLineMock:
             _, error, data = said
             chain = _with_crc(chain + bytes((error, which)) + data.ljust(count, b"\0"))
         return chain if len(chain) > 8 else None
+
+
+def status_packet(number: int, error: int, parameters: bytes = b"") -> bytes:
+    """A status packet; one that tells of a new id still has the old one."""
+    inside = (bytes((0x55, error)) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    return _with_crc(_header(number, len(inside) + 2) + inside)
 
 
 def _header(number: int, length: int) -> bytes:

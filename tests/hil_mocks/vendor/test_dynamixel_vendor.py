@@ -123,13 +123,15 @@ def test_the_sdk_writes_several_servos_at_once_and_at_a_sign(line: DynamixelLine
     bulk.addParam(1, 116, 4, [1, 2, 0, 0])
     bulk.addParam(2, 65, 1, [1])
     assert bulk.txPacket() == sdk.COMM_SUCCESS
-    assert (servo.table[116:118], line.servos[2].table[65]) == (b"\x01\x02", 1)
+    assert (bytes(servo.table[116:118]), line.servos[2].table[65]) == (b"\x01\x02", 1)
     assert handler.regWriteTxRx(port, 1, 116, 4, [9, 0, 0, 0]) == (sdk.COMM_SUCCESS, 0)
     assert (servo.table[116], servo.table[69]) == (1, 1)
     handler.action(port, sdk.BROADCAST_ID)
     assert (servo.table[116], servo.table[69]) == (9, 0)
     assert handler.action(port, 1) == sdk.COMM_SUCCESS  # the SDK passes its error over
-    assert line.servos[1].answer(0x05, b"", 9.0)[8] == 0x02  # nothing is registered any more
+    said = line.servos[1].answer(0x05, b"", 9.0)
+    assert said is not None
+    assert said[8] == 0x02  # nothing is registered any more
 
 
 @pytest.mark.parametrize(
@@ -213,11 +215,165 @@ def test_our_packets_are_the_sdks_byte_for_byte(line: DynamixelLineMock, handler
     )
 
 
-def test_what_the_mock_leaves_out_of_the_sdk_it_refuses(line: DynamixelLineMock, handler: Any) -> None:
-    """All other calls of protocol 2.0 are in this file, or are made of those that are."""
+@pytest.mark.parametrize(("option", "kept"), [(0xFF, ()), (0x01, (7,)), (0x02, (7, 8))])
+def test_a_reset_to_delivery_keeps_id_and_baud_rate_as_it_is_asked_to(
+    line: DynamixelLineMock, handler: Any, option: int, kept: tuple[int, ...]
+) -> None:
+    port, servo = Port(line), line.servos[2]
+    for address, value in ((7, 9), (8, 3), (11, 4)):
+        handler.write1ByteTxRx(port, servo.table[7], address, value)
+    handler.write1ByteTxRx(port, 9, 64, 1)
+    assert handler.factoryReset(port, 9, option)[1] == 1  # result fail: its torque is on
+    handler.write1ByteTxRx(port, 9, 64, 0)
+    assert handler.factoryReset(port, 9, option) == (sdk.COMM_SUCCESS, 0)
+    assert bytes(servo.table[7:9]) == bytes({7: 9, 8: 3}[at] if at in kept else 1 for at in (7, 8))
+    assert servo.table[11] == 3
+
+
+def test_turns_are_cleared_to_the_position_within_one(line: DynamixelLineMock, handler: Any) -> None:
+    port, servo = Port(line), line.servos[1]
+    servo.turned_on = 3
+    handler.ping(port, 1)
+    for _ in range(50):
+        handler.ping(port, 1)  # it stands
+    servo._motor.speed_turns_s = 0.0
+    assert handler.clearMultiTurn(port, 1) == (sdk.COMM_SUCCESS, 0)
+    handler.ping(port, 1)
+    assert handler.read4ByteTxRx(port, 1, 132)[0] == 1024
+    servo._motor.speed_turns_s = 1.0
+    assert handler.clearMultiTurn(port, 1)[1] == 1
+
+
+@pytest.mark.parametrize(("size", "address"), [(1, 65), (2, 100), (4, 116)])
+def test_each_size_is_written_and_read_in_each_of_the_sdks_ways(
+    line: DynamixelLineMock, handler: Any, size: int, address: int
+) -> None:
+    port, done = Port(line), (sdk.COMM_SUCCESS, 0)
+    read, write = f"read{size}Byte", f"write{size}Byte"
+    assert getattr(handler, f"{write}TxOnly")(port, 1, address, 1) == sdk.COMM_SUCCESS
+    assert getattr(handler, f"{read}TxRx")(port, 1, address) == (1, *done)
+    assert getattr(handler, f"{write}TxRx")(port, 1, address, 0) == done
+    assert getattr(handler, f"{read}Tx")(port, 1, address) == sdk.COMM_SUCCESS
+    assert getattr(handler, f"{read}Rx")(port, 1) == (0, *done)
+
+
+def test_no_call_of_the_sdk_is_left_out() -> None:
+    sized = {f"{read}{n}Byte{way}" for n in (1, 2, 4) for read, way in (
+        ("read", "Tx"), ("read", "Rx"), ("read", "TxRx"), ("write", "TxOnly"), ("write", "TxRx"))}  # fmt: skip
+    made_of = {  # of which the others are made, or words
+        "addStuffing", "removeStuffing", "updateCRC", "txPacket", "rxPacket", "txRxPacket", "getProtocolVersion",
+        "getRxPacketError", "getTxRxResult", "readTx", "readRx", "readTxRx", "writeTxOnly", "regWriteTxOnly", "syncReadTx",
+        "syncWriteTxOnly", "bulkReadTx", "bulkWriteTxOnly", "fastSyncReadRx", "fastBulkReadRx",
+    }  # fmt: skip
+    called = {
+        "ping", "broadcastPing", "action", "reboot", "clearMultiTurn", "factoryReset", "regWriteTxRx", "writeTxRx",
+    }  # fmt: skip
+    assert {
+        name for name in dir(sdk.Protocol2PacketHandler) if not name.startswith("_")
+    } == sized | made_of | called
+    for group, ways in (
+        (sdk.GroupSyncRead, {"txRxPacket", "fastSyncRead"}),
+        (sdk.GroupBulkRead, {"txRxPacket", "fastBulkRead"}),
+        (sdk.GroupSyncWrite, {"txPacket"}),
+        (sdk.GroupBulkWrite, {"txPacket"}),
+    ):
+        bookkeeping = {
+            "addParam",
+            "changeParam",
+            "clearParam",
+            "getData",
+            "isAvailable",
+            "makeParam",
+            "removeParam",
+        }
+        halves = {"rxPacket", "txPacket", *(f"{way}{half}Packet" for way in ways for half in ("Rx", "Tx"))}
+        assert {name for name in dir(group) if not name.startswith("_")} - bookkeeping <= ways | halves
+
+
+easy = pytest.importorskip("dynamixel_easy_sdk")
+# What the vendor's Easy SDK sets, and where it then stands in the control table: address, bytes, value.
+EASY_SETS: dict[str, tuple[tuple[Any, ...], tuple[int, int, int]]] = {
+    "enableTorque": ((), (64, 1, 1)), "LEDOn": ((), (65, 1, 1)), "setGoalPosition": ((2000,), (116, 4, 2000)),
+    "setGoalVelocity": ((-5,), (104, 4, -5)), "setGoalCurrent": ((30,), (102, 2, 30)), "setGoalPWM": ((-40,), (100, 2, -40)),
+    "changeID": ((5,), (7, 1, 5)), "setOperatingMode": ((easy.OperatingMode.EXTENDED_POSITION,), (11, 1, 4)),
+    "setProfileConfiguration": ((easy.ProfileConfiguration.TIME_BASED,), (10, 1, 4)),
+    "setDirection": ((easy.Direction.REVERSE,), (10, 1, 1)), "setPositionPGain": ((10,), (84, 2, 10)),
+    "setPositionIGain": ((11,), (82, 2, 11)), "setPositionDGain": ((12,), (80, 2, 12)), "setVelocityPGain": ((13,), (78, 2, 13)),
+    "setVelocityIGain": ((14,), (76, 2, 14)), "setHomingOffset": ((-15,), (20, 4, -15)),
+    "setMaxPositionLimit": ((4000,), (48, 4, 4000)), "setMinPositionLimit": ((16,), (52, 4, 16)),
+    "setVelocityLimit": ((17,), (44, 4, 17)), "setCurrentLimit": ((18,), (38, 2, 18)), "setPWMLimit": ((19,), (36, 2, 19)),
+}  # fmt: skip
+EASY_READS = {
+    "ping": 1020, "isTorqueOn": 0, "isLEDOn": 0, "getPresentPosition": 1024, "getPresentVelocity": 0, "getPresentCurrent": 186,
+    "getPresentPWM": 0, "getMaxPositionLimit": 4095, "getMinPositionLimit": 0, "getVelocityLimit": 350, "getCurrentLimit": 1193,
+    "getPWMLimit": 885, "getOperatingMode": 3,
+}  # fmt: skip
+STAGED = {
+    f"stage{name[0].upper()}{name[1:]}" for name in (*EASY_SETS, *EASY_READS, "disableTorque", "LEDOff")
+}
+NEEDS_MODE = {"setGoalVelocity": 1, "setGoalCurrent": 5}
+
+
+@pytest.fixture
+def connector(line: DynamixelLineMock, monkeypatch: pytest.MonkeyPatch) -> Any:
     port = Port(line)
-    for left_out in (handler.clearMultiTurn, lambda port, number: handler.factoryReset(port, number, 0xFF)):
-        assert left_out(port, 1)[-1] == 1  # result fail
+    monkeypatch.setattr(port, "setBaudRate", lambda _: True, raising=False)
+    monkeypatch.setattr(port, "closePort", port.clearPort, raising=False)
+    monkeypatch.setattr("dynamixel_easy_sdk.connector.PortHandler", lambda _: port)
+    return easy.Connector("/dev/ttyUSB0", 1_000_000)
+
+
+def test_no_call_of_the_easy_sdk_is_left_out(connector: Any) -> None:
+    offered = {name for name in dir(easy.Motor) if not name.startswith("_")}
+    ends = {
+        "disableTorque",
+        "LEDOff",
+        "reboot",
+        "factoryResetAll",
+        "factoryResetExceptID",
+        "factoryResetExceptIDAndBaudRate",
+    }
+    staged = {name for name in offered if name.startswith("stage")}
+    assert offered - staged == {*EASY_SETS, *EASY_READS} | ends
+    assert staged <= STAGED
+    motor = connector.createMotor(1)
+    for name in sorted(ends):
+        getattr(motor, name)()
+        connector._port_handler._now_s += 1.0
+        motor.id = motor.ping() and 1
+
+
+@pytest.mark.parametrize("name", EASY_SETS)
+def test_what_the_easy_sdk_sets_stands_in_the_control_table(
+    connector: Any, line: DynamixelLineMock, name: str
+) -> None:
+    servo = line.servos[1]
+    motor = connector.createMotor(1)
+    if name in NEEDS_MODE:
+        motor.setOperatingMode(easy.OperatingMode(NEEDS_MODE[name]))
+    if name.startswith("setGoal"):
+        motor.enableTorque()
+    given, (address, size, value) = EASY_SETS[name]
+    getattr(motor, name)(*given)
+    assert int.from_bytes(servo.table[address : address + size], "little", signed=value < 0) == value
+    if name.startswith(("setGoal", "enable", "LED")):
+        group = connector.createGroupExecutor()
+        servo.table[address : address + size] = bytes(size)
+        if name.startswith("setGoal"):
+            servo.table[64] = 1
+        group.addCmd(getattr(motor, f"stage{name[0].upper()}{name[1:]}")(*given))
+        group.executeWrite()
+        assert int.from_bytes(servo.table[address : address + size], "little", signed=value < 0) == value
+
+
+@pytest.mark.parametrize("name", EASY_READS)
+def test_what_the_easy_sdk_reads_is_what_is_measured_and_stored(connector: Any, name: str) -> None:
+    motor = connector.createMotor(1)
+    assert getattr(motor, name)() == EASY_READS[name]
+    if (staged := f"stage{name[0].upper()}{name[1:]}") in dir(motor):
+        group = connector.createGroupExecutor()
+        group.addCmd(getattr(motor, staged)())
+        assert group.executeRead() == [EASY_READS[name]]
 
 
 def test_a_header_inside_of_parameters_is_stuffed_and_the_sdk_reads_it_back(
@@ -300,6 +456,17 @@ def test_models_and_where_they_have_their_values_are_those_of_the_vendors_tables
             (98, 1),
             (63, 1),
         )
+
+
+def test_no_x_servo_of_the_vendors_tables_is_refused() -> None:
+    tables = pytest.importorskip("dynamixel_easy_sdk").__path__[0]
+    lines = (Path(tables) / "control_table" / "dynamixel.model").read_text().splitlines()[1:]
+    x_series = {
+        int(number)
+        for number, name in map(str.split, lines)
+        if name.lstrip("2").startswith("x") and name != "xl320.model"
+    }
+    assert x_series <= MODELS.keys()
 
 
 def _items(file: Path) -> list[str]:
