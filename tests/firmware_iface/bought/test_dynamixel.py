@@ -12,7 +12,7 @@ from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
 from firmware_iface.errors import BoardRefused, BoardSilent, MisuseError, WrongIdentity
 from firmware_iface.memory_link import byte_pair
 from firmware_iface.servo_line import Instruction
-from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
+from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup, status_packet
 
 GOLDEN = {
     line.split("|")[0].strip(): bytes.fromhex(line.split("|")[1])
@@ -142,7 +142,7 @@ def test_registers_that_are_not_set_stop_no_servo(monkeypatch: pytest.MonkeyPatc
     answer = cable.servo.answer
 
     def answers_all(instruction: int, parameters: bytes, now_s: float) -> bytes | None:
-        return answer(instruction, parameters, now_s) or cable.servo.status(0)
+        return answer(instruction, parameters, now_s) or status_packet(cable.servo.setup.number, 0)
 
     cable.servo.table[6] = 0  # firmware
     cable.servo.table[20:64] = bytes(44)  # limits of voltage and position, shutdown

@@ -87,6 +87,33 @@ def test_every_other_call_of_the_sdk_is_answered(port: Port, handler: Any) -> No
     assert handler.LockEprom(1) == done
 
 
+def test_no_call_of_the_sdk_is_left_out() -> None:
+    ways = {"read": ("TxRx", "Tx", "Rx"), "write": ("TxRx", "TxOnly")}
+    sized = {f"{way}{n}Byte{how}" for way, hows in ways.items() for how in hows for n in (1, 2, 4)}
+    made_of = {  # of which the others are made, numbers and words
+        "txPacket", "rxPacket", "txRxPacket", "getProtocolVersion", "getRxPacketError", "getTxRxResult", "readTx", "readRx",
+        "readTxRx", "syncReadTx", "syncReadRx", "syncWriteTxOnly", "writeTxRx", "regWriteTxRx",
+    }  # fmt: skip
+    called = {
+        "LockEprom", "ReadMoving", "ReadPos", "ReadPosSpeed", "ReadSpeed", "RegAction", "RegWritePosEx", "SyncWritePosEx",
+        "WheelMode", "WritePosEx", "WriteSpec", "action", "ping", "regWriteTxOnly", "unLockEprom", "writeTxOnly",
+    }  # fmt: skip
+    offered = {name for name in dir(sdk.sms_sts) if not name.startswith(("_", "scs_"))}
+    assert offered == sized | made_of | called
+
+
+@pytest.mark.parametrize(("size", "address"), [(1, 41), (2, 42), (4, 46)])
+def test_each_size_is_written_and_read_in_each_of_the_sdks_ways(
+    port: Port, handler: Any, size: int, address: int
+) -> None:
+    read, write = f"read{size}Byte", f"write{size}Byte"
+    assert getattr(handler, f"{write}TxOnly")(1, address, 1) == sdk.COMM_SUCCESS
+    assert getattr(handler, f"{read}TxRx")(1, address) == (1, sdk.COMM_SUCCESS, 0)
+    assert getattr(handler, f"{write}TxRx")(1, address, 0) == (sdk.COMM_SUCCESS, 0)
+    assert getattr(handler, f"{read}Tx")(1, address) == sdk.COMM_SUCCESS
+    assert getattr(handler, f"{read}Rx")(1) == (0, sdk.COMM_SUCCESS, 0)
+
+
 def test_the_lock_keeps_what_is_stored(port: Port, handler: Any) -> None:
     handler.write1ByteTxRx(1, sdk.SMS_STS_MODE, 1)
     assert port.line.servos[1].table[33] == 0
