@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import NoReturn, TextIO
 
 from console import options
@@ -104,7 +105,9 @@ class Grammar:
             raise LineError(f"{name}: not available here: run it in its own terminal")
         spec = self._specs.get(name)
         if spec is None:
-            raise LineError(f"{name}: unknown command; expected one of {', '.join(self._specs)}")
+            near = get_close_matches(name, self._specs, 2)
+            meant = f" (did you mean {' or '.join(near)}?)" if near else ""
+            raise LineError(f"{name[:40]}: unknown command{meant}; `help` and `armwright --help` list them")
         parser = _Parser(prog=name, add_help=False)
         options.add(parser, spec.options)
         known = {action.dest for action in parser._actions}

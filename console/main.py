@@ -91,7 +91,9 @@ def _chosen(arguments: Sequence[str] | None) -> int | tuple["options.Command", a
     top = parser()
     given, unknown = top.parse_known_args(arguments)
     if unknown:
-        _usage_of(top, given.command).error(f"unrecognized arguments: {' '.join(unknown)}")
+        is_arm = "arm" in given and any(word.endswith(".toml") for word in unknown)
+        remedy = ": the arm's file follows --arm" if is_arm else ""
+        _usage_of(top, given.command).error(f"unrecognized arguments: {' '.join(unknown)}{remedy}")
     if lack := options.missing(_OPTIONS.get(given.command, ()), given):
         _usage_of(top, given.command).error(lack)
     if given.version:

@@ -21,7 +21,7 @@ import os
 import re
 import zlib
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -268,6 +268,7 @@ class TableContent:
         for column in self.form.columns:
             for name in numbered(column.name, self.joint_count or 1) if column.is_required else ():
                 if name not in self.names:
+                    self._require_joint_count(column)
                     raise self._bad_header(f"required column {name} is missing{self._instead(name)}")
         for column in (column for column in self.form.columns if "{}" in column.name):
             self._require_joints(column)
@@ -294,17 +295,26 @@ class TableContent:
         unit = _UNITS.get(meant.rpartition("_")[2])
         return f": write {unit} (column {meant})" if unit else ""
 
+    def _joints_present(self, column: TableColumn) -> tuple[str, ...]:
+        pattern = column.name.format(r"\d+")
+        return tuple(name for name in self.names if re.fullmatch(pattern, name))
+
+    def _require_joint_count(self, column: TableColumn) -> None:
+        """The caller's error for a file of an arm with another number of joints."""
+        present, expected = self._joints_present(column), numbered(column.name, self.joint_count)
+        if present and present == numbered(column.name, len(present)) != expected:
+            raise self._bad_header(
+                f"joint angles of {len(present)} joints, expected {len(expected)} ({expected[0]} to {expected[-1]}):"
+                " is the file of another arm?"
+            )
+
     def _require_joints(self, column: TableColumn) -> None:
         """A column of joints is there for each of them or for none, and for no other."""
-        n = self.joint_count
-        pattern = column.name.format(r"(\d+)")
-        present = [name for name in self.names if re.fullmatch(pattern, name)]
+        n, present = self.joint_count, self._joints_present(column)
         expected = numbered(column.name, n)
         if strange := [name for name in present if name not in expected]:
             if column.is_required:
-                raise self._bad_header(
-                    f"joint angles of {len(present)} joints, expected {n} ({expected[0]} to {expected[-1]})"
-                )
+                self._require_joint_count(column)
             raise self._bad_header(f"column {strange[0]} belongs to no joint: there are {n}")
         self._require_whole(expected, ())
 
@@ -347,7 +357,7 @@ class TableContent:
             column = self._columns[name]
             wanted = column.wanted + column.hint(float(values[k, row]))
             raise self._bad(lines[row], name, cells[name][row], wanted)
-        self._require_complete(values, lines)
+        self._require_complete(values, lines, cells)
         for numbers, block in zip(self._numbers.values(), values, strict=True):
             numbers.frombytes(block.tobytes())
 
@@ -374,7 +384,9 @@ class TableContent:
             alike.update((word, word) for word in words if word not in alike)
         return [alike.get(word, word) for word in words]
 
-    def _require_complete(self, values: Array, lines: Sequence[int]) -> None:
+    def _require_complete(
+        self, values: Array, lines: Sequence[int], cells: Mapping[str, Sequence[str]]
+    ) -> None:
         """In each line, a group is complete or empty, and what belongs beside it is there."""
         index = {name: k for k, name in enumerate(self._numbers)}
         for group in (group for group in self.form.groups if group.columns[0] in index):
@@ -390,7 +402,7 @@ class TableContent:
             ):
                 if is_wrong.any():
                     row, k = (int(at) for at in np.argwhere(is_wrong.T)[0])
-                    raise self._bad(lines[row], names[k], "", f"a number, since {since}")
+                    raise self._bad(lines[row], names[k], cells[names[k]][row], f"a number, since {since}")
 
 
 def require_commas(header: Sequence[str], wrong: Wrong, remedy: str = "") -> None:

@@ -131,6 +131,9 @@ def beyond(
     points: Points, path: Path, form: TableFormat, wrong: Wrong, joint_count: int | None = None
 ) -> TableContent:
     """The columns of `form` among those that the points keep as text, checked as those of the format are."""
+    required = [column.name for column in form.columns if column.is_required]
+    if required and not points.extra:
+        raise wrong(f"{path}, line 1: required column {required[0]} is missing beside angles and tips")
     table = TableContent(path, form, wrong, tuple(points.extra), 1, joint_count or points.joint_count)
     table.add([*zip(*points.extra.values(), strict=True)] or [()] * len(points), points.lines.tolist())
     return table

@@ -139,9 +139,20 @@ def understood(
     setup = named.get("setup") or ["free"] * len(q_rad)
     point = named.get("point") or [f"p{k}" for k in range(1, len(q_rad) + 1)]
     words = [f'{ours} is "{name}"' for ours, name in found.items() if name]
+    unused = [name for name in sheet.names if name not in found.values()]
+    further = JOINT.format(rf"(?:{arm.joint_count + 1})")
+    if strange := [name for name in unused if re.search(further, name.lower())]:
+        raise PointsFileError(
+            f'{sheet.path}: column "{strange[0]}" is of joint {arm.joint_count + 1}, arm {arm.name} has {arm.joint_count}:'
+            " give the right --arm, or leave the column out"
+        )
     return Understood(
         make_points(setup, point, _repeats(sheet, found["repeat"], setup, point), q_rad, tip_m),
-        (sheet.about, f"{', '.join(words)}; angles in {angle}, lengths in {length}"),
+        (
+            sheet.about,
+            f"{', '.join(words)}; angles in {angle}, lengths in {length}",
+            *([f"not used: {', '.join(unused)}"] if unused else []),
+        ),
     )
 
 

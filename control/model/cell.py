@@ -207,7 +207,10 @@ def save_cell(cell: Cell, folder: Path) -> Path:
 
 def _parsed(text: str, path: Path) -> Cell:
     try:
-        table = read_table(_File, parsed_toml(text))
+        keys = parsed_toml(text)
+        if "link" in keys:
+            raise ArmFileError(path, None, "", "the arms of a cell", "an arm.toml", "give it with --arm")
+        table = read_table(_File, keys)
         cell = Cell(
             table.name,
             tuple(_placed(entry, index, table.can, path) for index, entry in enumerate(table.entries)),

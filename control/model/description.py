@@ -164,7 +164,10 @@ def syntax_error(error: tomllib.TOMLDecodeError, text: str, path: Path) -> ArmFi
     message = str(error)
     position = _POSITION_IN_MESSAGE.search(message)
     line = int(position[1]) if position and position[1] else text.count("\n") + 1
-    return ArmFileError(path, line, "", "valid TOML", f"an error: {_POSITION_IN_MESSAGE.sub('', message)}")
+    is_xml = text.lstrip().startswith("<")
+    hint = "`armwright new --from-urdf` makes an arm.toml of a URDF, --from-mjcf of an MJCF" if is_xml else ""
+    got = "XML" if is_xml else f"an error: {_POSITION_IN_MESSAGE.sub('', message)}"
+    return ArmFileError(path, line, "", "valid TOML", got, hint)
 
 
 def _spelled(path: KeyPath) -> str:

@@ -114,6 +114,8 @@ def axes_from(text: str, joints: int) -> str:
         raise ArmError(
             f"axes: expected {joints} letters of x, y, z, such as {USUAL_AXES[joints]}, got {text!r}"
         )
+    if set(letters) == {"z"}:
+        raise ArmError(f"axes: expected one across the arm, x or y, or the tip does not move, got {text!r}")
     return letters
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arm_problem.checks import require_of_arm
 from calib.checkup import (
     POSES,
     CheckupDecision,
@@ -67,7 +68,7 @@ def _require_consistent(given: argparse.Namespace) -> None:
 def _measured(arm: Arm, files: list[str], least: int, is_as_given: bool) -> Points:
     """Points whose tip was measured; CalibrationError if they are too few."""
     points, warnings = points_for(arm, [Path(name) for name in files], is_as_given)
-    for warning in warnings:
+    for warning in (*warnings, *require_of_arm(arm, points)):
         sys.stderr.write(f"armwright: warning: {warning}\n")
     rows = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)).tolist()
     if len(rows) < least:

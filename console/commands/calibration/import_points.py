@@ -17,6 +17,8 @@ SHOWN = 3
 def run(given: argparse.Namespace) -> int:
     """Read, show what was understood, write; with a line that repeats it without questions."""
     file = Path(given.out) / "points.csv"
+    if Path(given.out).suffix == ".csv":
+        raise ArmError(f"--out {given.out}: expected a folder, in which points.csv is written")
     if file.exists():
         raise ArmError(f"{file} exists already and is never overwritten: choose another --out")
     require_writable(Path(given.out))

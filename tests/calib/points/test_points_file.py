@@ -120,7 +120,7 @@ def test_what_is_no_text_is_refused_with_what_to_do(
 
 
 def test_another_joint_count_than_expected_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PointsFileError, match="required column q3_rad is missing"):
+    with pytest.raises(PointsFileError, match="joint angles of 2 joints, expected 3"):
         read_points(file_with(tmp_path, GOOD), joint_count=3)
     with pytest.raises(PointsFileError, match="joint angles of 2 joints, expected 1"):
         read_points(file_with(tmp_path, GOOD), joint_count=1)
