@@ -1,5 +1,6 @@
 """A CAN bus with bought boards of one kind, seen from the host: drained once a cycle, one command a board and cycle."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Generic, Protocol, TypeVar
@@ -9,6 +10,11 @@ from firmware_iface.errors import Problems
 from firmware_iface.link import FrameLink
 
 _STEP_s = 0.0005
+MANY = 20_000  # messages whose mean interval is the period
+FIRST, GAP = (
+    10,
+    4.0,
+)  # messages after which so many periods without one, or without a look, say nothing of the period
 Frame = tuple[int, bytes]
 
 
@@ -23,6 +29,31 @@ class Commanded(Protocol):
 N = TypeVar("N", bound=Commanded)
 
 
+class SteadyMessages:
+    """When a board sent messages that carry no time: it sends them at a rate of its own, and each came since the last drain.
+
+    Each is dated a period after the one before, as far as it then lies between the drains. Dated by the drains alone, one message
+    in a cycle after two in the one before would look like half the speed. One that is lost shows at the next drain.
+    """
+
+    def __init__(self) -> None:
+        self.at_s = -math.inf
+        """The newest one [s, host]."""
+        self._drained_s, self._period_s, self._messages = 0.0, 0.0, 0
+
+    def arrived(self, drained_s: float, now_s: float) -> None:
+        """One more, between two drains."""
+        if self.at_s == -math.inf:
+            self.at_s = now_s
+        else:
+            gap_s = now_s - min(self._drained_s, drained_s)
+            if self._messages < FIRST or gap_s < GAP * self._period_s:
+                self._messages = min(self._messages + 1, MANY)
+                self._period_s += (now_s - self._drained_s - self._period_s) / self._messages
+            self.at_s = min(max(self.at_s + self._period_s, drained_s), now_s)
+        self._drained_s = now_s
+
+
 class NodeBus(ABC, Generic[N]):
     """One bus with its boards, which add themselves under their numbers."""
 
@@ -32,6 +63,8 @@ class NodeBus(ABC, Generic[N]):
         self.nodes: dict[int, N] = {}
         self.sent_at_s = clock.now_s()
         """When the last command was sent."""
+        self.drained_s = self.sent_at_s
+        """Until when all that had arrived was processed; what is processed now came later."""
         self.problems = Problems()
 
     @abstractmethod
@@ -44,6 +77,7 @@ class NodeBus(ABC, Generic[N]):
         now_s = self.clock.now_s()
         for can_id, payload in frames:
             self._take(can_id, payload, now_s)
+        self.drained_s = now_s
         if self.problems:
             raise self.problems.pop(0)
 

@@ -13,7 +13,7 @@ from firmware_iface.errors import (
     ProtocolViolation,
     WrongIdentity,
 )
-from firmware_iface.node_bus import NodeBus
+from firmware_iface.node_bus import NodeBus, SteadyMessages
 from firmware_iface.odrive import wire
 from firmware_iface.odrive.wire import AxisState, Error, Frame, OdriveCommand, OdriveControlMode
 
@@ -40,7 +40,7 @@ class OdriveBus(NodeBus["OdriveAxis"]):
 
 
 class OdriveAxis:
-    """Keeps the latest values of an axis and what is wanted of it; times are the host's, on arrival."""
+    """Keeps the latest values of an axis and what is wanted of it; times are the host's, on arrival, but for the count's."""
 
     is_switch_on = False  # CANSimple tells of no input
 
@@ -51,7 +51,7 @@ class OdriveAxis:
         self.node, self.name = node, name
         self.counts_per_turn = counts_per_turn
         self.count = 0
-        self.counted_at_s = -math.inf
+        self._counted = SteadyMessages()
         self.current_A, self.supply_V, self.temperature_degC = 0.0, math.nan, 0.0
         self.errors: Error | None = None
         self.state = 0
@@ -69,6 +69,11 @@ class OdriveAxis:
     def where(self) -> str:
         """Name in messages: `ODrive "elbow" (node 3) on socketcan:can0`."""
         return f'ODrive "{self.name}" (node {self.node}) on {self._bus.name}'
+
+    @property
+    def counted_at_s(self) -> float:
+        """When it sent the count; -inf: it has none."""
+        return self._counted.at_s
 
     @property
     def at_s(self) -> float:
@@ -167,7 +172,11 @@ class OdriveAxis:
     def await_count(self) -> None:
         """Wait for a count that is sent from now on; its other messages may be slower. BoardSilent."""
         asked_s = self._bus.clock.now_s()
-        if not self._bus.waits(lambda: self.counted_at_s > asked_s, STATUS_WAIT_s):
+        arrived_at_s = self._at_s
+        if not self._bus.waits(
+            lambda: arrived_at_s[OdriveCommand.ENCODER] > asked_s and self.counted_at_s > -math.inf,
+            STATUS_WAIT_s,
+        ):
             self.await_status()
 
     def clear_errors(self) -> bool:
@@ -216,9 +225,9 @@ class OdriveAxis:
     def _count(self, turns: float, now_s: float) -> None:
         if math.isfinite(turns):
             self.count = round(turns * self.counts_per_turn)
-            self.counted_at_s = now_s
+            self._counted.arrived(self._bus.drained_s, now_s)
         elif self.counted_at_s != -math.inf or not self._bus.problems:
-            self.counted_at_s = -math.inf
+            self._counted = SteadyMessages()
             self._bus.problems.append(
                 BoardFaulted(f"{self.where}: its encoder has no position (NaN): calibrate it with odrivetool")
             )

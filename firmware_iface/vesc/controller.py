@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, ProtocolViolation
 from firmware_iface.link import FrameLink
-from firmware_iface.node_bus import NodeBus
+from firmware_iface.node_bus import NodeBus, SteadyMessages
 from firmware_iface.vesc import wire
 from firmware_iface.vesc.wire import COUNTS_PER_TURN, Frame, Packet
 
@@ -70,7 +70,7 @@ class VescBus(NodeBus["Vesc"]):
 
 
 class Vesc:
-    """Keeps the latest values of a controller and its command; times are the host's, on arrival."""
+    """Keeps the latest values of a controller and its command; times are the host's, on arrival, but for the count's."""
 
     def __init__(self, bus: VescBus, number: int, name: str) -> None:
         if number not in wire.IDS:
@@ -87,7 +87,7 @@ class Vesc:
         self.supply_V = math.nan
         self.temperature_degC = 0.0
         self.is_switch_on = False
-        self.counted_at_s = -math.inf
+        self._counted = SteadyMessages()
         self.fault: int | None = None
         self.fault_at_s = -math.inf
         self.settings: wire.Settings | None = None
@@ -109,6 +109,11 @@ class Vesc:
     def where(self) -> str:
         """Name in messages: `VESC "elbow" (id 3) on socketcan:can0`."""
         return f'VESC "{self.name}" (id {self.number}) on {self._bus.name}'
+
+    @property
+    def counted_at_s(self) -> float:
+        """When it sent the angle; -inf: it has sent none."""
+        return self._counted.at_s
 
     @property
     def at_s(self) -> float:
@@ -215,10 +220,10 @@ class Vesc:
             case Packet.STATUS_4:
                 fets_degC, motor_degC, _, raw = wire.status_4(payload)
                 self.temperature_degC = max(fets_degC, motor_degC)
-                if now_s != self.counted_at_s:
+                if now_s != self._at_s[Packet.STATUS_4]:
                     self._begin_batch(now_s)
                 self._follow(raw)
-                self.counted_at_s = now_s
+                self._counted.arrived(self._bus.drained_s, now_s)
             case Packet.STATUS_5:
                 self.supply_V = wire.status_5(payload).supply_V
             case Packet.STATUS_6:
@@ -244,7 +249,7 @@ class Vesc:
 
     def _begin_batch(self, now_s: float) -> None:
         """Angles that are read together were sent one after the other. Too few of them for the time: turns may be missing."""
-        last, self._batch = self._batch, AngleBatch(self.count, now_s - self.counted_at_s, 0)
+        last, self._batch = self._batch, AngleBatch(self.count, now_s - self._at_s[Packet.STATUS_4], 0)
         if self.is_counted and last.messages and math.isfinite(last.lasted_s):
             between_s = last.lasted_s / last.messages
             turned = self._speed_count_s * between_s
