@@ -34,8 +34,15 @@ class DampedRates:
         weakness = max(0.0, 1.0 - (self.margin_m / SAFE_M) ** 2)
         gain = s / (s * s + MOST_M**2 * weakness) if s.size else s
         self._inverse = vt[: len(s)].T @ (gain[:, None] * u.T)
+        self._directions, self._shares = u, gain * s
         self._free = vt[len(s) :].T
         self.is_damped = weakness > 0.0
+
+    def share(self, tip: Array) -> float:
+        """How much of six rates of the tip the joints still give, of what they hold exactly: 1 far from singular poses."""
+        along = self._directions.T @ (tip * _SCALE)[list(self._task.exact)]
+        size = float(along @ along)
+        return float(self._shares @ along**2) / size if size else 1.0
 
     def rates(self, tip: Array) -> Array:
         """Joint rates (n,) for six rates of the tip, of the least size."""

@@ -87,8 +87,7 @@ class InverseKinematics:
     def prepare(self) -> None:
         """Compile now what jogs and status need, and not between two cycles."""
         self.poses.at(*self._rest)
-        if not self.follows_position:
-            self.held.freedom(len(self._rest))
+        self.held.freedom(len(self._rest))
 
     @property
     def has_branches(self) -> bool:

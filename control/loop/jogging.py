@@ -6,6 +6,7 @@ the arm slows to rest and the jog ends.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import add
 from typing import Protocol
 
 from control.errors import ArmError
@@ -15,8 +16,7 @@ from control.motion.errors import MotionError
 from control.motion.guard import Guard
 from control.motion.jog_limits import JogLimits
 from control.motion.jogs.joints import JointJog
-from control.motion.jogs.pose import STILL, PoseJog, RestGuard, Twist
-from control.motion.jogs.tip import TipJog
+from control.motion.jogs.tip import STILL, RestGuard, TipJog, Twist
 from control.motion.setpoint import SetPoint, Vector
 
 
@@ -56,7 +56,7 @@ class TipStep:
 
 
 JogRequest = JointSpeeds | JointStep | TipVelocity | TipStep
-AnyJog = JointJog | TipJog | PoseJog
+AnyJog = JointJog | TipJog
 
 
 class _Motion(Protocol):
@@ -178,25 +178,31 @@ class Jogging:
         self._motion, self._is_step, self._asked = motion, is_step, request
         return True
 
-    def _tell_tip(self, motion: TipJog | PoseJog, request: JogRequest, set_point: SetPoint) -> None:
-        """The request along the base's axes. MotionError if the arm has no joints for a turn."""
+    def _tell_tip(self, motion: TipJog, request: JogRequest, set_point: SetPoint) -> None:
+        """The request along the base's axes. ArmError if the arm has no joints for a turn, or cannot get there."""
         if isinstance(request, TipStep):
             way = [0.0] * 6
             way[request.axis] = request.by
             twist = self._in_base(way, request.of_tip, set_point)
-            if isinstance(motion, PoseJog):
-                motion.step(twist, request.speed)
-            else:
-                motion.step(_only_position(twist), request.speed)
+            if self._inverse.follows_position:  # then the step's end is known at once
+                x, y, z = map(add, self._inverse.kinematics.tip(*set_point.q_rad), twist[:3])
+                try:
+                    self._inverse.follow((x, y, z), set_point.q_rad)
+                except ArmError as error:
+                    raise MotionError(f"jog: the tip cannot go there: {error}") from error
+            motion.step(twist, request.speed)
         elif isinstance(request, TipVelocity):
-            twist = self._in_base((*request.velocity_m_s, *request.turn_rad_s), request.of_tip, set_point)
-            if isinstance(motion, PoseJog):
-                motion.want(twist)
-            else:
-                motion.want(_only_position(twist))
+            motion.want(
+                self._in_base((*request.velocity_m_s, *request.turn_rad_s), request.of_tip, set_point)
+            )
 
     def _in_base(self, twist: Sequence[float], of_tip: bool, set_point: SetPoint) -> Twist:
         a, b, c, d, e, f = twist
+        if any(twist[3:]) and not self._inverse.held.has_orientation:
+            count = len(set_point.q_rad)
+            raise MotionError(
+                f"jog: an arm of {count} joints cannot turn its tip: its orientation follows from its position"
+            )
         if not of_tip:
             return a, b, c, d, e, f
         rows = self._inverse.poses.at(*set_point.q_rad)[1]
@@ -209,28 +215,15 @@ class Jogging:
             return JointJog(set_point, self._limits.joints)
         if self._guard is None:
             raise ArmError("a tip jog needs every joint homed: home the arm first (`armwright home`)")
-        if not self._inverse.follows_position:
-            guard = RestGuard(self._guard.resting_pose, self._guard.objection)
-            inverse, limits = self._inverse, self._limits
-            return PoseJog(
-                set_point, inverse.poses, inverse.held, limits.of_motion, limits.tip_speed_m_s, guard
-            )
-        return TipJog(
-            set_point,
-            self._inverse,
-            self._inverse.kinematics,
-            self._limits.of_motion,
-            self._limits.tip_speed_m_s,
-            self._guard.objection,
-        )
+        guard = RestGuard(self._guard.resting_pose, self._guard.objection)
+        inverse, limits = self._inverse, self._limits
+        return TipJog(set_point, inverse.poses, inverse.held, limits.of_motion, limits.tip_speed_m_s, guard)
 
     def _cease(self) -> None:
         if isinstance(self._motion, JointJog):
             self._motion.want((0.0,) * len(self._limits.joints.speed_rad_s))
-        elif isinstance(self._motion, PoseJog):
-            self._motion.want(STILL)
         elif self._motion is not None:
-            self._motion.want((0.0, 0.0, 0.0))
+            self._motion.want(STILL)
         self._asked = None
 
 
@@ -243,11 +236,3 @@ def _tell(motion: JointJog, request: JogRequest) -> None:
         motion.want(request.speed_rad_s)
     elif isinstance(request, JointStep):
         motion.step(request.joint, request.by_rad, request.speed_rad_s)
-
-
-def _only_position(twist: Twist) -> Vector:
-    if any(twist[3:]):
-        raise MotionError(
-            "jog: an arm of 3 joints cannot turn its tip: its orientation follows from its position"
-        )
-    return twist[0], twist[1], twist[2]

@@ -94,7 +94,6 @@ def test_a_result_that_ruckig_does_not_know_is_one_error(monkeypatch: pytest.Mon
     for begin in (
         lambda: JointMove(here, (0.2, -0.5, 0.2), JointLimits.of(ARM)),
         lambda: Jogging(LIMITS, INVERSE, ANYWHERE).ask(0.0, JointSpeeds((0.1, 0.0, 0.0)), here),
-        lambda: Jogging(LIMITS, INVERSE, ANYWHERE).ask(0.0, TipVelocity((0.1, 0.0, 0.0)), here),
     ):
         with pytest.raises(MotionError, match="there is no jerk-limited motion") as error:
             begin()
@@ -122,7 +121,8 @@ def test_the_tip_goes_straight_and_no_faster_than_its_limit():
     tips = hand.tips()
     steps = [math.dist(a, b) / PERIOD_S for a, b in pairwise(tips)]
     assert max(steps) == pytest.approx(0.25, rel=1e-6)
-    assert max(math.hypot(x - tips[0][0], y - tips[0][1]) for x, y, _ in tips) < 1e-8
+    # one Newton step a cycle: what 0.5 mm of way curve in it, at 0.25 m/s
+    assert max(math.hypot(x - tips[0][0], y - tips[0][1]) for x, y, _ in tips) < 1e-6
     assert tips[-1][2] > 0.25
     assert hand.jogging.is_over
 
@@ -159,10 +159,10 @@ def test_before_a_stretched_pose_the_tip_slows_down_and_stops_in_words(speed_m_s
     hand.ask(TipVelocity((speed_m_s, 0.0, 0.0)))
     hand.hold(0.6 / speed_m_s)
     assert "the jog stopped: " in hand.jogging.limited
-    assert "singular pose" in hand.jogging.limited or "out of reach" in hand.jogging.limited
+    assert "singular pose" in hand.jogging.limited
     assert max(map(abs, hand.state.speed_rad_s)) < 1e-9
     shoulder_m = math.dist(TIP(*hand.state.q_rad), (0.0, 0.0, 0.076))
-    assert 0.74 < shoulder_m < 0.7545  # the upper arm's 0.4 m and the forearm's 0.3543 m
+    assert 0.74 < shoulder_m < 0.7540  # the upper arm's 0.4 m and the forearm's 0.3543 m
     fastest = max(max(map(abs, state.speed_rad_s)) for state in hand.states)
     assert fastest <= 0.95 * 2.0
     hand.ask(TipVelocity((-speed_m_s, 0.0, 0.0)))
@@ -194,19 +194,16 @@ def test_a_step_out_of_range_or_reach_is_refused_and_nothing_moves():
     assert hand.state.q_rad == (0.0, 0.7, 0.0)
 
 
-def test_a_singular_pose_lets_joints_be_jogged_and_says_so():
-    hand = Hand((0.0, -0.5, math.pi / 2 - 0.04))
-    hand.guards = [*GUARDS[:2], replace(GUARDS[2], upper_rad=1.7)]
-    hand.jogging = Jogging(*with_elbow_to(1.7), ANYWHERE)
-    with pytest.raises(ArmError, match=r"nearly stretched .* jog joints away"):
-        hand.ask(TipVelocity((-0.1, 0.0, 0.0)))
-    hand.ask(JointStep(2, -0.2, 1.0))
-    hand.hold(1.0)
-    assert hand.jogging.is_over
-    hand.jogging = Jogging(*with_elbow_to(1.7), ANYWHERE)
-    hand.ask(TipVelocity((-0.1, 0.0, 0.0)))
-    hand.hold(0.5)
-    assert hand.jogging.limited == ""
+def test_from_a_nearly_stretched_pose_the_tip_can_be_jogged_back_but_not_on():
+    for speed_m_s, moves in ((0.02, False), (-0.02, True)):
+        hand = Hand((0.0, -1.5, math.pi / 2 - 0.04))
+        hand.guards = [*GUARDS[:2], replace(GUARDS[2], upper_rad=1.7)]
+        hand.jogging = Jogging(*with_elbow_to(1.7), ANYWHERE)
+        start = TIP(*hand.state.q_rad)
+        hand.ask(TipVelocity((speed_m_s, 0.0, 0.0)))
+        hand.hold(1.0)
+        assert ("the jog stopped: " in hand.jogging.limited) != moves
+        assert (start[0] - TIP(*hand.state.q_rad)[0] > 0.01) == moves
 
 
 def test_the_tip_does_not_cross_axis_1():

@@ -141,11 +141,27 @@ def test_two_joints_jog_on_the_surface_that_they_reach() -> None:
     assert way[-1, 2] > 0.005
 
 
-def test_three_joints_say_that_their_tip_does_not_turn_by_itself() -> None:
-    arm = RIGHT
+@pytest.mark.parametrize("arm", [TWO, RIGHT], ids=lambda arm: arm.name)
+def test_two_and_three_joints_say_that_their_tip_does_not_turn_by_itself(arm: Arm) -> None:
     jogging = Jogging(JogLimits.of(arm), InverseKinematics(arm), Guard(arm, JointLimits.of(arm)))
-    with pytest.raises(ArmError, match="3 joints cannot turn its tip"):
-        jogging.ask(0.0, TipVelocity(STILL, (0.1, 0.0, 0.0)), at_rest((0.0, -0.6, 0.2)))
+    with pytest.raises(ArmError, match=f"{arm.joint_count} joints cannot turn its tip"):
+        jogging.ask(0.0, TipVelocity(STILL, (0.1, 0.0, 0.0)), at_rest((0.0, -0.6, 0.2)[: arm.joint_count]))
+
+
+@pytest.mark.parametrize("arm", [FOUR, SIX, SEVEN], ids=lambda arm: arm.name)
+def test_an_arm_jogged_out_until_it_stops_can_be_jogged_back(arm: Arm) -> None:
+    """At a stretched arm itself no joint moves the tip inwards; the jog stops before."""
+    hand = Hand(arm)
+    x, y, _ = hand.poses.batch([hand.state.q_rad]).position_m[0]
+    out = 0.15 / math.hypot(x, y)
+    hand.ask(TipVelocity((out * x, out * y, 0.0)))
+    hand.hold(8.0)
+    assert "the jog stopped: " in hand.jogging.limited
+    there, _ = hand.moved()
+    hand.ask(TipVelocity((-out * x, -out * y, 0.0)))
+    hand.hold(1.0)
+    back, _ = hand.moved()
+    assert np.linalg.norm(back[-1] - there[-1]) > 0.05
 
 
 def test_through_a_singular_pose_the_jog_is_slowed_and_goes_on() -> None:
@@ -193,13 +209,12 @@ def test_whatever_is_asked_for_every_set_point_is_inside_all_limits(arm: Arm) ->
     draw, hand = random.Random(3), Hand(arm)
     for _ in range(5):
         some = [draw.uniform(-0.3, 0.3) for _ in range(6)]
-        request: JogRequest = draw.choice(
-            [
-                TipVelocity((some[0], some[1], some[2]), (some[3], some[4], some[5]), draw.random() < 0.5),
-                TipVelocity((some[0], some[1], some[2])),
-                TipStep(draw.randrange(6), draw.uniform(-0.2, 0.2), draw.uniform(0.01, 0.5), draw.random() < 0.5),
-            ]
-        )  # fmt: skip
+        if arm.joint_count < 4:  # it has no joints to turn its tip
+            some[3:] = [0.0] * 3
+        ways = TipVelocity((some[0], some[1], some[2]), (some[3], some[4], some[5]), draw.random() < 0.5)
+        axis = draw.randrange(3 if arm.joint_count < 4 else 6)
+        step = TipStep(axis, draw.uniform(-0.2, 0.2), draw.uniform(0.01, 0.5), draw.random() < 0.5)
+        request: JogRequest = draw.choice((ways, replace(ways, turn_rad_s=STILL), step))
         hand.ask(request)
         hand.hold(0.4)
     for before, after in pairwise(hand.states):
