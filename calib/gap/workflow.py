@@ -137,7 +137,7 @@ def find_gap(
     if log is not None:
         base = split or 0.0
         tried = [name for name in EFFECTS if name not in without] if without else None
-        shaped = arm if static is None else static.fitted_arm
+        arm, shaped = (arm, arm) if static is None else (static.arm, static.fitted_arm)
         dynamic = examine(shaped, log, lambda what, done: advance(what, base + (1.0 - base) * done), tried)
     if static is None and dynamic is None:
         raise CalibrationError("gap: expected static poses, time series, or both; got neither")
@@ -204,7 +204,7 @@ def _updated(arm: Arm, found: GapOutcome) -> Arm:
     }
     file = found.static.file
     kept = [one for one in file.effects if EffectName(one.effect, one.joint) not in taken_back]
-    own = [one for one in arm.effects if EffectName(one.effect, one.joint) in taken_back]
+    own = [one for one in found.static.arm.effects if EffectName(one.effect, one.joint) in taken_back]
     return updated_arm(dataclasses.replace(file, drives=arm.drives, effects=(*kept, *own)), found.finding)
 
 

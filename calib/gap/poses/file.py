@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
 from calib.arm_problem.joint_effects import resting_points
-from calib.arm_problem.joint_laws import LAWS
+from calib.arm_problem.joint_laws import DRIFT, LAWS
 from calib.arm_problem.measured_maps import node_values, spline_columns
 from calib.arrays import Mask
 from calib.calibration.calibrate import CalibrationPlan, identified
@@ -79,12 +79,13 @@ class File:
         def identify(
             begun: Arm, own: Mapping[EffectName, Parameters], is_free: bool
         ) -> tuple[Identification, Arm]:
-            begun = with_totals(begun, [effect_of(name, found) for name, found in own.items() if found])
-            keys = [
-                name.effect if name.joint is None else f"{name.effect}:{name.joint}"
-                for name in own
-                if is_free and (own[name] or name in beside) and name.effect in LAWS
+            sought = [
+                name for name in own if is_free and (own[name] or name in beside) and name.effect in LAWS
             ]
+            # what poses do not determine stays as the given arm has it, as `calibrate` leaves it
+            stated = [name for name in own if own[name] and (name not in sought or name.effect == DRIFT)]
+            begun = with_totals(begun, [effect_of(name, own[name]) for name in stated])
+            keys = [name.effect if name.joint is None else f"{name.effect}:{name.joint}" for name in sought]
             choice = Choice(effects=tuple(keys), freed=freed).for_points(begun, points)
             plan = (
                 CalibrationPlan(choice)
