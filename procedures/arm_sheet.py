@@ -146,7 +146,7 @@ def _torques(arm: Arm, q: Array, payload_kg: float) -> Array | None:
         dynamics = Dynamics(arm, payload_kg)
     except MissingModel:
         return None
-    return dynamics.torques(q, 0.0 * q, 0.0 * q)
+    return dynamics.gravities(q)
 
 
 def _joint(arm: Arm, joint: int, q: Array, gravity: Array | None) -> JointFigures:

@@ -27,14 +27,12 @@ from calib.arrays import Array
 from calib.design.candidates import joint_box
 from calib.points.points import Points
 from calib.trust.flanks import Gears, even_odds
-from control.dynamics.dynamics import Dynamics
 from control.dynamics.static_pose import (
     CURRENT_NOISE_A,
     ROUNDING_Nm,
     gravity_Nm,
     known_torque_per_A,
     resting,
-    statics_of,
 )
 from control.errors import MissingModel
 from control.model.arm import Arm
@@ -124,9 +122,8 @@ class Discrepancy:
         self._centre, self._travel = 0.5 * (lower + upper), 0.5 * (upper - lower)
         rng = np.random.default_rng(SEED)
         sample = lower + (upper - lower) * rng.random((SAMPLE, len(lower)))
-        self._statics = _statics_of(arm)
         self.odds = even_odds(arm.joint_count)
-        self._load_Nm = _largest_load_Nm(arm, sample, self._statics)
+        self._load_Nm = _largest_load_Nm(arm, sample)
         self._bending = self._bending_scales(sample)
         self._waves, self._phases = _field_waves(arm, rng)
         blocks = list(self._blocks(Conditions.of(sample[:2]), arm.dh, self._model.nominal_tool_m))
@@ -203,7 +200,7 @@ class Discrepancy:
     def _gears(self, at: Conditions) -> tuple[Array, Array]:
         """Gravity torque over the largest, and the mean of the gear's flank, (m, n) each."""
         found = self._at_rest(at)
-        if found is None or self._load_Nm is None:
+        if found is None:
             return np.zeros(at.q_rad.shape), np.sign(at.direction)
         flank = found.expected() if at.flank is None else at.flank
         return self._loads(found), flank
@@ -215,11 +212,10 @@ class Discrepancy:
 
     def _at_rest(self, at: Conditions) -> Gears | None:
         """The state of the gears; None without masses."""
-        if self._statics is None:
+        if self._load_Nm is None:
             return None
-        moving_Nm = 0.0 if at.moving_Nm is None else at.moving_Nm
-        arm, statics = self._arm, self._statics
-        state = resting(arm, at.q_rad, at.direction, at.current_A, at.payload_kg, moving_Nm, statics)
+        arm, moving_Nm = self._arm, 0.0 if at.moving_Nm is None else at.moving_Nm
+        state = resting(arm, at.q_rad, at.direction, at.current_A, at.payload_kg, moving_Nm)
         return Gears(state, self.odds, CURRENT_NOISE_A * np.nan_to_num(known_torque_per_A(arm)))
 
     def knowing(self, odds: Array) -> Discrepancy:
@@ -278,18 +274,12 @@ class Discrepancy:
         return np.asarray(np.einsum("mw,ij->miwj", features, np.eye(3)).reshape(len(tips_m), 3, -1))
 
 
-def _statics_of(arm: Arm) -> Dynamics | None:
+def _largest_load_Nm(arm: Arm, sample: Array) -> Array | None:
+    """The largest gravity torque of each joint (n,) over the travel, 0 of an upright axis; None without masses."""
     try:
-        return statics_of(arm)
+        largest = np.abs(gravity_Nm(arm, sample)).max(axis=0)
     except MissingModel:
         return None
-
-
-def _largest_load_Nm(arm: Arm, sample: Array, statics: Dynamics | None) -> Array | None:
-    """The largest gravity torque of each joint (n,) over the travel, 0 of an upright axis; None without masses."""
-    if statics is None:
-        return None
-    largest = np.abs(gravity_Nm(arm, sample, dynamics=statics)).max(axis=0)
     return np.where(largest > ROUNDING_Nm, largest, 0.0)
 
 

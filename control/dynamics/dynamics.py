@@ -82,6 +82,18 @@ class Dynamics:
             result[:, joint] = column
         return result
 
+    def gravities(self, q: ArrayLike, payload_kg: ArrayLike | None = None) -> Array:
+        """Return the torques (m, n) that hold the arm still in poses (m, n), with payloads as in `torques`.
+
+        Computed on arrays: without speeds little is left to do, and arms that differ by a hair would each be traced and compiled.
+        """
+        poses, still = checked_poses(q, self.joint_count), [0.0] * self.joint_count
+        payload = np.asarray(self.payload_kg if payload_kg is None else payload_kg, dtype=np.float64)
+        result = np.empty(poses.shape)
+        for joint, column in enumerate(self._torques(list(poses.T), still, still, self._gravity, payload)):
+            result[:, joint] = column
+        return result
+
     def mass_matrices(self, q: ArrayLike) -> Array:
         """Return the mass matrices (m, n, n) [kg m^2] of poses (m, n)."""
         poses = checked_poses(q, self.joint_count)

@@ -66,17 +66,15 @@ def resting(
     current_A: ArrayLike | None = None,
     payload_kg: ArrayLike = 0.0,
     moving_Nm: ArrayLike = 0.0,
-    dynamics: Dynamics | None = None,
 ) -> RestingPose:
     """The state of the gears at joint angles q_rad (m, n).
 
     direction (m, n): sign of each joint's last motion, 0 unknown; current_A (m, n) of the motors while they hold, NaN
-    unknown; payload_kg (m,), or one for all; moving_Nm (m, n): what a moving arm's links need beyond gravity; dynamics:
-    `statics_of` this arm, if the caller has it already. MissingModel if the arm's file lacks masses; of a joint without a
-    [[drive]] nothing but its gravity is known.
+    unknown; payload_kg (m,), or one for all; moving_Nm (m, n): what a moving arm's links need beyond gravity. MissingModel if
+    the arm's file lacks masses; of a joint without a [[drive]] nothing but its gravity is known.
     """
     q, last = np.asarray(q_rad, dtype=np.float64), np.asarray(direction, dtype=np.float64)
-    gravity = gravity_Nm(arm, q, payload_kg, dynamics) + np.asarray(moving_Nm, dtype=np.float64)
+    gravity = gravity_Nm(arm, q, payload_kg) + np.asarray(moving_Nm, dtype=np.float64)
     current = np.full(q.shape, np.nan) if current_A is None else np.asarray(current_A, dtype=np.float64)
     held = current * known_torque_per_A(arm) - gravity
     level, is_known = friction_Nm(arm, held, gravity)
@@ -93,22 +91,13 @@ def resting(
     return RestingPose(gravity, assumed, np.where(is_led, led, driven), leaning, is_led)
 
 
-def gravity_Nm(
-    arm: Arm, q_rad: ArrayLike, payload_kg: ArrayLike = 0.0, dynamics: Dynamics | None = None
-) -> Array:
+def gravity_Nm(arm: Arm, q_rad: ArrayLike, payload_kg: ArrayLike = 0.0) -> Array:
     """Torques (m, n) that hold the links still in poses (m, n), including the arm's effects that add mass.
 
-    `dynamics`: `statics_of` this arm, if the caller has it already.
+    MissingModel without masses.
     """
-    q = np.asarray(q_rad, dtype=np.float64)
-    still = np.zeros(q.shape)
     load_kg = np.asarray(payload_kg, dtype=np.float64) + own_payload_kg(arm)
-    return (dynamics or statics_of(arm)).torques(q, still, still, load_kg)
-
-
-def statics_of(arm: Arm) -> Dynamics:
-    """What gravity torques come from; made once, it is much faster than made anew. MissingModel without masses."""
-    return Dynamics(with_link_inertia(arm))
+    return Dynamics(with_link_inertia(arm)).gravities(q_rad, load_kg)
 
 
 def moving_Nm(
@@ -117,9 +106,8 @@ def moving_Nm(
     """What the links of a moving arm need beyond gravity [N m], (m, n): what gears transmit. MissingModel without masses."""
     links = Dynamics(links_alone(arm))
     load_kg = np.asarray(payload_kg, dtype=np.float64) + own_payload_kg(arm)
-    still = np.zeros(q_rad.shape)
     moving = links.torques(q_rad, speed_rad_s, acceleration_rad_s2, load_kg)
-    return np.asarray(moving - links.torques(q_rad, still, still, load_kg))
+    return np.asarray(moving - links.gravities(q_rad, load_kg))
 
 
 def torque_per_A(arm: Arm) -> Array:

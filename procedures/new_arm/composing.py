@@ -229,6 +229,6 @@ def _effort(arm: Arm, q: Array) -> Array:
     """Gravity torques relative to the largest of each joint, summed."""
     if not any(link.mass_kg for link in arm.links):
         return np.zeros(len(q))
-    torques = np.abs(Dynamics(arm).torques(q, 0.0 * q, 0.0 * q))
+    torques = np.abs(Dynamics(arm).gravities(q))
     total: Array = (torques / max(float(torques.max()), 1e-9)).sum(axis=1)
     return total

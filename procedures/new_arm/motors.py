@@ -130,7 +130,7 @@ def loads(arm: Arm, ranges: Sequence[tuple[float, float]]) -> tuple[JointLoad, .
     q = np.random.default_rng(0).uniform(low, high, (POSES, arm.joint_count))
     q[0] = np.clip(0.0, low, high)
     dynamics = Dynamics(arm)
-    torques = np.abs(dynamics.torques(q, 0.0 * q, 0.0 * q)).max(axis=0)
+    torques = np.abs(dynamics.gravities(q)).max(axis=0)
     inertias = np.diagonal(dynamics.mass_matrices(q), axis1=1, axis2=2).max(axis=0)
     return tuple(JointLoad(float(t), float(j)) for t, j in zip(torques, inertias, strict=True))
 

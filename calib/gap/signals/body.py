@@ -82,7 +82,7 @@ class BodyTorques:
         """The mass matrix with rotors (n, n) in the middle of poses (m, n)."""
         still, dynamics = np.zeros_like(q), self.dynamics(Load())
         payload = np.full(len(q), payload_kg)
-        held = dynamics.torques(q, still, still, payload)
+        held = dynamics.gravities(q, payload)
         columns = [dynamics.torques(q, still, still + axis, payload) - held for axis in np.eye(q.shape[1])]
         return np.asarray(np.linalg.inv(np.linalg.inv(np.stack(columns, axis=2)).mean(axis=0)))
 

@@ -63,6 +63,7 @@ def test_torques_and_mass_matrix_are_those_of_mujoco(arm: Arm, payload_kg: float
     source = np.random.default_rng(1)
     q, speed, push = source.uniform(-2, 2, (3, 10, arm.joint_count))
     batch = dynamics.torques(q, speed, push)
+    still = dynamics.gravities(q)
     matrices = dynamics.mass_matrices(q)
     for i in range(len(q)):
         data.qpos, data.qvel, data.qacc = q[i], speed[i], push[i]
@@ -79,6 +80,7 @@ def test_torques_and_mass_matrix_are_those_of_mujoco(arm: Arm, payload_kg: float
         data.qvel, data.qacc = 0.0, 0.0
         mujoco.mj_inverse(model, data)
         assert dynamics.gravity(q[i].tolist()) == pytest.approx(data.qfrc_inverse, abs=SMALL)
+        assert still[i] == pytest.approx(data.qfrc_inverse, abs=SMALL)
 
 
 def _potential_J(arm: Arm, q: np.ndarray) -> float:
@@ -128,8 +130,10 @@ def test_a_payload_can_differ_from_row_to_row() -> None:
     dynamics = Dynamics(RIGHT)
     q = np.random.default_rng(5).uniform(-1, 1, (3, 3))
     rows = dynamics.torques(q, q, q, [0.0, 0.5, 1.0])
-    for row, pose, payload in zip(rows, q.tolist(), (0.0, 0.5, 1.0), strict=True):
+    still = dynamics.gravities(q, [0.0, 0.5, 1.0])
+    for row, held, pose, payload in zip(rows, still, q.tolist(), (0.0, 0.5, 1.0), strict=True):
         assert row == pytest.approx(Dynamics(RIGHT, payload).inverse(pose, pose, pose))
+        assert held == pytest.approx(Dynamics(RIGHT, payload).gravity(pose), abs=1e-12)
 
 
 def test_missing_masses_are_named_and_only_when_dynamics_is_asked_for() -> None:
