@@ -53,17 +53,21 @@ def test_the_bridge_of_a_board_that_cannot_go_on_is_off_before_its_watchdog_rese
     )  # fmt: skip
     said = subprocess.run([str(program)], capture_output=True, text=True, check=True, timeout=30).stdout
     assert said.splitlines() == [
+        "writes to a timer before its clock: 0",
         "reset flags 00: cause 0",
         "reset flags 07: cause 1",
         "reset flags 02: cause 2",
         "reset flags 12: cause 3",
         "reset flags 03: cause 4",
         "reset flags 0a: cause 5",
+        "brown-out reset: level 0, written 1",
         "at power-up: state 00, enable 1, MOE 1, duty 0 0",
         "at 6 V: state 27, enable 1, MOE 1, duty 4201 3151",
         "0.5 ms without the fast loop: state 27, enable 0, MOE 0, duty 4201 3151",
         "stuck, and the watchdog unfed",
         "a fault of the processor: state 27, enable 0, MOE 0, duty 4201 3151",
+        "stuck, and the watchdog unfed",
+        "3.3 V below 2.9 V: state 27, enable 0, MOE 0, duty 4201 3151",
         "stuck, and the watchdog unfed",
         "emergency stop, the fast loop stalled: state 0f, enable 1, MOE 0, duty 4201 3151",
     ]
