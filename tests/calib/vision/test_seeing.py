@@ -62,6 +62,16 @@ def test_corners_of_rendered_pictures_are_found_to_a_fraction_of_a_pixel_without
     )  # a target that looks too large looks too near
 
 
+@pytest.mark.parametrize("seed", [3, 29, 56])
+def test_a_tag_in_full_view_is_found_from_near_too(seed: int) -> None:
+    """Pictures from 0.12 to 0.2 m in which OpenCV's search by contours misses it."""
+    rng = np.random.default_rng(seed)
+    pose = drawn_pose(rng, tilt=0.3, near=0.12, far=0.2)
+    found = TAG.find(picture(TAG, pose, rng))
+    assert len(found) == 4
+    assert np.abs(found.picture_px - lens_of().project(pose.of(found.target_m))).max() < 3.0
+
+
 def test_sharpness_tells_blur_and_contrast() -> None:
     rng = np.random.default_rng(2)
     pose = drawn_pose(rng, tilt=0.1, near=0.3, far=0.31)
