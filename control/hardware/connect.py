@@ -147,7 +147,7 @@ def _add_reference(
 ) -> None:
     """Put the reference boards before the others: what they have received waits in the kernel, and is read first."""
     counters = [
-        ReferenceEncoders(board, channels, clock, period_s)
+        ReferenceEncoders(board, channels, clock, period_s, arm.limits.stale_s)
         for index, board in enumerate(encoders)
         if (channels := _channels(arm, index))
     ]

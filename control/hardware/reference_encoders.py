@@ -7,7 +7,9 @@ from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import BoardSilent, MisuseError
 
-REPORT_WAIT_S = 0.05  # a stream runs at 500 Hz or more; only a pause of the host lasts longer
+REPORT_WAIT_S = (
+    0.05  # a stream runs at 500 Hz or more, and hosts pause for some 40 ms; longer where stale_s is
+)
 
 
 def start_stream(encoder: EncoderBoard, period_s: float) -> None:
@@ -24,9 +26,9 @@ class ReferenceEncoders:
     is_asked = False
 
     def __init__(
-        self, board: EncoderBoard, channels: Mapping[int, int], clock: Clock, period_s: float
+        self, board: EncoderBoard, channels: Mapping[int, int], clock: Clock, period_s: float, stale_s: float
     ) -> None:
-        """`channels`: the channel of each joint."""
+        """`channels`: the channel of each joint. `stale_s`: how long the arm bears a silent board."""
         self.joints = tuple(channels)
         self._board = board
         self._channels = dict(channels)
@@ -35,6 +37,7 @@ class ReferenceEncoders:
         self._watched = sorted(channels.values())
         self._clock = clock
         self._period_s = period_s
+        self._wait_s = max(REPORT_WAIT_S, stale_s)
         self._serial_number = None if board.identity is None else board.identity.serial_number
 
     def await_counts(self, made_s: float, until_s: float) -> float:
@@ -62,12 +65,12 @@ class ReferenceEncoders:
     def fresh_count(self, joint: int) -> int:
         """The count of the next report. BoardSilent if there is none."""
         board, asked_s = self._board, self._clock.now_s()
-        while (now_s := self._clock.now_s()) - asked_s < REPORT_WAIT_S:
+        while (now_s := self._clock.now_s()) - asked_s < self._wait_s:
             self._clock.wait_until_s(now_s + 0.0005)
             board.update()
             if board.latest is not None and board.latest_at_s > asked_s:
                 return board.latest.counts[self._channels[joint]]
-        raise BoardSilent(f"{board.where}: no report for {REPORT_WAIT_S} s while a zero was set")
+        raise BoardSilent(f"{board.where}: no report for {self._wait_s:g} s while a zero was set")
 
     def arm_index(self, joint: int) -> None:
         """Arm the index latch of the joint."""
