@@ -24,8 +24,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.motion.guard import Guard
-from control.motion.jog_limits import JogLimits, reach_m
-from control.motion.joint_limits import JointLimits
+from control.motion.joint_limits import JogLimits, JointLimits, reach_m
 from control.server.client import RequestRefused
 from hil_mocks.scenario import load_scenario
 from procedures.folders import free_folder

@@ -18,8 +18,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, RegistrationError
-from calib.points.covariance import COVARIANCE
-from calib.points.points import ORIENTATION, TIP
+from calib.points.points import COVARIANCE, ORIENTATION, TIP
 from calib.points.reading import IMPORT
 from calib.points.writer import replace_file
 from control.files import parsed_json, read_text

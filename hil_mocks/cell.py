@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 import msgspec
+import mujoco
 
 from control.model.cell import Cell
 from firmware_iface.clock import Clock
@@ -21,15 +23,15 @@ from hil_mocks.devices.motor_inputs import Frame
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.in_process import CAN_INTERFACE, register
 from hil_mocks.in_process.line import SerialLine
-from hil_mocks.miswiring import as_built
-from hil_mocks.plant.build import Standing
-from hil_mocks.plant.parts import parts_of
-from hil_mocks.plant.plant import step_together
-from hil_mocks.plant.world import PlacedPlant, plants_of
+from hil_mocks.plant.build import PlantOptions, Standing, build, to_build
+from hil_mocks.plant.effects import PlantEffects
+from hil_mocks.plant.parts import ArmParts, parts_of
+from hil_mocks.plant.plant import Plant, step_together
 from hil_mocks.rig import ArmPorts, SteppedClock
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import Scenario, load_scenario
 from hil_mocks.wires import Picture, Wires
+from hil_mocks.wiring import as_built
 
 _rigs = itertools.count(1)  # a virtual bus is shared by all users of its channel in the process
 
@@ -178,3 +180,27 @@ class SteppedCell:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+# Plants of several arms in one world of MuJoCo.
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedPlant:
+    """What `plants_of` builds the plant of one arm from."""
+
+    arm: ArmParts
+    effects: PlantEffects
+    start_rad: Sequence[float]
+    options: PlantOptions
+    standing: Standing
+
+
+def plants_of(placed: Sequence[PlacedPlant]) -> list[Plant]:
+    """Plants of several arms in one world; `step_together` advances them."""
+    models = build([to_build(one.arm, one.effects, one.options, one.standing) for one in placed])
+    state = mujoco.MjData(models[0].model)
+    return [
+        Plant(one.arm, one.effects, one.start_rad, one.options, (at, state))
+        for one, at in zip(placed, models, strict=True)
+    ]

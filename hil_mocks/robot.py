@@ -14,20 +14,18 @@ from functools import partial
 from control.model.description import Arm
 from firmware_iface.link import CanFormat
 from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
-from hil_mocks.bought import Bought
-from hil_mocks.bought_can import PlantState
+from hil_mocks.bought import Bought, PlantState
 from hil_mocks.devices.board_faults import switch_encoder_board, switch_motor_board
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, Output
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import CanOut, FaultPlan, FaultyFrames, Frames, check_fault
 from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
-from hil_mocks.miswiring import LOOSE_PART, LooseCoupling, MotorWires, as_built
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import tool_parts
 from hil_mocks.plant.plant import Plant
 from hil_mocks.scenario import FaultTable, Scenario
 from hil_mocks.wires import Picture
-from hil_mocks.wiring import Channels, wiring_of
+from hil_mocks.wiring import LOOSE_PART, Channels, LooseCoupling, MotorWires, as_built, wiring_of
 
 _SLACK_S = 1e-9  # rounding of sums of ticks
 

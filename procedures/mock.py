@@ -32,8 +32,7 @@ from control.model.arm import Arm, Camera, CanBus, EncoderBoardPort, Vector3
 from control.model.can_bus import usual_rate_Hz
 from control.model.cell import Cell, Placed
 from control.model.description import arm_text, save_arm
-from control.recording.layout import about_cell, about_columns, layout_of
-from control.recording.record import FileSink
+from control.recording.record import FileSink, about_cell, about_columns, layout_of
 from control.server.assemble import CellAssembly, assemble, assemble_cell
 from control.server.channel import RuntimeGone, SocketChannel
 from control.server.client import ArmClient

@@ -14,8 +14,7 @@ from console.main import parser
 from control.model.board_kinds import KINDS
 from control.model.effects import EFFECTS, parameter_names
 from control.model.reference import sections
-from control.recording.layout import END_FIELDS
-from control.recording.record import Layout
+from control.recording.record import END_FIELDS, Layout
 from control.tables import documented
 from firmware_iface.installation import PACKAGES
 

@@ -30,7 +30,7 @@ from calib.arm_import import arm_links, read_arm
 from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array, norms
 from calib.boards import best_motion
-from calib.calibration.base_points import points_in_base
+from calib.calibration.calibrate import points_in_base
 from calib.design.candidates import joint_box, spread_poses
 from calib.export import export_text
 from calib.studies.cluster import executor
@@ -43,9 +43,8 @@ from calib.vision.sightings import look_for
 from calib.vision.targets import Charuco
 from control.errors import ArmError
 from control.model.arm import Arm, Camera, Tool
-from hil_mocks.arm_pictures import FramePose, PicturedArm, looking_at
+from hil_mocks.arm_pictures import FramePose, PicturedArm, Webcam, looking_at
 from hil_mocks.scenario import EveryJoint, Scenario, load_scenario
-from hil_mocks.webcam import Webcam
 from procedures.demo.webcam import DOTS_A_METRE, MARGIN_m, is_inside, photograph_board
 from procedures.mock import scenario_bytes
 

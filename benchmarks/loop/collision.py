@@ -14,8 +14,7 @@ import numpy as np
 
 from benchmarks.table import BenchRow, compared
 from control.model.cell import Cell, load_cell
-from control.safety.body import ArmBody, Capsules, pairs_between
-from control.safety.collision import Capsule, least_gap
+from control.safety.collision import ArmBody, Capsule, Capsules, least_gap, pairs_between
 
 POSES, ROUNDS, SEED = 2000, 5, 1
 LIMIT_us = 60.0

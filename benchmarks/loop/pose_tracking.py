@@ -10,13 +10,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.arms import SIX
+from benchmarks.arms import SIX, circle_in_place
 from benchmarks.table import BenchRow
-from benchmarks.tip_paths import circle_in_place
 from control.hardware.connect import connect
 from control.kinematics import rotation
-from control.kinematics.kinematics import ForwardKinematics
-from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.motion.plan import plan_path
 from control.safety.table import Mode
 from control.server.assemble import assemble

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.arms import SEVEN, SIX
+from benchmarks.arms import SEVEN, SIX, circle_in_place
 from benchmarks.peers.peer import Peer, PeerMissing
 from benchmarks.table import BenchRow, compared, seconds_a_call
-from benchmarks.tip_paths import circle_in_place
-from control.kinematics.kinematics import ForwardKinematics
-from control.kinematics.pose_kinematics import PoseKinematics, Poses
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics, Poses
 from control.kinematics.pose_solver import ACCURACY, Targets, solve, task_of
 from control.motion.plan import plan_path
 

@@ -15,8 +15,7 @@ from benchmarks.table import BenchRow
 from control.hardware.connect import connect
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
-from control.recording.layout import layout_of
-from control.recording.record import Layout, NoSink
+from control.recording.record import Layout, NoSink, layout_of
 from control.safety.table import Mode
 from control.server.assemble import assemble
 from control.server.client import ArmClient

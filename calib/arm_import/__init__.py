@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from calib.arm_import.links import arm_links, friction_effects
-from calib.arm_import.serial import SerialArm, serial_arm
-from calib.arm_import.tree import Tree
+from calib.arm_import.tree import SerialArm, Tree, serial_arm
 
 __all__ = ["FORMS", "SerialArm", "arm_links", "friction_effects", "read_arm"]
 

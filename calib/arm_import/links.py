@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calib.arm_import.dh_rows import Row, dh_rows, frames_at_zero
-from calib.arm_import.serial import SerialArm
-from calib.arm_import.tree import Mass
+from calib.arm_import.tree import Mass, SerialArm
 from calib.arrays import Array
 from control.model.arm import Convention, Effect, Link, Vector3
 from control.model.rules import PART_NAME

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.arrays import Array
 from control.kinematics import chain
-from control.kinematics.chain_jacobian import TipSlopes, tip_slopes
+from control.kinematics.chain import TipSlopes, tip_slopes
 from control.model.arm import Arm
 
 

@@ -10,13 +10,13 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, rotation_of
 from calib.arm_problem.joint_effects import (
+    FOLLOW_LOADS,
     corrections,
     effect_key,
     known_corrections,
     resting_points,
     with_effects,
 )
-from calib.arm_problem.joint_laws import FOLLOW_LOADS
 from calib.arm_problem.link_bending import FLEXURE, known_bending
 from calib.arm_problem.observations import Correction, Observations
 from calib.arm_problem.parameters import Bounds
@@ -25,8 +25,7 @@ from calib.arm_problem.problem import TOOL_NAMES, ArmProblem, ModelValues
 from calib.arm_problem.starts import started_tool, with_started_frames
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError, UnusablePointsError
-from calib.points.covariance import matrices_of
-from calib.points.points import Points
+from calib.points.points import Points, matrices_of
 from control.kinematics.rotation import matrices
 from control.model.arm import Arm, Effect
 from control.model.table import SETUPS, board_cavities, board_origin, board_rotation, table_of

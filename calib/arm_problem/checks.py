@@ -9,11 +9,9 @@ import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of, referenced
 from calib.arm_problem.misread.other_arm import doubts_of_arm
-from calib.arm_problem.misread.points import doubts_of_reading
-from calib.arm_problem.misread.turns import doubts_of_turns
+from calib.arm_problem.misread.points import AS_GIVEN, Doubt, doubts_of_reading, doubts_of_turns
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
-from calib.doubt import AS_GIVEN, Doubt
 from calib.errors import UnusablePointsError
 from calib.points.points import Points, seen_again
 from control.model.arm import Arm

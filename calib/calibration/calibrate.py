@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from calib.arm_problem.assembly import BASE, Choice, followed, problem_of, with_own_base
+from calib.arm_problem.assembly import BASE, CAMERA, Choice, followed, problem_of, with_own_base
 from calib.arm_problem.checks import require_usable, still_joints
 from calib.arm_problem.joint_effects import unclear_flanks, unphysical
 from calib.arm_problem.problem import ArmProblem
 from calib.arm_problem.weighted import usual_noise_m
-from calib.arrays import Array, Mask
+from calib.arrays import Array, Mask, frozen
 from calib.calibration.outcome import calibrated_arm
 from calib.errors import CalibrationError
 from calib.identify.identification import Identification, identify
 from calib.identify.objective import Objective, SumOfDistances
 from calib.identify.suspects import Suspects, find_suspects
 from calib.identify.tilted_axes import tilted_axes
-from calib.points.points import Points
+from calib.points.points import Points, matrices_of, triangles
 from calib.settling import Settling
 from calib.validation.holdout import HeldOut, Prediction, held_out
 from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
+from control.kinematics.rotation import matrices, quaternions
 from control.model.arm import Arm
 from control.model.table import board_cavities
 from control.progress import Advance, silent
@@ -200,3 +202,24 @@ def _held_out(
         return held_out(predicted, points, plan.leave_out, done), []
     except CalibrationError as error:
         return None, [f"no held-out error: {error}"]
+
+
+# Points that a camera measured, in the arm's base frame as a calibration found it: for commands that need them there.
+
+
+def points_in_base(made: Calibrated) -> Points | None:
+    """The points with tips, orientations and covariances turned from the camera's to the base frame; None for other points."""
+    frame, points = made.found.solution.frames[0], made.points
+    if frame.name != CAMERA:
+        return None
+    turned = np.array(points.orientation)
+    rows = np.isfinite(turned).all(axis=1)
+    turned[rows] = quaternions(frame.rotation @ matrices(turned[rows]))
+    spread = frame.rotation @ matrices_of(points.covariance.reshape(-1, 2, 6)) @ frame.rotation.T
+    return dataclasses.replace(
+        points,
+        tip_m=frozen(frame.to_base(points.tip_m)),
+        orientation=frozen(turned),
+        covariance=frozen(triangles(spread).reshape(-1, 12)),
+        extra={name: column for name, column in points.extra.items() if name != "frame"},
+    )

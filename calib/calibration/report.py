@@ -18,7 +18,7 @@ from calib.identify.estimates import Estimate
 from calib.identify.outliers import Outlier
 from calib.inputs import InputFile
 from calib.report.page import Section, bullets, paragraph, table
-from calib.report.report_data import ReportData
+from calib.report.report import ReportData
 from calib.report.report_sections import NO_EFFECT, frames_section, of_the_arm
 from calib.validation.holdout import HeldOut
 from calib.validation.statistics import mean_half_width

@@ -27,7 +27,7 @@ from calib.arm_problem.posed import inverse_jacobians
 from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_rad
 from calib.arrays import Array, frozen, norms
 from calib.closed_chain.contacts import Contacts
-from control.kinematics.chain_jacobian import TipSlopes
+from control.kinematics.chain import TipSlopes
 from control.kinematics.rotation import logarithms
 from control.model.arm import Arm
 

@@ -8,18 +8,132 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
+from calib.arrays import Array, frozen
 from calib.closed_chain.calibrate import PairPlan, choose_contacts
-from calib.closed_chain.candidates import DRAWN, Candidates, base_of, contact_candidates
 from calib.closed_chain.contacts import Contacts, contact_points
 from calib.closed_chain.pair_problem import PairProblem
+from calib.closed_chain.room import SharedRoom
+from calib.design.candidates import (
+    FREE_HEIGHT_M,
+    Mask,
+    body_points,
+    is_above_floor,
+    joint_box,
+    postures,
+    spread_poses,
+)
 from calib.errors import CalibrationError
 from calib.identify.determinability import Determinability, determinability
 from calib.identify.open_combinations import open_in_words
 from calib.points.writer import write_points
 from control.errors import ArmError
 from control.model.arm import Arm
-from control.model.cell import Cell
+from control.model.cell import Cell, Placed
+
+# Places where the tips of two arms of a cell can meet: both reach them, clear of each other, of themselves and of the floor.
+
+DRAWN = 6000  # poses of the first arm; one in ten gives a contact
+STARTS = 12  # from which postures of the second arm are searched
+LEVER = (
+    0.12  # of the reach, per rad: least way of the tip; 3 % of the reach are then made up for within 0.25 rad
+)
+CAVITY, APART = "cavity", "apart"  # setups of contacts in one place, and at a distance
+SEED = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """m contacts, and where each arm stands shortly before: (m, n1) and (m, n2) [rad]."""
+
+    contacts: Contacts
+    first_away_rad: Array
+    second_away_rad: Array
+
+    def chosen(self, rows: Sequence[int]) -> Candidates:
+        """Some of them, by index."""
+        keep = np.array(rows, dtype=np.intp)
+        return Candidates(
+            self.contacts.chosen(keep), frozen(self.first_away_rad[keep]), frozen(self.second_away_rad[keep])
+        )
+
+
+def base_of(cell: Cell, names: tuple[str, str]) -> Frame:
+    """Where the second arm's base stands in the base frame of the first, by the cell's file."""
+    one, two = (cell.placed(name) for name in names)
+    turn = np.array(one.rotation).T @ np.array(two.rotation)
+    return Frame(f"{two.name}_base", frozen(turn), frozen(np.array(one.in_base(two.origin_m))))
+
+
+def contact_candidates(
+    cell: Cell, names: tuple[str, str], distances_m: Sequence[float], drawn: int = DRAWN
+) -> Candidates:
+    """Contacts by the arms' own models: drawn poses of the first, and every posture of the second that reaches its tip.
+
+    The distances [m] between the tips take turns; 0 is one place. For the distances, directions are drawn (seeded).
+    """
+    one, two = (cell.placed(name) for name in names)
+    base, rng = base_of(cell, names), np.random.default_rng(SEED)
+    first = spread_poses(joint_box(one.arm), drawn)
+    first = first[_is_fit(one.arm, first)]
+    tips = ArmModel(one.arm).tips(one.arm.dh, first)
+    apart = np.resize(np.array(distances_m), len(first))
+    way = rng.normal(size=tips.shape)
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    goal = (tips + apart[:, None] * way - base.origin_m) @ base.rotation
+    near = np.linalg.norm(goal, axis=1) < _reach_m(two.arm)
+    first, apart, goal = first[near], apart[near], goal[near]
+    box = joint_box(two.arm)
+    second, which = postures(ArmModel(two.arm), goal, spread_poses(box, STARTS), box)
+    rows = _is_fit(two.arm, second)
+    return _clear(cell, (one, two), first[which[rows]], second[rows], apart[which[rows]])
+
+
+def _clear(cell: Cell, pair: tuple[Placed, Placed], first: Array, second: Array, apart: Array) -> Candidates:
+    """The contacts that are clear, that both arms can back off from, and to which there is a way from their rest poses."""
+    room = SharedRoom(cell, pair)
+    kept: list[int] = []
+    away: tuple[list[Sequence[float]], list[Sequence[float]]] = ([], [])
+    for row, (q1, q2) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        if not room.is_clear(q1, q2):
+            continue
+        off = room.backed_off((q1, q2))
+        if off is None or not room.is_clear(*off):
+            continue
+        if room.way(room.rest_rad, off) is not None:
+            kept.append(row)
+            away[0].append(off[0])
+            away[1].append(off[1])
+    contacts = Contacts(
+        tuple(f"c{k + 1}" for k in range(len(kept))),
+        tuple(CAVITY if apart[row] == 0.0 else APART for row in kept),
+        frozen(first[kept]),
+        frozen(second[kept]),
+        frozen(apart[kept]),
+    )
+    return Candidates(
+        contacts,
+        frozen(np.reshape(away[0], (len(kept), first.shape[1]))),
+        frozen(np.reshape(away[1], (len(kept), second.shape[1]))),
+    )
+
+
+def _is_fit(arm: Arm, q_rad: Array) -> Mask:
+    """Poses of which no part is near the floor and the tip well above it, away from where the tip cannot be moved one way."""
+    model = ArmModel(arm)
+    by_q = model.slopes(model.nominal_dh, q_rad).by_dh[:, :, list(model.theta_places)]
+    can_move = np.linalg.svd(by_q, compute_uv=False)[:, -1] >= LEVER * _reach_m(arm)
+    points = body_points(arm, q_rad)
+    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + FREE_HEIGHT_M
+    return np.asarray(can_move & is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m))
+
+
+def _reach_m(arm: Arm) -> float:
+    """More than the arm reaches from its base."""
+    lengths = np.abs(arm.dh[:, [0, 2]]).sum()
+    return float(lengths + np.linalg.norm(arm.tool.position_m))
+
 
 NOISE_m = 2e-4  # of a contact, to compare what contacts say with what is known of the arms
 

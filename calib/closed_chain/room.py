@@ -13,8 +13,7 @@ from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
-from control.safety.body import ArmBody, pairs_between
-from control.safety.collision import least_gap
+from control.safety.collision import ArmBody, least_gap, pairs_between
 
 MARGIN_m = 0.03  # beyond the cell's clearance: tips of uncalibrated arms are some 2 cm off
 AWAY_m = 0.04  # back along the last link, to where an arm moves before a hand brings its tip to the contact

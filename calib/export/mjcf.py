@@ -6,10 +6,19 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 
-from calib.export.drives import DriveFigures, joint_figures
-from calib.export.frames import ExportedLink, bodies_of, end_names, ends_m, tip_in_last
+from calib.export.frames import (
+    ExportedLink,
+    about,
+    bodies_of,
+    document,
+    end_names,
+    ends_m,
+    numbers,
+    safe,
+    tip_in_last,
+)
+from calib.export.losses import DriveFigures, joint_figures
 from calib.export.urdf import LEAST_LENGTH_m, mass_bounds, shape_radius_m
-from calib.export.xml_text import about, document, numbers, safe
 from control.model.arm import Arm, Vector3
 
 

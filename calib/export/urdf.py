@@ -5,9 +5,19 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 
-from calib.export.drives import DriveFigures, joint_figures
-from calib.export.frames import ExportedLink, bodies_of, end_names, ends_m, massless_joints, tip_in_last
-from calib.export.xml_text import about, document, numbers, safe
+from calib.export.frames import (
+    ExportedLink,
+    about,
+    bodies_of,
+    document,
+    end_names,
+    ends_m,
+    massless_joints,
+    numbers,
+    safe,
+    tip_in_last,
+)
+from calib.export.losses import DriveFigures, joint_figures
 from control.model.arm import Arm, Vector3
 
 LEAST_LENGTH_m = 1e-3  # shorter links get no shape

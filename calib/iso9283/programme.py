@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.iso9283.criteria.checks import Iso9283Error
-from calib.iso9283.cube import Point, TestCube, point_of
+from calib.iso9283.workspace import Point, TestCube, point_of
 
 PROGRAMMES = ("pose", "directions", "distance", "drift", "path", "cornering", "posing", "load", "weaving")
 AXES = ("x", "y", "z")

@@ -34,10 +34,10 @@ class Points:
     q_rad (m, n) from the encoders; tip_m (m, 3) in the base frame, NaN where not measured; direction (m, n)
     sign of each joint's last motion, 0 unknown; current_A (m, n), t_s (m,), payload_kg (m,): NaN where
     unknown. orientation (m, 4): unit quaternion w, x, y, z of the measured target in the same frame as tip_m, NaN where not
-    measured. covariance (m, 12): of the position and of the orientation, upper triangles as in calib.points.covariance, NaN where
+    measured. covariance (m, 12): of the position and of the orientation, upper triangles as in calib.points.points, NaN where
     unknown. `extra` holds columns beyond the format, as text. is_as_given: the user said that the file means what it says,
-    whatever it looks like (`calib.doubt`). began_s: when the recording began of which these are poses, by default the earliest
-    of them, NaN without times. lines (m,): of the poses in their file, for errors.
+    whatever it looks like (`calib.arm_problem.misread.points`). began_s: when the recording began of which these are poses, by
+    default the earliest of them, NaN without times. lines (m,): of the poses in their file, for errors.
     """
 
     setup: tuple[str, ...]
@@ -177,3 +177,35 @@ def joined(parts: Sequence[Points]) -> Points:
         began_s=began_s,
         lines=np.concatenate([part.lines for part in parts]),
     )
+
+
+# Covariances of measured poses as columns of a file: upper triangles, of the position and of the orientation's error.
+#
+# The orientation's error is the rotation vector e with R_measured = exp([e]) R_true, in the axes of the measuring frame.
+
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+POSITION = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_m2" for i, j in _PAIRS)
+TURN = tuple(f"cov_r{'xyz'[i]}r{'xyz'[j]}_rad2" for i, j in _PAIRS)
+COVARIANCE = (*POSITION, *TURN)
+
+
+def triangles(matrices: Array) -> Array:
+    """Upper triangles (..., 6) of symmetric matrices (..., 3, 3)."""
+    return np.stack([matrices[..., i, j] for i, j in _PAIRS], axis=-1)
+
+
+def matrices_of(triangle: Array) -> Array:
+    """Symmetric matrices (..., 3, 3) of upper triangles (..., 6)."""
+    found = np.empty((*triangle.shape[:-1], 3, 3))
+    for k, (i, j) in enumerate(_PAIRS):
+        found[..., i, j] = found[..., j, i] = triangle[..., k]
+    return found
+
+
+def is_covariance(triangle: Array) -> bool:
+    """Whether an upper triangle (6,) is of a positive definite matrix."""
+    try:
+        np.linalg.cholesky(matrices_of(triangle))
+    except np.linalg.LinAlgError:
+        return False
+    return True

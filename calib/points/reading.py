@@ -9,8 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors import PointsFileError
-from calib.points.covariance import COVARIANCE, POSITION, TURN, is_covariance
-from calib.points.points import ORIENTATION, TIP, Points, make_points
+from calib.points.points import (
+    COVARIANCE,
+    ORIENTATION,
+    POSITION,
+    TIP,
+    TURN,
+    Points,
+    is_covariance,
+    make_points,
+)
 from control.tables import (
     WHOLE_LARGEST,
     ColumnGroup,

@@ -15,8 +15,7 @@ from types import TracebackType
 import numpy as np
 
 from calib.errors import SessionError
-from calib.points.covariance import COVARIANCE
-from calib.points.points import ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points
+from calib.points.points import COVARIANCE, ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points
 from calib.points.reading import read_points
 from control.files import KeptLines, write_whole
 

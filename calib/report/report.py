@@ -7,13 +7,54 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-from calib.report.comparison_sections import calibration_section, paths_section, verification_section
+from calib.identify.identification import Identification
+from calib.inputs import InputFile
 from calib.report.page import Section, page, tiles, verdict
-from calib.report.report_data import ReportData
-from calib.report.report_sections import dh_section, done_section, inputs_section, parameters_section
+from calib.report.report_sections import (
+    calibration_section,
+    dh_section,
+    done_section,
+    inputs_section,
+    parameters_section,
+    paths_section,
+    verification_section,
+)
+from calib.validation.verify import Comparison, TrackPair
 from control.files import write_whole
+from control.model.arm import Arm
+
+# Data of a report: plain dataclasses filled in by the caller.
+
+UNUSED = "at points that calibration did not use"
+
+
+@dataclass(frozen=True, slots=True)
+class ReportData:
+    """The contents of report.html. Absent parts are omitted.
+
+    `verdict`: sentences at the top. `paths`: trajectories by the nominal and the calibrated model. `arms`: nominal
+    and calibrated, for the table of their DH parameters. `sections`: more of them, after the comparisons. `verified_at`: where
+    the verification was.
+    """
+
+    title: str
+    arm: str
+    date: str
+    program_version: str
+    steps: tuple[str, ...]
+    inputs: tuple[InputFile, ...] = ()
+    paths: tuple[TrackPair, ...] = ()
+    identification: Identification | None = None
+    calibration: Comparison | None = None
+    verification: Comparison | None = None
+    arms: tuple[Arm, Arm] | None = None
+    notes: tuple[str, ...] = ()
+    verdict: tuple[str, ...] = ()
+    sections: tuple[Section, ...] = ()
+    verified_at: str = UNUSED
 
 
 def write_report(path: Path, report: ReportData) -> None:

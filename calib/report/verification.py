@@ -10,8 +10,7 @@ from pathlib import Path
 
 from calib.arrays import Array, norms
 from calib.inputs import InputFile
-from calib.report.report import write_report
-from calib.report.report_data import UNUSED, ReportData
+from calib.report.report import UNUSED, ReportData, write_report
 from calib.validation.statistics import Difference, ErrorSummary, PairedFinding
 from calib.validation.verify import (
     ALL,

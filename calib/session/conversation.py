@@ -18,9 +18,8 @@ from calib.errors import RegistrationError, SessionError
 from calib.points.writer import Key, Record
 from calib.session.folder import SessionFolder, continues
 from calib.session.moves import ArmPort, Geometry, Vector
-from calib.session.plan import Target
+from calib.session.plan import AFTER, SessionState, Target, TargetEvent
 from calib.session.residual_watch import RecordVerdict
-from calib.session.state import AFTER, SessionState, TargetEvent
 from control.errors import ArmError
 from control.server.channel import RuntimeGone
 from control.server.client import ArmFaulted

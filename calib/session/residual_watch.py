@@ -16,7 +16,7 @@ from calib.arm_problem.assembly import base_frame_of
 from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array, norms
 from calib.boards import BoardPose, best_motion, pose_jacobian
-from control.kinematics.chain_jacobian import tips_and_dh_jacobian
+from control.kinematics.chain import tips_and_dh_jacobian
 from control.model.arm import Arm
 
 SUSPECT = 6.0  # standard deviations; for three normal errors beyond it is one record in ten million

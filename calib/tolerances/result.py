@@ -17,9 +17,9 @@ from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
 from calib.arrays import Array
 from calib.points.writer import replace_file
 from calib.studies.chunks import ChunkStore
-from calib.studies.figures import Z95, IntervalFigure, proportion, quantile
 from calib.tolerances.making import MadeArms
 from calib.tolerances.study import SHARE, STAGES, StudyDesign
+from calib.validation.statistics import Z95, IntervalFigure, proportion, quantile
 
 # What the study says: how accurate the arms are at each stage, and what each tolerance costs.
 

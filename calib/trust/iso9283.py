@@ -19,9 +19,9 @@ from calib.iso9283.criteria import pose
 from calib.iso9283.evaluate_poses import is_pose_setup
 from calib.iso9283.recorded import pose_groups
 from calib.points.points import Points
-from calib.studies.figures import IntervalFigure
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
+from calib.validation.statistics import IntervalFigure
 from control.model.arm import Arm
 
 DRAWS: Final = 400

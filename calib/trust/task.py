@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import Array
-from calib.studies.figures import proportion
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
+from calib.validation.statistics import proportion
 from control.dynamics.static_pose import moving_Nm
 from control.errors import MissingModel
 from control.kinematics.inverse import InverseKinematics

@@ -25,8 +25,7 @@ from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.identify.identification import Identification
 from calib.identify.suspects import Suspects
-from calib.points.covariance import POSITION
-from calib.points.points import Points, seen_again
+from calib.points.points import POSITION, Points, seen_again
 from calib.validation.holdout import HeldOut
 from calib.validation.statistics import mean_half_width
 from control.model.arm import Arm

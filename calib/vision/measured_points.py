@@ -11,8 +11,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.boards import MARKERS
 from calib.errors import VisionError
-from calib.points.covariance import COVARIANCE, triangles
-from calib.points.points import CAMERA_FRAME, ORIENTATION, Points, make_points
+from calib.points.points import CAMERA_FRAME, COVARIANCE, ORIENTATION, Points, make_points, triangles
 from calib.vision.poses import MeasuredPose
 from control.kinematics.rotation import quaternions
 

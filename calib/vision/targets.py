@@ -6,6 +6,7 @@ centre decouples the errors of position and orientation.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from calib.arrays import Array, frozen
 from calib.errors import VisionError
 from calib.points.points import ORIENTATION, TIP
 from calib.points.reading import IMPORT
+from calib.points.writer import replace_file
 from calib.vision.opencv import Picture, opencv
 from control.kinematics.rotation import matrices
 from control.tables import TableColumn, TableFormat, read_table
@@ -369,3 +371,28 @@ def _bilinear(picture: Picture, places: Array) -> Array:
     g = picture.astype(np.float64)
     upper = g[i, j] * (1 - right) + g[i, j + 1] * right
     return np.asarray(upper * (1 - down) + (g[i + 1, j] * (1 - right) + g[i + 1, j + 1] * right) * down)
+
+
+# A target as a PDF page of its true size.
+
+DOTS_A_METRE = 12_000  # an edge is within 0.04 mm
+MARGIN_m = 0.01
+INCH_m = 0.0254
+
+
+def write_print(path: Path, target: Charuco | Tags) -> Path:
+    """Write the page; it is as large as the target with a white margin of 10 mm."""
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.figure import Figure
+
+    picture = target.drawn(DOTS_A_METRE, MARGIN_m)
+    height, width = picture.shape
+    figure = Figure(figsize=(width / DOTS_A_METRE / INCH_m, height / DOTS_A_METRE / INCH_m))
+    FigureCanvasPdf(figure)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
+    content = io.BytesIO()
+    figure.savefig(content, format="pdf", dpi=DOTS_A_METRE * INCH_m)
+    replace_file(path, content.getvalue())
+    return path

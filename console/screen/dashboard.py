@@ -17,11 +17,19 @@ from console.screen.drawing import (
     side_view,
     top_view,
 )
-from console.screen.events import Event, events_between, stale_s
 from console.screen.jogging import Jogger
 from console.screen.link import Message, RuntimeLink
 from console.screen.operator import ScreenOperator
-from console.screen.texts import end_rows, headline, joint_rows, status_rows, tip_row
+from console.screen.texts import (
+    Event,
+    end_rows,
+    events_between,
+    headline,
+    joint_rows,
+    stale_s,
+    status_rows,
+    tip_row,
+)
 from console.user_config import shows_degrees
 from control.model.arm import Arm
 

@@ -29,7 +29,7 @@ from textual.widgets import RichLog
 from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
 from control.model.arm import Arm
-from control.motion.jog_limits import reaches_m
+from control.motion.joint_limits import reaches_m
 
 # The console's colours: one accent and two for warnings. Everything uses them through style.tcss.
 

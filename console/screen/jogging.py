@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from console.screen.drawing import Row, row
 from console.screen.operator import JogTarget, ScreenOperator
 from control.model.arm import Arm
-from control.motion.jog_limits import JogLimits, TURN_SPEED_rad_s
+from control.motion.joint_limits import JogLimits, TURN_SPEED_rad_s
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # of a jog's limit
 STEPS_rad = (0.0005, 0.001, 0.005, 0.02, 0.1)

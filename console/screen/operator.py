@@ -9,15 +9,16 @@ import asyncio
 import contextlib
 import shlex
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from console.lines import Grammar, LineError, ParsedLine
-from console.screen.child import subcommand
 from console.screen.link import Message, RuntimeLink, RuntimeLost
 from control.files import open_to_append, utf_8
+from firmware_iface.installation import command
+from procedures.child_process import ends_with_parent
 
 RENEW_S = 0.05  # of a step, which ends by itself
 QUICK = ("enable", "hold", "guide", "stop", "acknowledge", "pause", "resume", "override", "off")
@@ -238,3 +239,20 @@ def _words(line: ParsedLine) -> list[str]:
     """The line's own words, without its command."""
     words = shlex.split(line.text)
     return words[1:-1] if words[-1] == "&" else words[1:]
+
+
+# A subcommand in a separate process that ends with the console.
+#
+# Its motion ends with its connection, so a killed console leaves no moving arm.
+
+
+async def subcommand(words: Sequence[str], takes_answers: bool = False) -> asyncio.subprocess.Process:
+    """Start `armwright WORDS` with piped stdout. OSError if the process cannot be started."""
+    return await asyncio.create_subprocess_exec(
+        *command("console.main", *words),
+        stdin=asyncio.subprocess.PIPE if takes_answers else asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+        start_new_session=True,  # the terminal's Ctrl-C is the console's
+        preexec_fn=ends_with_parent(signal.SIGINT),
+    )

@@ -20,8 +20,8 @@ from textual.containers import Horizontal, Vertical
 from textual.screen import Screen
 from textual.widgets import Input
 
-from console.screen.child import subcommand
 from console.screen.drawing import EventLog, Panel, Row, Span, row, wrapped
+from console.screen.operator import subcommand
 from console.screen.widgets import CommandBox
 from control.files import write_whole
 

@@ -5,15 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from console.visualisation.arm_pictures import draw_lateness, draw_spectra, draw_supply, draw_tip
 from console.visualisation.axes import (
+    ABOVE,
+    CAMERA_MARKS,
+    CAMERA_MARKS_MOST,
+    COMMANDED_PATH,
+    ENCODER_PATH,
+    LEAST_ORDER,
     LIMIT,
     MEASURED,
+    MOST_ORDER,
+    PATH_POINTS,
     SET,
+    LEAST_s,
     columns_of,
     curve,
     head,
@@ -21,9 +29,142 @@ from console.visualisation.axes import (
     legend,
     mark_runs,
     rms,
+    say_if_empty,
+    style_of,
 )
+from console.visualisation.metrics import tip_error_m
 from console.visualisation.series import Array, Series
-from console.visualisation.thinning import SHORTEST
+from console.visualisation.thinning import SHORTEST, envelope, orders, spectrum
+from console.visualisation.traces import tips_of
+
+# Pictures of the whole arm: supply, spectra, tip, cycle timing.
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import FigureBase
+
+
+def draw_supply(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
+    """Supply voltage and temperature of every drive."""
+    axes = figure.subplots(2, 1, sharex=True)
+    figure.subplots_adjust(left=0.075, right=0.985, top=0.86, bottom=0.12, hspace=0.22)
+    for one, values, label in (
+        (axes[0], series.supply_V, "supply [V]"),
+        (axes[1], series.temperature_C, "temperature [°C]"),
+    ):
+        mark_runs(one, series)
+        for joint in joints:
+            shown = np.where(values[:, joint - 1] > 0.0, values[:, joint - 1], np.nan)
+            curve(one, series, shown, **style_of(joint), label=series.joint_name(joint))
+        one.set_ylabel(label)
+    legend(axes[0])
+    axes[1].set_xlabel("time [s]")
+
+
+def draw_spectra(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
+    """Amplitude spectral densities over frequency; amplitude of the current over the motor's angle."""
+    axes = figure.subplots(1, 3)
+    figure.subplots_adjust(left=0.075, right=0.985, top=0.86, bottom=0.15, wspace=0.3)
+    errors = series.following_error_rad
+    for joint in joints:
+        style = {**style_of(joint), "label": series.joint_name(joint), "linewidth": 1.0}
+        _loglog(axes[0], *spectrum(series.t_s, 1e3 * errors[:, joint - 1], series.period_s), style)
+        _loglog(axes[1], *spectrum(series.t_s, series.current_A[:, joint - 1], series.period_s), style)
+        if drive := series.drive(joint):
+            turns = series.q_rad[:, joint - 1] * drive.gear_ratio / (2.0 * math.pi)
+            order, amplitude = orders(turns, series.current_A[:, joint - 1])
+            is_cyclic = (order >= LEAST_ORDER) & (order <= MOST_ORDER)
+            axes[2].plot(order[is_cyclic], 1e3 * amplitude[is_cyclic], **style)
+    axes[0].set(xlabel="frequency [Hz]", ylabel="following error [mrad/√Hz]")
+    axes[1].set(xlabel="frequency [Hz]", ylabel="current [A/√Hz]")
+    axes[2].set(xlabel="order [per motor turn]", ylabel="current [mA]", xlim=(0, MOST_ORDER))
+    head(axes[0], "following error")
+    head(axes[1], "current")
+    head(axes[2], "current over the motor's angle")
+    for one in axes:
+        say_if_empty(one)
+    figure.legend(*axes[1].get_legend_handles_labels(), **ABOVE)
+
+
+def _loglog(axes: Axes, frequency: Array, density: Array, style: dict[str, Any]) -> None:
+    if len(frequency) and (density > 0.0).any():
+        axes.loglog(frequency, np.where(density > 0.0, density, np.nan), **style)
+
+
+def draw_tip(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
+    """Top and side view of the tip: commanded, by the model, by the camera; the camera's distance over time."""
+    from control.kinematics.kinematics import ForwardKinematics
+
+    grid = figure.add_gridspec(2, 2, height_ratios=[1.7, 1])
+    figure.subplots_adjust(left=0.075, right=0.985, top=0.9, bottom=0.09, hspace=0.3, wspace=0.2)
+    if series.arm is None:
+        return
+    step = max(1, len(series) // PATH_POINTS)
+    kinematics = ForwardKinematics(series.arm)
+    placed = np.where(series.is_placed[:, None], 1.0, np.nan)
+    paths = [
+        tips_of(kinematics, (placed * angles)[::step]) for angles in (series.joint_rad, series.joint_set_rad)
+    ]
+    camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1)]
+    camera = camera[:: 1 + len(camera) // CAMERA_MARKS_MOST]
+    for column, (i, j, seen) in enumerate(((0, 1, "top view"), (0, 2, "side view"))):
+        axes = figure.add_subplot(grid[0, column])
+        if len(camera):
+            axes.plot(1e3 * camera[:, i], 1e3 * camera[:, j], **CAMERA_MARKS)
+        for path, looks in zip(paths, (ENCODER_PATH, COMMANDED_PATH), strict=True):
+            axes.plot(1e3 * path[:, i], 1e3 * path[:, j], **looks)
+        axes.set(xlabel=f"{'xyz'[i]} [mm]", ylabel=f"{'xyz'[j]} [mm]")
+        axes.set_aspect("equal", adjustable="datalim")
+        head(axes, seen)
+        if column == 0:
+            figure.legend(*axes.get_legend_handles_labels(), **ABOVE)
+    axes = figure.add_subplot(grid[1, :])
+    mark_runs(axes, series)
+    error = 1e3 * tip_error_m(series)
+    seen_rows = np.isfinite(error)
+    if seen_rows.any():
+        t, shown = envelope(series.t_s[seen_rows], error[seen_rows])
+        axes.plot(t, shown, color="#009E73", linewidth=0.6, marker=".", markersize=2)
+        head(axes, f"camera minus model: rms {rms(error[seen_rows]):.3g} mm")
+    say_if_empty(axes)
+    axes.set(xlabel="time [s]", ylabel="distance [mm]")
+
+
+def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:
+    """Lateness, duration and age of counts over time and as a distribution; what was missed, and why."""
+    axes = figure.subplots(1, 3, width_ratios=[2, 1, 1])
+    figure.subplots_adjust(left=0.075, right=0.985, top=0.84, bottom=0.17, wspace=0.3)
+    for values, label, colour, line in (
+        (series.late_s, "late", MEASURED, "-"),
+        (series.busy_s, "busy", SET, "--"),
+        (series.age_s, "age of counts", "#009E73", ":"),
+    ):
+        found = np.sort(values[np.isfinite(values)])
+        if not len(found):
+            continue
+        curve(axes[0], series, 1e6 * values, color=colour, linestyle=line, label=label, linewidth=0.7)
+        if found[-1] <= LEAST_s:  # nothing is late on a stepped clock
+            continue
+        share = 1.0 - np.arange(len(found)) / len(found)
+        pick = np.unique(np.concatenate([np.geomspace(1, len(found), 300).astype(int), [1]]))
+        axes[1].loglog(
+            1e6 * np.maximum(found[-pick], LEAST_s), share[-pick], color=colour, linestyle=line, label=label
+        )
+    for total, label, colour in (
+        (series.missed, "deadlines missed", LIMIT),
+        (np.nancumsum(series.switches), "switches", MEASURED),
+        (np.nancumsum(series.page_faults), "page faults", SET),
+    ):
+        if np.isfinite(total).any():
+            curve(axes[2], series, total - np.nanmin(total), color=colour, label=label)
+    axes[0].set(xlabel="time [s]", ylabel="duration [µs]")
+    axes[1].set(xlabel="more than [µs]", ylabel="share of cycles [1]")
+    axes[2].set(xlabel="time [s]", ylabel="so far [1]")
+    legend(axes[0])
+    legend(axes[2])
+    for one in axes:
+        say_if_empty(one)
+
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.model.table import cavities
-from control.motion.jog_limits import reach_m
+from control.motion.joint_limits import reach_m
 
 Colour = tuple[float, float, float, float]
 COMMANDED: Final[Colour] = (0.835, 0.369, 0.0, 1.0)  # Okabe and Ito

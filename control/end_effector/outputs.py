@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 
 from control.errors import ArmError
-from control.hardware.pins import NamedPins
+from control.hardware.interface import NamedPins
 from control.model.can_bus import PIN_PERIOD_s
 from control.model.end_effector import Digital
 

@@ -13,10 +13,9 @@ from control.hardware.board_stop import board_stop
 from control.hardware.boards import NO_END, BoardHardware
 from control.hardware.gripper_board import GripperBoard, GripperHardware
 from control.hardware.gripper_on_board import gripper_of
-from control.hardware.interface import EndBoards, OutputMode
+from control.hardware.interface import EndBoards, NamedPins, OutputMode
 from control.hardware.kinds import open_boards
 from control.hardware.opened import Opened, collect
-from control.hardware.pins import NamedPins
 from control.hardware.reference_drives import DriveWiring, ReferenceDrives
 from control.hardware.reference_encoders import ReferenceEncoders, start_stream
 from control.hardware.roles import Line

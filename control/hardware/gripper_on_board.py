@@ -106,7 +106,7 @@ class ForceLimited(Drives, Protocol):
 
 
 class PlacedOnBoard(GripperOnBoard):
-    """Meets `control.end_effector.placed.PlacedHardware`."""
+    """Meets `control.end_effector.gripper.PlacedHardware`."""
 
     def __init__(self, gripper: Gripper, motor: Drive, drive: ForceLimited, encoder: Encoders) -> None:
         """`motor`: as of `Arm.motors`."""

@@ -1,6 +1,7 @@
 """CAN buses that several arms share: each is opened once and drained for all of them."""
 
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
 from control.hardware.connect import Connection, connect
 from control.hardware.words import Wanted
@@ -91,3 +92,22 @@ def connect_cell(
         CellConnection(opened, buses).close()
         raise
     return CellConnection(opened, buses)
+
+
+# The loop's clock: while it waits for the next cycle, boards that speak only when they are asked are served.
+
+
+class Attendant(Protocol):
+    """Waits, and serves boards meanwhile: the hardware of an arm, or all arms of a loop."""
+
+    def attend(self, until_s: float) -> None:
+        """Wait until then."""
+        ...
+
+
+class AttendedClock:
+    """A `firmware_iface.clock.Clock` whose waiting is done by an attendant."""
+
+    def __init__(self, clock: Clock, attendant: Attendant) -> None:
+        self.now_s = clock.now_s
+        self.wait_until_s = attendant.attend

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from control.errors import MissingModel
 from control.kinematics import chain
-from control.kinematics.straight_line import compile_function
-from control.kinematics.tracing import Graph, Symbol
+from control.kinematics.tracing import Graph, Symbol, compile_function
 from control.model.arm import Arm, Vector3
 
 

@@ -13,9 +13,8 @@ from control.errors import NearSingular, OutOfReach
 from control.kinematics import inverse_errors as problems
 from control.kinematics import rotation as rotations
 from control.kinematics.joint_range import JointRange, travel_rad
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.numeric_inverse import Array, descended, seeds
-from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.pose_solver import (
     POSITION_TOLERANCE_M,
     TURN_LENGTH_M,

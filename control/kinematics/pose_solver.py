@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.kinematics import rotation as rotations
+from control.kinematics.kinematics import PoseKinematics, Poses
 from control.kinematics.numeric_inverse import PROBES, RANK_M
-from control.kinematics.pose_kinematics import PoseKinematics, Poses
 
 Array = NDArray[np.float64]
 ACCURACY = 1e-9  # m and rad

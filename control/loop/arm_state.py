@@ -11,8 +11,7 @@ from control.hardware.board_stop import Bridge
 from control.loop.drives import Bound, DriveStates
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
-from control.loop.parts import NOWHERE, Parts
-from control.loop.punctuality import Punctuality
+from control.loop.parts import NOWHERE, Parts, Punctuality
 from control.loop.standstill import Standstill
 from control.motion.lookout import Lookout
 from control.motion.pace import Paced

@@ -17,10 +17,9 @@ from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.motion.errors import MotionError
 from control.motion.guard import FarPoses, ROOM_m
-from control.motion.jog_limits import reaches_m
+from control.motion.joint_limits import reaches_m
 from control.motion.setpoint import Motion
-from control.safety.body import ArmBody, Capsules, pairs_between
-from control.safety.collision import FAR, Nearest, least_gap, middle
+from control.safety.collision import FAR, ArmBody, Capsules, Nearest, least_gap, middle, pairs_between
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
 

@@ -20,8 +20,7 @@ from control.errors import ArmError
 from control.kinematics.corners import Corners
 from control.model.arm import Arm
 from control.motion.errors import MotionError
-from control.motion.jog_limits import reach_m, reaches_m
-from control.motion.joint_limits import JointLimits
+from control.motion.joint_limits import JointLimits, reach_m, reaches_m
 from control.motion.joint_move import HARDEST, StopMotion, StraightStop
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath

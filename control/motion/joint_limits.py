@@ -69,3 +69,76 @@ class JointLimits:
             acceleration_rad_s2=tuple(a * acceleration for a in self.acceleration_rad_s2),
             jerk_rad_s3=tuple(j * jerk for j in self.jerk_rad_s3),
         )
+
+
+# Limits of a jog: much slower than a checked motion, because a person is near.
+
+# For a joint without a zero, whose range is unknown: an end stop is reached slowly and with half of the current.
+UNHOMED_SPEED_rad_s = 0.1
+# The tip takes about 0.2 s from rest to speed; more if the joints cannot follow.
+TIP_ACCELERATION_m_s2, TIP_JERK_m_s3 = 1.5, 30.0
+# Slow enough to watch; the tip's speed limit holds for what is 0.5 m from it. The same 0.2 s to speed.
+TURN_SPEED_rad_s, TURN_ACCELERATION_rad_s2, TURN_JERK_rad_s3 = 0.5, 3.0, 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class JogLimits:
+    """joints: range, acceleration and jerk as for every motion, speeds of a jog; of_motion: all of every motion.
+
+    tip_speed_m_s: of the tip jog. silence_s: how long a jog continues without renewal.
+    """
+
+    joints: JointLimits
+    of_motion: JointLimits
+    tip_speed_m_s: float
+    silence_s: float
+
+    @staticmethod
+    def of(arm: Arm) -> "JogLimits":
+        """The limits of an arm; a single joint's speed keeps the tip's limit with the arm fully stretched."""
+        limits = JointLimits.of(arm)
+        tip_m_s = min(arm.limits.jog_tip_speed_m_s, arm.limits.tip_speed_m_s)
+        speeds = tuple(
+            min(speed, tip_m_s / reach)
+            for speed, reach in zip(limits.speed_rad_s, reaches_m(arm), strict=True)
+        )
+        return JogLimits(_with_speed(limits, speeds), limits, tip_m_s, arm.limits.jog_silence_s)
+
+    def unhomed(self) -> "JogLimits":
+        """The limits for joints without a zero: no range, slow."""
+        count = len(self.joints.speed_rad_s)
+        slow = tuple(min(speed, UNHOMED_SPEED_rad_s) for speed in self.joints.speed_rad_s)
+        limits = _with_speed(self.joints, slow)
+        endless = JointLimits(
+            (-math.inf,) * count,
+            (math.inf,) * count,
+            limits.speed_rad_s,
+            limits.acceleration_rad_s2,
+            limits.jerk_rad_s3,
+        )
+        return JogLimits(endless, endless, self.tip_speed_m_s, self.silence_s)
+
+
+def reaches_m(arm: Arm) -> tuple[float, ...]:
+    """For each joint, an upper bound of the tip's distance from its axis: the sum of the link lengths beyond it."""
+    lengths = _lengths_m(arm)
+    first = [i for i, turns in enumerate(arm.joints) if turns]
+    return tuple(max(sum(lengths[i:]), 1e-3) for i in first)
+
+
+def reach_m(arm: Arm) -> float:
+    """An upper bound of the tip's distance from the base frame's origin: the sum of all link lengths."""
+    return sum(_lengths_m(arm))
+
+
+def _lengths_m(arm: Arm) -> list[float]:
+    """The length of each link, with the tool's as part of the last."""
+    lengths = [math.hypot(link.d_m, link.L_m) for link in arm.links]
+    lengths[-1] += math.hypot(*arm.tool.position_m)
+    return lengths
+
+
+def _with_speed(limits: JointLimits, speed_rad_s: tuple[float, ...]) -> JointLimits:
+    return JointLimits(
+        limits.lower_rad, limits.upper_rad, speed_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3
+    )

@@ -17,21 +17,28 @@ import numpy as np
 
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.pose_inverse import PoseInverse
-from control.kinematics.pose_kinematics import PoseKinematics
 from control.model.arm import Arm
 from control.motion import checks
+from control.motion.checks import Array, JointSamples, TipSamples
 from control.motion.errors import PathError
 from control.motion.following.by_posture import PostureFollower
-from control.motion.following.follower import Followed, Follower, PathStart, Pose
-from control.motion.following.on_branch import BranchFollower
-from control.motion.following.orientation import turns_rad
-from control.motion.following.sections import BOUND_M, BOUND_RAD, JointSections, joint_sections
+from control.motion.following.follower import (
+    BOUND_M,
+    BOUND_RAD,
+    BranchFollower,
+    Followed,
+    Follower,
+    JointSections,
+    PathStart,
+    Pose,
+    joint_sections,
+    turns_rad,
+)
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.path import CartesianPath
-from control.motion.samples import Array, JointSamples, TipSamples
 from control.motion.setpoint import Motion
 from control.motion.spline import DEFAULT_PACE_M_S, CartesianSpline, TimedWaypoints, checked_points, timed
 from control.motion.waypoints import Waypoints

@@ -9,9 +9,8 @@ from control.dynamics.feedforward import torque_constants_Nm_A
 from control.dynamics.gains import InertiaScale, gains_of
 from control.dynamics.joint_side import SHARE_OF_ACCELERATION, SHARE_OF_SPEED, JointSide
 from control.dynamics.loads import Loads, without_tool_mass
-from control.end_effector.gripper import GripperControl
+from control.end_effector.gripper import GripperControl, PlacedGripper
 from control.end_effector.outputs import Outputs
-from control.end_effector.placed import PlacedGripper
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
 from control.hardware.gripper_on_board import PlacedOnBoard
@@ -32,8 +31,7 @@ from control.loop.cross_checks import (
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
 from control.loop.neighbours import guard_itself
-from control.loop.parts import Checks, Parts, ToolParts
-from control.loop.punctuality import Strain
+from control.loop.parts import Checks, Parts, Strain, ToolParts
 from control.loop.runtime import Runtime
 from control.loop.watch import MeasuredLimits, Watch, WatchLimits
 from control.model.arm import Arm, Drive
@@ -41,19 +39,14 @@ from control.model.board_kinds import BoardKind
 from control.model.cell import Cell
 from control.model.joint_map import JointMap
 from control.motion.guard import Guard
-from control.motion.jog_limits import JogLimits
-from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import StopMotion
-from control.motion.trajectory import prepare
-from control.recording.layout import layout_of
-from control.recording.record import NoSink, Recorder, RowSink
+from control.motion.joint_limits import JogLimits, JointLimits
+from control.motion.joint_move import StopMotion, prepare
+from control.recording.record import NoSink, Recorder, RowSink, layout_of
 from control.safety.limits import SetPointLimits, UniqueTurn
 from control.server.cell_requests import CellRequests
 from control.server.requests import Requests
-from control.servo.gravity_compensation import GravityCompensation
 from control.servo.pid import Pid
-from control.servo.servo import Motor, Servo
-from control.servo.torque_model import MotionTorque
+from control.servo.servo import GravityCompensation, MotionTorque, Motor, Servo
 
 PAUSE_LIMIT = 0.9  # of the boards' watchdog: a host with longer pauses is not fit to control an arm
 OVERSPEED = 1.5  # of the speed limit: no controlled motion overshoots as much
@@ -86,7 +79,7 @@ def assemble(
 ) -> Assembly:
     """Build a runtime that is ready for its first cycle. MissingModel if arm.toml lacks data for control.
 
-    `stopwatch_s` and `strain` (control.loop.punctuality) are what the recording says about the process.
+    `stopwatch_s` and `strain` (control.loop.parts) are what the recording says about the process.
     """
     prepare()
     limits, loads = JointLimits.of(arm), Loads(arm)

@@ -4,11 +4,11 @@ from typing import Any, Protocol
 
 import msgspec
 
-from control.hardware.attended_clock import AttendedClock
+from control.hardware.shared_bus import AttendedClock
 from control.loop.cell import Looped
 from control.server.channel import Message, RuntimeGone
 from control.server.messages import Asked, asked
-from control.server.periodic import PeriodicTimer
+from control.server.scheduling import PeriodicTimer
 from control.server.server import encoded
 from firmware_iface.clock import Clock
 

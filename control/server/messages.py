@@ -1,7 +1,7 @@
 """Requests of the socket as strict types: an unknown key, another type or a value out of range is refused.
 
 The server reads only `do` and `id` of a line; the rest is decoded when the client's right and the arm's mode allow the
-request. A long line is read in slices before (control.server.long_requests).
+request. A long line is read in slices before (control.server.server).
 """
 
 import math
@@ -22,7 +22,7 @@ LONGEST_AVERAGE_S = 60.0
 LEAST_OVERRIDE = 0.01  # slower would be a pause
 LARGEST_STEP_rad, LARGEST_STEP_m = 7.0, 1.0  # more is a mistake in the unit
 
-# Watching and stopping are everybody's; all other requests are those of the client in control (control.server.control_right).
+# Watching and stopping are everybody's; all other requests are those of the client in control (control.server.requests).
 STOPPING = frozenset(("stop", "brake", "pause", "off", "acknowledge"))
 WATCHING = frozenset(("status", "arm", "mode", "average_result", "fault_cycles", "control"))
 AT_ONCE = frozenset(("stop", "brake"))  # overtake what waits

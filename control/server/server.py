@@ -1,7 +1,7 @@
 """The local socket of the loop: polled between cycles, never blocking.
 
 Newline-separated JSON over a Unix socket that only this user can open. At most one request is served a cycle, and a slice of one
-long one is read (control.server.long_requests), whatever clients send; a client that stops reading is disconnected. What a
+long one is read (control.server.server), whatever clients send; a client that stops reading is disconnected. What a
 connection began ends with it, for whatever reason it closes (a lost terminal must not leave a moving arm).
 
 A stop has a place of its own: it is served before everything that waits, commands that came before it are refused, and
@@ -16,13 +16,15 @@ import socket
 import stat
 from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
 from control.errors import ArmError
 from control.files import utf_8
-from control.server import long_requests
+from control.motion.joint_path import JointPath
+from control.motion.plan import PlannedPath
+from control.server import messages
 from control.server.messages import LONG, STOPPING, WATCHING, Asked, asked, is_at_once
 from control.server.sockets import ForeignFolder, peer_uid, require_private, socket_folders
 from control.server.sockets import default_path as default_path
@@ -203,9 +205,7 @@ class Server:
     def _may_be_served(self, client: Client) -> bool:
         """Requests of a client are served in their order, and one long one at a time."""
         under_way = self._under_way
-        return under_way is None or not (
-            client is under_way.client or long_requests.is_long(client.lines[0].content)
-        )
+        return under_way is None or not (client is under_way.client or is_long(client.lines[0].content))
 
     def _serve(self, client: Client, line: WaitingRequest) -> None:
         under_way = UnderWay(client, self._answering(line, client))
@@ -235,10 +235,10 @@ class Server:
         except ArmError as error:
             return {"ok": False, "error": str(error)}
         error_of_path = ""
-        if request.do in LONG and long_requests.is_long(line.content):
+        if request.do in LONG and is_long(line.content):
             yield
             try:
-                request = request._replace(read=(yield from long_requests.steps(request)))
+                request = request._replace(read=(yield from steps(request)))
             except ArmError as error:
                 error_of_path = str(error)
         answer = (
@@ -330,3 +330,84 @@ def require_free(path: Path) -> None:
             raise SocketTaken(
                 f"a runtime already serves at {path}: use it, or stop it with `armwright off --quit`"
             )
+
+
+# Long requests, read a slice at a time: thousands of knots are a megabyte of text, which at once would cost some cycles.
+#
+#     outline   one pass over the line finds where the texts of its lists begin and end
+#     slices    of such a text: as many rows of numbers as SLICE_bytes hold, into an array
+#     path      of the arrays, checked as far as that needs nothing of the arm's state
+#
+# Between two steps the loop runs a cycle. A slice takes some 0.3 ms; for 10,000 knots the pass over the line and the making of
+# the path, one step each, take some 2 ms.
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+LONG_bytes: Final = 1 << 14  # of a line that is read in slices
+SLICE_bytes: Final = 1 << 14
+WORDS_bytes: Final = 1 << 17  # of a list with words in it: what slows two thousand sections
+Steps = Generator[None, None, Any]
+_OBJECT: Final = msgspec.json.Decoder(dict[str, msgspec.Raw])
+_ROWS: Final = msgspec.json.Decoder(list[list[float]])
+_NUMBERS: Final = msgspec.json.Decoder(list[float])
+
+
+def is_long(line: bytes) -> bool:
+    """Whether a line is read in slices."""
+    return len(line) > LONG_bytes
+
+
+def steps(request: Asked) -> Steps:
+    """Read a request, and return what `messages.decoded` does, its paths made. ArmError at any step."""
+    outline = messages.outlined(request)
+    yield
+    moves = outline.moves.values() if isinstance(outline, messages.MoveTogether) else (outline,)
+    for move in moves:
+        if isinstance(move.path, dict):
+            path: dict[str, Any] = {}
+            for name, text in move.path.items():
+                path[name] = yield from _value(text)
+            move.path = PlannedPath.from_message(path) if "spline" in path else JointPath.from_message(path)
+            yield
+    return outline
+
+
+def _value(raw: msgspec.Raw) -> Steps:
+    text = bytes(raw).strip()
+    try:
+        if text[:1] == b"{":
+            found: dict[str, Any] = {}
+            for name, inner in _OBJECT.decode(text).items():
+                found[name] = yield from _value(inner)
+            return found
+        if text[:1] == b"[" and len(text) > SLICE_bytes and b'"' not in text:
+            return (yield from _numbers(text[1:-1].strip()))
+        if len(text) > WORDS_bytes:
+            raise ArmError(f"path: expected lists of numbers, got {len(text)} bytes of another kind")
+        return msgspec.json.decode(text)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise ArmError(f"path: expected lists of numbers, all of the same length ({error})") from None
+
+
+def _numbers(text: bytes) -> Generator[None, None, "NDArray[np.float64]"]:
+    """A list of numbers, or of rows of them, whose brackets are left out."""
+    import numpy as np
+
+    decoder, end = (_ROWS, b"]") if text[:1] == b"[" else (_NUMBERS, b"")
+    arrays, at = [], 0
+    while at < len(text):
+        until = text.find(end + b",", at + SLICE_bytes)
+        until = len(text) if until < 0 else until + len(end)
+        try:
+            arrays.append(np.array(decoder.decode(b"[%b]" % text[at:until]), dtype=np.float64))
+        except msgspec.DecodeError:  # a ValueError, too
+            raise
+        except ValueError:  # rows that are not equally long
+            raise ArmError("path: expected rows of numbers, all of the same length") from None
+        at = until + 1
+        yield
+    if len({array.shape[1:] for array in arrays}) != 1:
+        raise ArmError("path: expected rows of numbers, all of the same length")
+    return np.concatenate(arrays)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from control.end_effector.grip_state import GripState as GripperState
-from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.kinematics import PoseKinematics
 from control.kinematics.rotation import quaternion_of
 from control.loop.homing import doubt
 from control.loop.runtime import Runtime

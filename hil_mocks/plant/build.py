@@ -14,10 +14,18 @@ import numpy as np
 
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import PlantEffects
-from hil_mocks.plant.flexure import LOSS_S, Beam, beam, ends_of, remaining_inertia, split_mass
 from hil_mocks.plant.geometry import LinkFrame, Matrix, true_frame
 from hil_mocks.plant.parts import ArmParts
-from hil_mocks.plant.transmission import HARD, Transmissions
+from hil_mocks.plant.transmission import (
+    HARD,
+    LOSS_S,
+    Beam,
+    Transmissions,
+    beam,
+    ends_of,
+    remaining_inertia,
+    split_mass,
+)
 
 _FASTEST = 2.0  # steps per radian of a bending link's vibration: 1000 rad/s at 0.5 ms
 _LEAST_KG = 1e-6  # of half a link without mass

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import mujoco
 
 from hil_mocks.errors import UnreachableError
-from hil_mocks.plant.base_pose import BasePose
 from hil_mocks.plant.build import PlantModel
+from hil_mocks.plant.effects import BasePose
 
 Point = tuple[float, float, float]
 HandState = Literal["away", "dragging", "holding", "cannot reach"]

@@ -9,8 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calib.gap.report import GapReport, gap_parts
-from calib.report.comparison_sections import paths_section, verification_section
 from calib.report.page import Section, list_section, page, paragraph, table, tiles, verdict
+from calib.report.report_sections import paths_section, verification_section
 from control.files import write_whole
 from procedures.demo.gap import Circle
 from procedures.demo.gap_hidden import ON_TIP

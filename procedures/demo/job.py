@@ -17,11 +17,9 @@ from calib.inputs import InputFile, input_file
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
-from calib.report.report import write_report
-from calib.report.report_data import ReportData
+from calib.report.report import ReportData, write_report
 from calib.session.moves import ArmGeometry
-from calib.session.sequence import PointStage, step_through
-from calib.session.table import board_points, with_reference_tips
+from calib.session.sequence import PointStage, board_points, step_through, with_reference_tips
 from calib.validation.verify import Comparison, TrackPair, compare
 from control.errors import ArmError
 from control.model import table as tables

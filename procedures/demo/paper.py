@@ -21,7 +21,7 @@ from calib.inputs import input_file
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
-from calib.session.table import board_points
+from calib.session.sequence import board_points
 from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table

@@ -18,11 +18,17 @@ import numpy as np
 
 from calib.arrays import Array, frozen, norms
 from calib.closed_chain.calibrate import PairFound, PairPlan, calibrate_pair, contact_errors_m
-from calib.closed_chain.candidates import Candidates, base_of
 from calib.closed_chain.conduct import conduct, contact_plan
 from calib.closed_chain.contacts import Contacts, read_contacts
 from calib.closed_chain.outcome import calibrated_cell, pair_text, write_pair
-from calib.closed_chain.planning import ContactPlan, pair_of, plan_contacts, write_contacts
+from calib.closed_chain.planning import (
+    Candidates,
+    ContactPlan,
+    base_of,
+    pair_of,
+    plan_contacts,
+    write_contacts,
+)
 from calib.closed_chain.room import Poses, SharedRoom
 from calib.design.planning import short_path
 from calib.errors import CalibrationError

@@ -13,11 +13,11 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, norms
-from calib.closed_chain.candidates import APART, CAVITY
+from calib.closed_chain.planning import APART, CAVITY
 from calib.identify.open_combinations import open_in_words
 from calib.report.drawing import AFTER, BEFORE, PLANNED, label_plane, svg
 from calib.report.page import Section, bullets, list_section, page, pair, paragraph, table, tiles, verdict
-from calib.report.path_pictures import path_picture
+from calib.report.pictures import path_picture
 from calib.report.report_sections import dh_section
 from control.files import write_whole
 from control.kinematics.corners import Corners

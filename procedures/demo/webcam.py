@@ -38,9 +38,8 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from control.model.description import save_arm
 from control.progress import Advance, silent
-from hil_mocks.arm_pictures import FramePose, PicturedArm, looking_at
+from hil_mocks.arm_pictures import FramePose, PicturedArm, PrintedSheet, Webcam, looking_at
 from hil_mocks.scenario import load_scenario
-from hil_mocks.webcam import PrintedSheet, Webcam
 
 BOARD = Charuco(5, 7, 0.03, 0.0225)
 DOTS_A_METRE = 6000.0

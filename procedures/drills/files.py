@@ -17,8 +17,7 @@ from unittest.mock import patch
 from calib.errors import CalibrationError
 from calib.points.writer import Key, Record
 from calib.session.folder import POINTS, SessionFolder
-from calib.session.plan import SessionPlan, board_targets
-from calib.session.state import Mark, TargetEvent
+from calib.session.plan import Mark, SessionPlan, TargetEvent, board_targets
 from control.errors import ArmError
 from control.files import NotWritten, write_whole
 from control.model.description import load_arm, save_arm

@@ -16,8 +16,7 @@ from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.cell import Cell, cell_of_one, load_cell
 from control.model.description import load_arm
-from control.safety.body import ArmBody, pairs_between
-from control.safety.collision import least_gap
+from control.safety.collision import ArmBody, least_gap, pairs_between
 from control.safety.table import Mode
 from control.server.client import ArmClient
 from firmware_iface.errors import LinkError

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array, frozen
-from calib.capture.motion import JointMotion, after_leaps, begins_s
+from calib.capture.alignment import JointMotion, after_leaps, begins_s
 from calib.gap.log import Log, LoggedRun
 from control.model.arm import Arm
 from procedures.gap.timing import Clocks, Frames, Raw, aligned, clocks_of, tips_at_rows

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from calib.arm_import.dh_rows import Axis
-from calib.arm_import.serial import SerialArm
-from calib.arm_import.tree import Mass, TreeJoint
+from calib.arm_import.tree import Mass, SerialArm, TreeJoint
 from procedures.new_arm.answers import Shape
 
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

@@ -13,7 +13,7 @@ from pathlib import Path
 from calib.errors import SessionError
 from calib.session.conversation import Talk
 from calib.session.folder import POINTS, SessionFolder
-from calib.session.state import Mark
+from calib.session.plan import Mark
 from control.errors import ArmError
 from control.server.channel import Message
 from control.server.client import ArmClient, ArmFaulted, fault_text

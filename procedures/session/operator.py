@@ -35,8 +35,7 @@ from calib.session.conversation import (
 )
 from calib.session.folder import SessionFolder
 from calib.session.moves import Vector
-from calib.session.plan import FREE, SessionPlan, Target
-from calib.session.state import Mark, SessionState
+from calib.session.plan import FREE, Mark, SessionPlan, SessionState, Target
 from control.model.arm import Table
 
 HELP = """\

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.closed_chain.candidates import base_of
-from calib.closed_chain.conduct import PairHand, PairStation
+from calib.closed_chain.conduct import ContactWatch, PairHand, PairStation
+from calib.closed_chain.planning import base_of
 from calib.closed_chain.room import Poses, SharedRoom
-from calib.closed_chain.watch import ContactWatch
 from calib.session.moves import ArmGeometry
 from calib.session.plan import Target
 from control.kinematics.kinematics import ForwardKinematics

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.arm_problem.joint_laws import LAWS
+from calib.arm_problem.joint_effects import LAWS
 from calib.distances.calibrate import compare_lengths
 from calib.distances.problem import Vector, has_readings
 from calib.errors import CalibrationError
@@ -19,7 +19,7 @@ from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.verification import Verification, write_verification_json, write_verification_report
-from calib.session.table import with_reference_tips
+from calib.session.sequence import with_reference_tips
 from calib.validation.verify import Comparison, TrackPair, Used, already_used, compare_arms, compare_turns
 from control.dynamics.feedforward import FED_FORWARD
 from control.dynamics.joint_side import SIDE_EFFECTS

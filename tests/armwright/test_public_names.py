@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import armwright
-from benchmarks.arms import SIX
-from benchmarks.tip_paths import circle_in_place
+from benchmarks.arms import SIX, circle_in_place
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "python.md").read_text("utf-8")

@@ -6,9 +6,9 @@ import pytest
 
 from hil_mocks.devices.motor_inputs import Output
 from hil_mocks.errors import ScenarioError
-from hil_mocks.miswiring import LooseCoupling, as_built
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
+from hil_mocks.wiring import LooseCoupling, as_built
 from tests.cell import RIGHT
 
 TURN_rad = 0.0628

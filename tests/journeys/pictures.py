@@ -14,9 +14,8 @@ from calib.vision.measured_points import picture_name
 from calib.vision.opencv import png_of
 from calib.vision.targets import Charuco
 from control.model.description import load_arm
-from hil_mocks.arm_pictures import FramePose, PicturedArm, looking_at
+from hil_mocks.arm_pictures import FramePose, PicturedArm, PrintedSheet, Webcam, looking_at
 from hil_mocks.scenario import load_scenario
-from hil_mocks.webcam import PrintedSheet, Webcam
 
 BOARD = Charuco(5, 7, 0.03, 0.0225)
 DOTS_A_METRE, MARGIN_m = 6000.0, 0.01

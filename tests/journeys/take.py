@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.capture.motion import after_leaps, begins_s
+from calib.capture.alignment import after_leaps, begins_s
 from calib.gap.log import read_log
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm

@@ -45,7 +45,6 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/control/loop/test_reactions.py",
     ),
     "control.safety.workspace": ("tests/control/safety/test_workspace.py",),
-    "control.safety.body": ("tests/control/safety/test_collision.py",),
     "control.safety.collision": ("tests/control/safety/test_collision.py",),
     "control.loop.drives": ("tests/control/loop/test_drives.py",),
     "control.loop.standstill": ("tests/control/loop/test_standstill.py",),

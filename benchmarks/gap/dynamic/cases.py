@@ -10,7 +10,7 @@ import argparse
 import gzip
 import json
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,17 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.gap.dynamic.hidden import NUMBERS, Hidden, hide, nominal
-from benchmarks.gap.dynamic.motions import LOADED, RUNS, set_points
-from benchmarks.gap.dynamic.plant import Chain, Plant, Recorded, Simulation, rnea, turned
-from benchmarks.gap.dynamic.rough import RoughSimulation, drawn, side_by_side
+from benchmarks.gap.dynamic.plant import (
+    Chain,
+    FLANK_DAMPING_Nm_s_rad,
+    FLANK_Nm_rad,
+    Plant,
+    Recorded,
+    Simulation,
+    _State,
+    rnea,
+    turned,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -310,3 +318,131 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+
+
+# Motions of the recordings of a scored case: slow, creeping, free, a sweep, small and fast, ramps.
+
+MIDDLE_rad = (0.0, -0.6, 0.1)
+LOADED = (6, 9)  # runs with 0.5 kg
+RUNS = 11
+
+
+def set_points(rng: np.random.Generator, rate_Hz: int, seconds: float, joints: int = 3) -> list[Array]:
+    """Eleven runs (samples, joints); three of them are repeats, two are for a payload (`LOADED`)."""
+    t = np.arange(int(seconds * rate_Hz)) / rate_Hz
+    ease = _eased(np.clip(t, 0.0, 1.0))[:, None]
+    middle = np.resize(MIDDLE_rad, joints)
+
+    def waves(amplitude: float, low: float, high: float, count: int) -> Array:
+        out = np.zeros((len(t), joints))
+        for j in range(joints):
+            for f in rng.uniform(low, high, count):
+                out[:, j] += np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / count
+        return np.asarray(middle + amplitude * (out - out[0]) * ease)
+
+    phase = 2 * np.pi * (0.2 * t + 0.5 * (2.6 - 0.2) / seconds * t**2)
+    sweep = middle + 0.12 * np.sin(phase)[:, None] * ease * np.resize([1.0, 0.8, 1.0], joints)
+    swing = _of_joints([0.24 * np.sin(0.8 * t), 0.35 * (np.cos(1.1 * t) - 1), 0.5 * np.sin(1.9 * t)], joints)
+    slow = middle + swing * ease
+    creep = middle + 0.055 * _of_joints([np.sin(1.2 * t), np.sin(1.0 * t), np.sin(1.4 * t)], joints) * ease
+    free, other, third = (waves(0.75, 0.1, 0.7, 4) for _ in range(3))
+    fast, up = waves(0.03, 2.0, 7.0, 5), _ramps(t, joints)
+    return [slow, creep, free, sweep, fast, up, other, slow, third, up, free]
+
+
+def _eased(x: Array) -> Array:
+    return np.asarray(x**3 * (10 - 15 * x + 6 * x**2))
+
+
+def _of_joints(three: list[Array], joints: int) -> Array:
+    return np.stack([three[j % 3] for j in range(joints)], axis=1)
+
+
+def _ramps(t: Array, joints: int) -> Array:
+    s = (t % 4.0) / 2.0
+    out = _eased(np.where(s < 1, s, 2 - s))[:, None]
+    start = np.resize(MIDDLE_rad, joints) + np.resize([0.0, 0.3, -0.3], joints)
+    return np.asarray(start + out * np.resize([0.6, -0.9, 0.9], joints))
+
+
+# Parts that keep their law only roughly: all laws of a joint that hides something depart from the textbook's by a few per cent.
+#
+# A plant on top of `plant.Simulation`: friction whose level follows the angle, viscous friction that bends, load friction and
+# gears that harden, play that is worn unevenly, cogging with a second harmonic, a torque constant that saturates, a disc with a
+# second harmonic, Stribeck with another exponent.
+
+LEAST = 0.04
+LOAD_Nm, CURRENT_A, SPEED_rad_s = 15.0, 4.0, 1.0  # at which a law departs by its whole share
+SHARES = ("level", "bend", "load", "gear", "play", "wave", "constant", "disc", "exponent")
+
+
+def drawn(rng: np.random.Generator, n: int, most: float, joints: Collection[int]) -> dict[str, Array]:
+    """Departures of the laws of `joints` (n,), nought on the others, and the phases with which they follow the angle."""
+    is_rough = np.array([j + 1 in joints for j in range(n)])
+    found = {name: is_rough * rng.uniform(LEAST, most, n) * rng.choice([-1.0, 1.0], n) for name in SHARES}
+    return found | {f"{name}_at": rng.uniform(-3.0, 3.0, n) for name in SHARES}
+
+
+class RoughSimulation(Simulation):
+    """A simulation whose laws depart by shares (n, B) of each recording."""
+
+    def __init__(self, plant: Plant, sets: Array, forward_V: Array, shares: dict[str, Array]) -> None:
+        super().__init__(plant, sets, forward_V)
+        self._s = shares
+        self._plain = dict(self._p)
+
+    def _wave(self, name: str, angle: Array, harmonics: float = 2.0) -> Array:
+        return np.asarray(1.0 + self._s[name] * np.sin(harmonics * angle + self._s[f"{name}_at"]))
+
+    def _opposing(self, state: _State, share: float) -> Array:
+        p, s = self._plain, self._s
+        level = self._wave("level", state.motor)
+        load = 1.0 + s["load"] * np.minimum(np.abs(state.transmitted) / LOAD_Nm, 2.0)
+        speed = np.abs(state.motor_speed)
+        self._p = {
+            **p, "C": p["C"] * level, "asym": p["asym"] * level, "load": p["load"] * load,
+            "V": p["V"] * (1.0 + s["bend"] * np.minimum(speed / SPEED_rad_s, 2.0)),
+            "Fs": p["Fs"] * (1.0 + s["exponent"] * np.minimum(speed / p["vs"], 2.0)),
+        }  # fmt: skip
+        total = super()._opposing(state, share)
+        self._p = p
+        if "cog_A" in self._used:
+            twice = 2.0 * (p["cog_n"] * p["ratio"] * state.motor + p["cog_phi"]) + s["wave_at"]
+            total = total + s["wave"] * p["cog_A"] * np.sin(twice)
+        return np.asarray(total)
+
+    def _motor_torque(self, state: _State, applied: Array) -> Array:
+        p = self._plain
+        bend = 1.0 + self._s["constant"] * np.abs(state.current) / CURRENT_A
+        self._p = {**p, "scale": p["scale"] * bend}
+        torque = super()._motor_torque(state, applied)
+        self._p = p
+        return torque
+
+    def _gear(self, state: _State) -> Array:
+        p, s = self._plain, self._s
+        ahead, rate = state.motor - state.q, state.motor_speed - state.qd
+        harder = 1.0 + s["gear"] * np.minimum(np.abs(p["k"] * ahead) / LOAD_Nm, 2.0)
+        spring = p["k"] * harder * ahead + p["d"] * rate
+        half = 0.5 * p["w"] * self._wave("play", state.motor)
+        push = np.maximum(FLANK_Nm_rad * (ahead - half) + FLANK_DAMPING_Nm_s_rad * rate, 0.0)
+        pull = np.minimum(FLANK_Nm_rad * (ahead + half) + FLANK_DAMPING_Nm_s_rad * rate, 0.0)
+        flank = np.where(ahead > half, push, np.where(ahead < -half, pull, 0.0))
+        return np.where(self._has_spring, spring, flank)
+
+    def _encoder(self, state: _State) -> Array:
+        p, s = self._plain, self._s
+        if "ecc_A" in self._used:
+            more = s["disc"] * p["ecc_A"] * np.sin(2.0 * state.motor + s["disc_at"])
+            self._p = {**p, "ecc_A": p["ecc_A"]}
+            seen = super()._encoder(state) - more
+            self._p = p
+            return np.asarray(seen)
+        return super()._encoder(state)
+
+
+def side_by_side(shares: Sequence[dict[str, Array]], runs: int) -> dict[str, Array]:
+    """Shares of several cases, each for all of its runs: (n, B)."""
+    return {
+        name: np.repeat(np.stack([one[name] for one in shares], axis=1), runs, axis=1) for name in shares[0]
+    }

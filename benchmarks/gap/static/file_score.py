@@ -29,7 +29,7 @@ from benchmarks.gap.static.cases import RIGS, Design, designed
 from benchmarks.gap.static.physics import Hidden, Rig
 from benchmarks.gap.static.rough_cases import ON_TIP, PARAMETER, Rough, several
 from calib.arm_problem.assembly import BASE, Choice
-from calib.arm_problem.joint_laws import LAWS
+from calib.arm_problem.joint_effects import LAWS
 from calib.arrays import Array, Mask
 from calib.boards import best_motion
 from calib.calibration.calibrate import CalibrationPlan, identified

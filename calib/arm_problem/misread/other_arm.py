@@ -22,9 +22,9 @@ from itertools import chain, combinations
 import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.misread.points import Doubt
 from calib.arm_problem.parameters import Bounds, dh_parameters
 from calib.arrays import Array, norms
-from calib.doubt import Doubt
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.description import arm_names, load_arm

@@ -15,8 +15,7 @@ from calib.gap.poses.find import find
 from calib.points.points import Points, make_points
 from control.dynamics.static_pose import ASSUMED_FRICTION, gravity_Nm, torque_per_A
 from control.errors import MissingModel
-from control.kinematics.kinematics import ForwardKinematics
-from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.rotation import exponentials, quaternions
 from control.model.arm import Arm
 

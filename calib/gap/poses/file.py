@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arm_problem.joint_effects import resting_points
-from calib.arm_problem.joint_laws import DRIFT, LAWS
+from calib.arm_problem.joint_effects import DRIFT, LAWS, resting_points
 from calib.arm_problem.measured_maps import node_values, spline_columns
 from calib.arrays import Mask
 from calib.calibration.calibrate import CalibrationPlan, identified

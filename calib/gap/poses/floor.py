@@ -12,8 +12,7 @@ import numpy as np
 from calib.arrays import Array, Mask
 from calib.gap.poses.measured import Left
 from calib.gap.poses.recordings import in_turn
-from calib.points.covariance import matrices_of
-from calib.points.points import Points
+from calib.points.points import Points, matrices_of
 from control.model.arm import Arm
 
 SAME_POSE_rad = 0.03

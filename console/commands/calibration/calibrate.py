@@ -8,8 +8,7 @@ from pathlib import Path
 
 from calib.ageing import geometry_of
 from calib.arm_problem.assembly import Choice
-from calib.calibration.base_points import points_in_base
-from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, calibrate
+from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, calibrate, points_in_base
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.calibration.report import calibration_report, judgement_json, summary_text
 from calib.errors import CalibrationError
@@ -20,8 +19,7 @@ from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.report import write_report
-from console.commands.calibration.history_option import record_of
-from console.commands.calibration.options import board_frames, bounds_of, names_in
+from console.commands.calibration.options import board_frames, bounds_of, names_in, record_of
 from console.commands.progress import Bar
 from console.quantities import orientation_noise_rad, quantity
 from control.errors import ArmError

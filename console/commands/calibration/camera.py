@@ -12,18 +12,24 @@ from pathlib import Path
 from calib.errors import VisionError
 from calib.points.reading import read_points
 from calib.points.writer import write_points
-from calib.vision.advice import advice
+from calib.vision.advice import advice, lens_text
+from calib.vision.advice import poses_text as described
 from calib.vision.camera_file import read_camera, write_camera
 from calib.vision.intrinsics import CORNERS_LEAST as CORNERS_OF_A_LENS
 from calib.vision.intrinsics import fit_lens
 from calib.vision.measured_points import poses_text, with_pictures
 from calib.vision.opencv import picture_files
 from calib.vision.poses import CORNERS_LEAST, CameraPictures, PoseSet, measure_poses
-from calib.vision.print_file import write_print
 from calib.vision.sightings import look_for
-from calib.vision.targets import BOARD_DICTIONARY, MARKER_SHARE, TAG_DICTIONARY, Charuco, Tags, read_tags
-from calib.vision.words import lens_text
-from calib.vision.words import poses_text as described
+from calib.vision.targets import (
+    BOARD_DICTIONARY,
+    MARKER_SHARE,
+    TAG_DICTIONARY,
+    Charuco,
+    Tags,
+    read_tags,
+    write_print,
+)
 from console.commands.progress import Bar
 from console.quantities import quantity
 from control.files import write_whole

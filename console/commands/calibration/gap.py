@@ -20,7 +20,7 @@ from calib.gap.workflow import (
     require_free,
     write_gap,
 )
-from console.commands.calibration.history_option import record_of
+from console.commands.calibration.options import record_of
 from console.commands.connection import in_control_of
 from console.commands.progress import Bar
 from control.errors import ArmError

@@ -9,11 +9,9 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.boards import markers_text
-from calib.capture.alignment import Alignment, align
-from calib.capture.board_markers import board_markers
+from calib.capture.alignment import Alignment, JointMotion, align
 from calib.capture.c3d import read_c3d
-from calib.capture.motion import JointMotion
-from calib.capture.poses import Rested, believed, poses_at_rest
+from calib.capture.poses import Rested, believed, board_markers, poses_at_rest
 from calib.capture.tracks import BodyTrack, Capture, CaptureError, placed_m, relative
 from calib.capture.vicon_csv import read_vicon_csv
 from calib.gap.log import Log, read_log

@@ -14,9 +14,8 @@ from control.errors import ArmError
 from control.files import make_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
-from control.recording.cell_folder import recorded_cell, recordings_in
+from control.recording.cell_folder import FILE_NAME, join, recorded_cell, recordings_in
 from control.recording.export import export
-from control.recording.joined import FILE_NAME, join
 from control.recording.mcap_file import cell_to_mcap
 from control.recording.reading import Recording
 from control.recording.recorded_arm import recorded_arm

@@ -9,7 +9,7 @@ from pathlib import Path
 from console.commands.progress import Bar
 from console.visualisation.metrics import Metrics, metrics_json, metrics_of, metrics_text
 from console.visualisation.pictures import PICTURES, Picture
-from console.visualisation.reading_cell import read_log
+from console.visualisation.reading import read_log
 from console.visualisation.series import Series, chosen
 from console.visualisation.sheets import FORMS, show, write_each, write_sheet
 from control.errors import ArmError

@@ -9,7 +9,7 @@ from pathlib import Path
 from console.commands.cell.clients import connected_arms
 from console.commands.connection import connected
 from console.commands.progress import Bar
-from console.visualisation.reading_cell import read_log
+from console.visualisation.reading import read_log
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
 from console.visualisation.snapshots import (

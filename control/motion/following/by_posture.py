@@ -11,13 +11,13 @@ import numpy as np
 
 from control.errors import ArmError
 from control.kinematics import inverse_errors as problems
+from control.kinematics.kinematics import PoseKinematics
 from control.kinematics.pose_inverse import (
     ORIENTATION_TOLERANCE_RAD,
     SINGULAR_MARGIN_M,
     PoseInverse,
     TipPose,
 )
-from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.pose_solver import (
     POSITION_TOLERANCE_M,
     TURN_LENGTH_M,
@@ -30,12 +30,17 @@ from control.kinematics.pose_solver import (
 )
 from control.model.arm import Arm
 from control.motion import checks
+from control.motion.checks import Array, JointSamples, TipSamples, sample_tip
 from control.motion.errors import PathError
-from control.motion.following.follower import LEAST_SAMPLES, SEED_STEP_M, Followed, PathStart, Pose
-from control.motion.following.orientation import OrientationSpline
-from control.motion.samples import Array, JointSamples, TipSamples, sample_tip
-from control.motion.spline import CartesianSpline, TimedWaypoints
-from control.motion.timing import continuous_velocities
+from control.motion.following.follower import (
+    LEAST_SAMPLES,
+    SEED_STEP_M,
+    Followed,
+    OrientationSpline,
+    PathStart,
+    Pose,
+)
+from control.motion.spline import CartesianSpline, TimedWaypoints, continuous_velocities
 from control.motion.waypoints import Waypoints
 
 

@@ -2,11 +2,32 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
-from control.kinematics.inverse import Branch
-from control.motion.samples import JointSamples, TipSamples
+import numpy as np
+from numpy.typing import NDArray
+
+from control.errors import ArmError
+from control.kinematics import rotation as rotations
+from control.kinematics.inverse import Branch, InverseKinematics, Solution
+from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.rotation import Quaternion
+from control.motion import checks
+from control.motion.checks import (
+    Array,
+    JointSamples,
+    TipSamples,
+    TurnSamples,
+    interpolated,
+    sample_tip,
+    solve_joints,
+)
+from control.motion.errors import PathError
+from control.motion.joint_path import JointPath, quintic
+from control.motion.setpoint import SetPoint
 from control.motion.spline import CartesianSpline, TimedWaypoints
+from control.motion.waypoints import Waypoints
 
 Pose = tuple[float, ...]
 LEAST_SAMPLES = 12  # of a section, however short
@@ -46,3 +67,234 @@ class Follower(Protocol):
     ) -> Followed:
         """Sample the path at a rate, or at LEAST_SAMPLES a section."""
         ...
+
+
+# The tip's orientation along a path: in each section the rotation vector from its start is a cubic over time.
+#
+#     R(t) = R_i exp(r(t)),   r(t) = c1 t + c2 t^2 + c3 t^3     (the cubic of SpringerPlus 5:1771, eq. (3), with a0 = 0)
+#
+# Between two way-points, from rest to rest, this is slerp with the cubic's timing. The angular velocity is continuous: at an
+# inner way-point it is that of the parabola through the neighbouring turns, and zero where the path rests.
+
+_DIFFERENCE = 1e-4  # of a section's time, for the angular acceleration: 1e-8 relative
+
+
+def turns_rad(orientations: Sequence[Quaternion]) -> tuple[float, ...]:
+    """Angle [rad] between each orientation and the next, at most half a turn."""
+    return tuple(float(np.linalg.norm(rotations.between(a, b))) for a, b in pairwise(orientations))
+
+
+class OrientationSpline:
+    """Orientations at `times_s` (k + 1), and all between them. `rests` (k + 1): where the tip does not turn."""
+
+    def __init__(
+        self, times_s: Sequence[float], orientations: Sequence[Quaternion], rests: Sequence[bool]
+    ) -> None:
+        at = rotations.matrices(np.array(orientations, dtype=np.float64))
+        self._starts, back = at[:-1], np.swapaxes(at[:-1], 1, 2)
+        turn = rotations.logarithms(back @ at[1:])
+        duration = np.diff(np.asarray(times_s))[:, None]
+        velocity = self._velocities(turn, duration, np.asarray(rests))
+        first = (back @ velocity[:-1, :, None])[:, :, 0]
+        last = np.linalg.solve(rotations.left_jacobians(turn), back @ velocity[1:, :, None])[:, :, 0]
+        slope = turn / duration
+        self._c1 = first
+        self._c2 = (3.0 * slope - 2.0 * first - last) / duration
+        self._c3 = (first + last - 2.0 * slope) / duration**2
+        self._step_s = _DIFFERENCE * duration
+
+    def _velocities(self, turn: Array, duration: Array, rests: NDArray[np.bool_]) -> Array:
+        """Angular velocities (k + 1, 3) [rad/s] at the way-points, in the base frame."""
+        rate = (self._starts @ (turn / duration)[:, :, None])[:, :, 0]
+        velocity = np.zeros((len(rate) + 1, 3))
+        before, after = duration[:-1], duration[1:]
+        velocity[1:-1] = (after * rate[:-1] + before * rate[1:]) / (before + after)
+        velocity[rests] = 0.0
+        return velocity
+
+    def sample(self, section: NDArray[np.int64], t_s: Array) -> TurnSamples:
+        """Rotation, angular velocity and acceleration in the base frame, `t_s` (m,) into each sample's section (m,)."""
+        t, h = t_s[:, None], self._step_s[section]
+        c1, c2, c3 = self._c1[section], self._c2[section], self._c3[section]
+        start = self._starts[section]
+
+        def velocity(time: Array) -> Array:
+            r, rate = time * (c1 + time * (c2 + time * c3)), c1 + time * (2.0 * c2 + 3.0 * time * c3)
+            return np.asarray((start @ (rotations.left_jacobians(r) @ rate[:, :, None]))[:, :, 0])
+
+        return TurnSamples(
+            rotation=start @ rotations.exponentials(t * (c1 + t * (c2 + t * c3))),
+            velocity_rad_s=velocity(t),
+            acceleration_rad_s2=(velocity(t + h) - velocity(t - h)) / (2.0 * h),
+        )
+
+
+# A followed path as joint sections for the loop: quintics between as few of its samples as keep the tip on the path.
+#
+# A section is halved until its quintic, which has angle, speed and acceleration of the samples at both ends, passes the samples
+# between them within half of the bound. So the loop evaluates polynomials, and neither iterates nor can fail on the way. At a
+# way-point where the path's acceleration steps, the mean of both sides is taken, and the sections beside it become short.
+
+BOUND_M, BOUND_RAD = 1e-6, 1e-5  # of the tip beside the path
+LONGEST_S = 0.1  # the loop's guard looks at the knots of a path before it begins
+_SHARE = 0.5  # of the bound, at the samples
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """The path's samples, each way-point once."""
+
+    times_s: Array
+    q_rad: Array
+    speed_rad_s: Array
+    acceleration_rad_s2: Array
+    jacobian: Array
+
+
+@dataclass(frozen=True, slots=True)
+class JointSections:
+    """The path of the joints, and by how much the tip departs from the samples at most."""
+
+    path: JointPath
+    off_m: float
+    off_rad: float
+
+
+def joint_sections(tip: TipSamples, joints: JointSamples, jacobian: Array, stretch: float) -> JointSections:
+    """The sections of a path from rest to rest, run `stretch` times slower than sampled; `jacobian` (m, 6, n)."""
+    samples = _merged(tip, joints, jacobian, stretch)
+    count = len(samples.times_s)
+    is_knot = np.zeros(count, dtype=np.bool_)
+    is_knot[[0, -1]] = True
+    is_knot[
+        np.searchsorted(samples.times_s, stretch * tip.times_s[np.flatnonzero(np.diff(tip.section)) + 1])
+    ] = True
+    while True:
+        off_m, off_rad = _departures(samples, is_knot)
+        knots = np.flatnonzero(is_knot)
+        section = np.cumsum(is_knot)[:-1] - 1  # of the interval after each sample
+        is_far = np.maximum(off_m / BOUND_M, off_rad / BOUND_RAD)[:-1] > _SHARE
+        worst = np.zeros(len(knots) - 1, dtype=np.bool_)
+        np.logical_or.at(worst, section, is_far)
+        worst |= np.diff(samples.times_s[knots]) > LONGEST_S * 1.001
+        middles = ((knots[:-1] + knots[1:]) // 2)[worst & (np.diff(knots) > 1)]
+        if not middles.size:
+            break
+        is_knot[middles] = True
+    path = JointPath(
+        samples.times_s[knots].tolist(),
+        (
+            SetPoint(tuple(q), tuple(v), tuple(a))
+            for q, v, a in zip(
+                samples.q_rad[knots].tolist(),
+                samples.speed_rad_s[knots].tolist(),
+                samples.acceleration_rad_s2[knots].tolist(),
+                strict=True,
+            )
+        ),
+    )
+    return JointSections(path, float(off_m.max()), float(off_rad.max()))
+
+
+def _merged(tip: TipSamples, joints: JointSamples, jacobian: Array, stretch: float) -> _Samples:
+    """Each way-point's two samples as one with the mean acceleration, and rest at both ends."""
+    is_first = np.diff(tip.section, prepend=tip.section[0]) > 0
+    twin = np.flatnonzero(is_first)
+    speed = joints.speed_rad_s / stretch
+    acceleration = joints.acceleration_rad_s2 / stretch**2
+    for values in (speed, acceleration):
+        values[twin] = 0.5 * (values[twin] + values[twin - 1])
+        values[[0, -1]] = 0.0
+    kept = np.ones(len(tip.times_s), dtype=np.bool_)
+    kept[twin - 1] = False
+    return _Samples(
+        stretch * tip.times_s[kept], joints.q_rad[kept], speed[kept], acceleration[kept], jacobian[kept]
+    )
+
+
+def _departures(samples: _Samples, is_knot: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Distance [m] and angle [rad] (m,) of the tip at the quintics between the knots from the tip at the samples."""
+    knots = np.flatnonzero(is_knot)
+    section = np.minimum(np.cumsum(is_knot) - 1, len(knots) - 2)
+    first, last = knots[section], knots[section + 1]
+    h = (samples.times_s[last] - samples.times_s[first])[:, None]
+    s = (samples.times_s[:, None] - samples.times_s[first][:, None]) / h
+    q0, v0, a0 = (
+        values[first] for values in (samples.q_rad, samples.speed_rad_s, samples.acceleration_rad_s2)
+    )
+    q1, v1, a1 = (
+        values[last] for values in (samples.q_rad, samples.speed_rad_s, samples.acceleration_rad_s2)
+    )
+    c0, c1, c2, c3, c4, c5 = quintic(h, q0, v0, a0, q1, v1, a1)
+    q = c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
+    moved = (samples.jacobian @ (q - samples.q_rad)[:, :, None])[:, :, 0]
+    return np.linalg.norm(moved[:, :3], axis=1), np.linalg.norm(moved[:, 3:], axis=1)
+
+
+# Arms of three joints, whose tip position fixes the joint angles on a branch.
+
+
+class BranchFollower:
+    """Implements Follower with the inverse kinematics of positions."""
+
+    def __init__(
+        self, inverse: InverseKinematics, kinematics: ForwardKinematics, waypoints: Waypoints
+    ) -> None:
+        self._inverse, self._kinematics, self._waypoints = inverse, kinematics, waypoints
+
+    def starts(self, q_near: Sequence[float]) -> Iterator[PathStart]:
+        """Branches that reach the first way-point and their poses, within limits first, then nearest first."""
+        first = self._waypoints.points[0]
+        try:
+            if not self._inverse.has_branches:
+                yield PathStart(self._inverse.nearest(first, q_near))
+                return
+            solutions = self._inverse.branches(first)
+        except ArmError as problem:
+            raise PathError(f"{self._waypoints.name(1)}: {problem}; nothing was moved", 1) from problem
+
+        def distance(solution: Solution) -> tuple[bool, float]:
+            return not solution.within_limits, max(
+                abs(a - b) for a, b in zip(solution.q, q_near, strict=True)
+            )
+
+        yield from (PathStart(solution.q, solution.branch) for solution in sorted(solutions, key=distance))
+
+    def check(self, start: PathStart) -> None:
+        """PathError for the first way-point that the branch does not reach."""
+        if start.branch is None:
+            return
+        for number, point in enumerate(self._waypoints.points, 1):
+            try:
+                self._inverse.solve(point, start.branch)
+            except ArmError as problem:
+                raise PathError(
+                    f"{self._waypoints.name(number)}: {problem}; nothing was moved", number
+                ) from problem
+
+    def follow(
+        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart, rate_Hz: float
+    ) -> Followed:
+        """Newton from scalar solutions, at most SEED_STEP_M apart."""
+        tip = sample_tip(spline, rate_Hz, LEAST_SAMPLES)
+        times, poses, at_waypoints = self._seeds(recipe, spline, start.q_rad)
+        seeds = interpolated(tip.times_s, times, poses)
+        return Followed(tip, solve_joints(self._kinematics, tip, seeds), at_waypoints)
+
+    def _seeds(
+        self, recipe: TimedWaypoints, spline: CartesianSpline, q_start: Pose
+    ) -> tuple[list[float], list[Pose], tuple[Pose, ...]]:
+        """Times and poses followed along the path in small steps from `q_start`, and at the way-points."""
+        times, poses, at_waypoints = [0.0], [q_start], [q_start]
+        for length, (start, end) in zip(recipe.lengths_m, pairwise(spline.times_s), strict=True):
+            steps = 2 + int(length / SEED_STEP_M)
+            for k in range(1, steps + 1):
+                time = end if k == steps else start + (end - start) * k / steps
+                try:
+                    poses.append(tuple(self._inverse.follow(spline.at(time)[0], poses[-1])))
+                except ArmError as problem:
+                    where, number = checks.place(self._waypoints, spline.times_s, time)
+                    raise PathError(f"{where}: {problem}; nothing was moved", number) from problem
+                times.append(time)
+            at_waypoints.append(poses[-1])
+        return times, poses, tuple(at_waypoints)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import calculated
 from control.motion.setpoint import SetPoint
-from control.motion.trajectory import calculated
 
 if TYPE_CHECKING:
     import ruckig

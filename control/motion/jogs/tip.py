@@ -18,19 +18,18 @@ import numpy as np
 
 from control.kinematics import rotation as rotations
 from control.kinematics.damped import Array, DampedRates
-from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.kinematics import PoseKinematics
 from control.kinematics.pose_solver import Task
-from control.motion.jog_limits import (
+from control.motion.joint_limits import (
+    JointLimits,
     TIP_ACCELERATION_m_s2,
     TIP_JERK_m_s3,
     TURN_ACCELERATION_rad_s2,
     TURN_JERK_rad_s3,
     TURN_SPEED_rad_s,
 )
-from control.motion.joint_limits import JointLimits
-from control.motion.joint_move import StopMotion
+from control.motion.joint_move import StopMotion, calculated
 from control.motion.setpoint import SetPoint
-from control.motion.trajectory import calculated
 
 if TYPE_CHECKING:
     import ruckig

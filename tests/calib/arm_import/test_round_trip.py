@@ -12,8 +12,7 @@ import pytest
 from calib.arm_import import arm_links, read_arm
 from calib.export import export_text
 from control.dynamics.dynamics import Dynamics
-from control.kinematics.kinematics import ForwardKinematics
-from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.model.arm import Arm, Convention, Tool
 from control.model.description import load_arm
 from tests.places import ARMS

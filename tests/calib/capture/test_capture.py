@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.boards import read_markers
-from calib.capture.alignment import align
+from calib.capture.alignment import JointMotion, align
 from calib.capture.c3d import read_c3d
-from calib.capture.motion import JointMotion
 from calib.capture.poses import believed, poses_at_rest
 from calib.capture.tracks import BodyTrack, Capture, CaptureError, fitted_body, relative
 from calib.capture.vicon_csv import read_vicon_csv
@@ -43,7 +42,7 @@ from tests.calib.capture.recordings import (
 
 
 def motion_of(made: Both) -> JointMotion:
-    from calib.capture.motion import _speeds
+    from calib.capture.alignment import _speeds
 
     return JointMotion(made.t_s, made.q_rad, _speeds(made.t_s, made.q_rad))
 

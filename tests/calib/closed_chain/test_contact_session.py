@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.closed_chain.candidates import Candidates, base_of, contact_candidates
-from calib.closed_chain.conduct import PairStation, conduct, contact_plan
+from calib.closed_chain.conduct import ContactWatch, PairStation, conduct, contact_plan
 from calib.closed_chain.contacts import read_contacts
+from calib.closed_chain.planning import Candidates, base_of, contact_candidates
 from calib.closed_chain.room import SharedRoom
-from calib.closed_chain.watch import ContactWatch
 from calib.errors import SessionError
 from calib.session.conversation import (
     GO,
@@ -28,8 +27,7 @@ from calib.session.conversation import (
 )
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, RestSample
-from calib.session.plan import Seating, Target
-from calib.session.state import Mark
+from calib.session.plan import Mark, Seating, Target
 from control.model.cell import load_cell
 
 PAIR = load_cell("pair")

@@ -12,14 +12,12 @@ import pytest
 from benchmarks.arms import FOUR, SIX
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import norms
-from calib.closed_chain.candidates import Candidates, contact_candidates
-from calib.closed_chain.planning import plan_contacts
+from calib.closed_chain.planning import Candidates, contact_candidates, plan_contacts
 from calib.closed_chain.room import AWAY_m, MARGIN_m
 from calib.errors import CalibrationError
 from console.main import main
 from control.model.cell import Cell, Placed, load_cell
-from control.safety.body import ArmBody, pairs_between
-from control.safety.collision import least_gap
+from control.safety.collision import ArmBody, least_gap, pairs_between
 
 PAIR = load_cell("pair")
 NAMES = ("left", "right")

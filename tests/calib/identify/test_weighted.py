@@ -11,14 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.weighted import whole_problem
-from calib.calibration.base_points import points_in_base
-from calib.calibration.calibrate import CalibrationPlan, calibrate
+from calib.calibration.calibrate import CalibrationPlan, calibrate, points_in_base
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify import identify
 from calib.identify.objective import objective_named
 from calib.points.arm_points import base_points_for, points_for
-from calib.points.covariance import COVARIANCE, matrices_of, triangles
-from calib.points.points import Points, make_points
+from calib.points.points import COVARIANCE, Points, make_points, matrices_of, triangles
 from calib.points.reading import read_points
 from calib.points.writer import write_points
 from calib.validation.verify import compare_arms

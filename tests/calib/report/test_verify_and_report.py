@@ -16,9 +16,8 @@ from calib.errors import CalibrationError
 from calib.identify import ArmModel
 from calib.inputs import input_file
 from calib.report.page import list_section
-from calib.report.path_pictures import SAMPLES_DRAWN, thinned
-from calib.report.report import report_html, write_report
-from calib.report.report_data import ReportData
+from calib.report.pictures import SAMPLES_DRAWN, thinned
+from calib.report.report import ReportData, report_html, write_report
 from calib.report.report_sections import dh_section, parameters_section
 from calib.validation.statistics import PairedFinding, difference, student_t
 from calib.validation.verify import (

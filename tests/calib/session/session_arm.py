@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, board_points
-from calib.session import ArmGeometry, RestSample, SeenTip, table
+from calib.session import ArmGeometry, RestSample, SeenTip, sequence
 from control.errors import ArmError
 from control.model.description import load_arm
 
@@ -79,6 +79,6 @@ class ScriptedArm:
         return SeenTip(tuple(tip.tolist()), (1e-4, 1e-4, 1e-4))
 
 
-def board(setup: str, count: int = 4) -> tuple[table.BoardPoint, ...]:
+def board(setup: str, count: int = 4) -> tuple[sequence.BoardPoint, ...]:
     tips = board_points(*TILTS[setup])
-    return table.board_points(setup, {str(k + 1): tips[k] for k in range(33)})[:count]
+    return sequence.board_points(setup, {str(k + 1): tips[k] for k in range(33)})[:count]

@@ -14,8 +14,7 @@ from pathlib import Path
 
 from calib.points.writer import Key, Record
 from calib.session.folder import SessionFolder
-from calib.session.plan import SessionPlan, board_targets
-from calib.session.state import Mark, TargetEvent
+from calib.session.plan import Mark, SessionPlan, TargetEvent, board_targets
 
 PLAN = SessionPlan("right", "00", 2, board_targets(["normal", "roll"], ["1", "2", "3"]))
 KEYS = [target.key for target in PLAN.targets]

@@ -9,7 +9,7 @@ from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles
 from calib.errors import SessionError, UnusablePointsError
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
-from calib.session import PointStage, SessionSettings, step_through, table
+from calib.session import PointStage, SessionSettings, sequence, step_through
 from calib.session.take import StandstillWindow, wait_for_rest
 from tests.calib.session.session_arm import SEED, NumericGeometry, ScriptedArm, board
 
@@ -138,7 +138,7 @@ def test_waiting_for_rest_gives_up_after_its_patience() -> None:
 def test_a_tip_that_was_not_measured_is_the_cavity_it_sat_in(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("setup,point,repeat,q1_rad,x_m,y_m,z_m\na,1,1,0.1,,,\na,2,1,0.1,9,9,9\n")
     points, _ = read_points(tmp_path / "p.csv")
-    filled = table.with_reference_tips(points, lambda setup: {"1": (0.5, 0.1, 0.0)})
+    filled = sequence.with_reference_tips(points, lambda setup: {"1": (0.5, 0.1, 0.0)})
     np.testing.assert_allclose(filled.tip_m, [[0.5, 0.1, 0.0], [9, 9, 9]])
     with pytest.raises(UnusablePointsError, match="point 1 of setup a"):
-        table.with_reference_tips(points, lambda setup: {"7": (0.5, 0.1, 0.0)})
+        sequence.with_reference_tips(points, lambda setup: {"7": (0.5, 0.1, 0.0)})

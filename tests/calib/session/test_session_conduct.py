@@ -25,9 +25,8 @@ from calib.session.conversation import (
     SmallMove,
 )
 from calib.session.folder import SessionFolder
-from calib.session.plan import SessionPlan, Target, board_targets, free_targets
+from calib.session.plan import Mark, SessionPlan, Target, board_targets, free_targets
 from calib.session.residual_watch import ResidualWatch
-from calib.session.state import Mark
 from control.model.table import cavities, table_of
 from tests.calib.session.session_arm import GEOMETRY, RIGHT, NumericGeometry, ScriptedArm
 

@@ -17,14 +17,17 @@ from calib.errors import SessionError
 from calib.points.reading import read_points
 from calib.session.folder import SessionFolder
 from calib.session.plan import (
+    AFTER,
+    Mark,
+    SessionState,
     Target,
+    TargetEvent,
     board_targets,
     fingerprint,
     free_targets,
     from_json,
     to_json,
 )
-from calib.session.state import AFTER, Mark, SessionState, TargetEvent
 from control.files import NotWritten
 from control.model.arm import Camera
 from control.model.description import save_arm

@@ -14,7 +14,7 @@ from calib.errors import CalibrationError
 from calib.studies.chunks import ChunkStore, run_study
 from calib.studies.cluster import executor
 from calib.studies.executor import Executor, InProcess, ProcessPool, Results, S, T, Work, as_they_come
-from calib.studies.figures import proportion, quantile
+from calib.validation.statistics import proportion, quantile
 from tests.calib.studies.tasks import dies, drawn
 
 TASKS = 7

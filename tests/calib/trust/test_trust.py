@@ -14,8 +14,7 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.points.points import make_points
-from calib.trust.discrepancy import Conditions, Discrepancy
-from calib.trust.flanks import SHARES, Gears, even_odds
+from calib.trust.discrepancy import SHARES, Conditions, Discrepancy, Gears, even_odds
 from calib.trust.iso9283 import pose_figures
 from calib.trust.posterior import SIZE_SPREAD, SIZES, SizeEvidence, linearised, posterior_of
 from calib.trust.prediction import TipError

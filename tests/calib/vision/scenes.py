@@ -10,7 +10,7 @@ from calib.vision.lens import Lens
 from calib.vision.placed import HERE, Pose
 from calib.vision.sightings import Sighting, Sightings
 from calib.vision.targets import Charuco, PrintedTarget, SeenCorners, Tags
-from hil_mocks.webcam import PrintedSheet, Webcam
+from hil_mocks.arm_pictures import PrintedSheet, Webcam
 
 BOARD = Charuco(5, 7, 0.03, 0.0225)
 TAG = Tags.single(7, 0.06)

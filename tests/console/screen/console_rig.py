@@ -117,7 +117,7 @@ async def console_of(
         desk.link.answer_s = LIMIT_S
     patch = pytest.MonkeyPatch()
     patch.setattr(
-        "console.screen.child.command", lambda *words: [sys.executable, "-c", PATIENT_CLIENT, *words]
+        "console.screen.operator.command", lambda *words: [sys.executable, "-c", PATIENT_CLIENT, *words]
     )
     pump = asyncio.create_task(served.run())
     try:

@@ -29,8 +29,7 @@ from console.screen.drawing import (
     top_view,
     width_of,
 )
-from console.screen.events import events_between
-from console.screen.texts import headline, joint_rows, status_rows, tip_row
+from console.screen.texts import events_between, headline, joint_rows, status_rows, tip_row
 from control.model.arm import Arm
 from tests.cell import RIGHT
 from tests.thirds import third_of

@@ -28,7 +28,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Link, Tool
 from control.model.cell import cell_of_one, load_cell
 from control.model.description import arm_text, load_arm
-from control.motion.jog_limits import reach_m
+from control.motion.joint_limits import reach_m
 from control.server.channel import RuntimeGone
 from tests.recordings import MODES, write_recording
 

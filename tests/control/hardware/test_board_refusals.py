@@ -86,7 +86,7 @@ def test_a_drive_that_trips_before_the_loop_stops_the_arm_is_refused(monkeypatch
     arm = on_boards(RIGHT, "cia402")
     rad_per_count = min(abs(JointMap(drive).radians_per_count) for drive in arm.drives)
     needed = math.ceil(arm.limits.following_error_rad / rad_per_count)
-    made = "hil_mocks.bought_can.Cia402Setup"
+    made = "hil_mocks.bought.Cia402Setup"
     monkeypatch.setattr(made, partial(Cia402Setup, following_error_window=needed))
     with open_cell(scenario(), arm, period_s=0.004) as cell:
         assert cell.mode is Mode.OFF
@@ -102,7 +102,7 @@ def test_a_drive_that_trips_before_the_loop_stops_the_arm_is_refused(monkeypatch
     ("code", "said"), [(0, "frees its motor at once"), (2, "quick stop ramp"), (-1, "0x605E = -1")]
 )
 def test_what_a_drive_does_at_a_fault_is_told(code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil_mocks.bought_can.Cia402Setup", partial(Cia402Setup, fault_reaction=code))
+    monkeypatch.setattr("hil_mocks.bought.Cia402Setup", partial(Cia402Setup, fault_reaction=code))
     with open_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
         told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
         assert len(told) == 3
@@ -137,7 +137,7 @@ def test_a_drive_without_a_rated_torque_has_that_of_its_rated_current(
 
 
 def test_a_drive_that_does_not_have_the_mode_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil_mocks.bought_can.Cia402Setup", partial(Cia402Setup, modes=0x0300))
+    monkeypatch.setattr("hil_mocks.bought.Cia402Setup", partial(Cia402Setup, modes=0x0300))
     with (
         pytest.raises(
             ConnectionFailed,
@@ -152,7 +152,7 @@ def test_what_a_drive_says_of_units_and_interpolation_is_told_and_stops_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     doubtful = partial(Cia402Setup, modes=0, position_unit=0x0041_0000, has_cycle_time=False)
-    monkeypatch.setattr("hil_mocks.bought_can.Cia402Setup", doubtful)
+    monkeypatch.setattr("hil_mocks.bought.Cia402Setup", doubtful)
     with holding_cell(scenario(), on_boards(RIGHT, "cia402"), period_s=0.004) as cell:
         told = [identity for where, identity in cell.connection.others if "CiA 402" in where]
         assert all(
@@ -254,7 +254,7 @@ def test_a_kv_that_is_none_is_not_compared(kv: str, monkeypatch: pytest.MonkeyPa
 
 def test_a_moteus_without_a_console_is_taken_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "hil_mocks.bought_can.MoteusSetup", partial(MoteusSetup, has_console=False, timeout_mode=10)
+        "hil_mocks.bought.MoteusSetup", partial(MoteusSetup, has_console=False, timeout_mode=10)
     )
     with open_cell(scenario(), on_boards(RIGHT, "moteus"), period_s=0.004) as cell:
         told = [identity for where, identity in cell.connection.others if "moteus" in where]
@@ -284,7 +284,7 @@ def test_a_moteus_of_older_firmware_which_says_no_kv_is_taken(monkeypatch: pytes
 def test_a_vesc_whose_time_out_or_application_is_not_as_needed_is_refused(
     stored: dict[str, float], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil_mocks.bought_can.VescSetup", partial(VescSetup, **stored))
+    monkeypatch.setattr("hil_mocks.bought.VescSetup", partial(VescSetup, **stored))
     with pytest.raises(ConnectionFailed, match=said), open_cell(scenario(), ON_VESCS, period_s=0.005):
         pass
 

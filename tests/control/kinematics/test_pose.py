@@ -8,9 +8,8 @@ import pytest
 
 from control.errors import BadTarget, NearSingular, OutOfReach
 from control.kinematics import rotation
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.pose_inverse import PoseInverse, TipPose
-from control.kinematics.pose_kinematics import PoseKinematics
 from control.kinematics.pose_solver import (
     ACCURACY,
     Targets,

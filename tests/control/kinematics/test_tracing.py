@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from control.kinematics import tracing
-from control.kinematics.straight_line import compile_function, derivative, function_source
-from control.kinematics.tracing import Graph, Symbol, cos, sin
+from control.kinematics.tracing import Graph, Symbol, compile_function, cos, derivative, function_source, sin
 
 
 def _traced(function: Callable[..., Any], names: str = "xyz") -> tuple[list[Symbol], Any]:

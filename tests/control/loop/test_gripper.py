@@ -11,7 +11,7 @@ from control.end_effector.gripper import GripperControl
 from control.errors import ArmError
 from control.hardware.gripper_board import GripperFeedback
 from control.model.end_effector import Gripper
-from control.recording.layout import about_columns, layout_of
+from control.recording.record import about_columns, layout_of
 from control.safety.table import Mode
 from hil_mocks.scenario import GripperTable
 from tests.cell import GRIPPER, RIGHT, Cell, handled, holding_cell, open_cell, restarted, scenario

@@ -11,8 +11,7 @@ import pytest
 from control.errors import ArmError
 from control.model.cell import Placed
 from control.motion.setpoint import SetPoint, at_rest
-from control.safety.body import ArmBody, pairs_between
-from control.safety.collision import least_gap
+from control.safety.collision import ArmBody, least_gap, pairs_between
 from control.safety.table import Mode
 from control.server.client import RequestRefused
 from procedures.drills.pair import thick_arm

@@ -9,7 +9,7 @@ import pytest
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from control.motion.plan import plan_path
-from control.recording.layout import layout_of
+from control.recording.record import layout_of
 from control.safety.table import Mode
 from tests.cell import RIGHT, Cell, holding_cell, scenario
 

@@ -13,8 +13,7 @@ from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
 from control.loop.jogging import Jogging, JointSpeeds
 from control.motion.guard import Guard
-from control.motion.jog_limits import JogLimits
-from control.motion.joint_limits import JointLimits
+from control.motion.joint_limits import JogLimits, JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath, plan_path

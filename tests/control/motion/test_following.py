@@ -6,17 +6,25 @@ from math import pi
 import numpy as np
 import pytest
 
-from benchmarks.arms import ARMS, FIVE, FOUR, SEVEN, SIX, TWO, arm_of
-from benchmarks.tip_paths import circle_in_place, tip_of, turned_in_place
+from benchmarks.arms import (
+    ARMS,
+    FIVE,
+    FOUR,
+    SEVEN,
+    SIX,
+    TWO,
+    arm_of,
+    circle_in_place,
+    tip_of,
+    turned_in_place,
+)
 from control.errors import ArmError
 from control.kinematics import rotation
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import ForwardKinematics
-from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.model.arm import Arm
 from control.motion.errors import PathError
-from control.motion.following.orientation import OrientationSpline, turns_rad
-from control.motion.following.sections import BOUND_M, BOUND_RAD, LONGEST_S
+from control.motion.following.follower import BOUND_M, BOUND_RAD, LONGEST_S, OrientationSpline, turns_rad
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath, plan_path

@@ -13,8 +13,7 @@ from control.loop.jogging import Jogging, JointSpeeds, JointStep, TipStep, TipVe
 from control.model.description import load_arm
 from control.motion.errors import MotionError
 from control.motion.guard import Guard
-from control.motion.jog_limits import JogLimits, UNHOMED_SPEED_rad_s, reaches_m
-from control.motion.joint_limits import JointLimits
+from control.motion.joint_limits import JogLimits, JointLimits, UNHOMED_SPEED_rad_s, reaches_m
 from control.motion.joint_move import JointMove
 from control.motion.setpoint import at_rest
 from control.safety.limits import SetPointLimits, limit_set_point

@@ -14,14 +14,12 @@ from control.errors import ArmError
 from control.kinematics import rotation
 from control.kinematics.damped import DampedRates
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import ForwardKinematics
-from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.pose_solver import task_of
 from control.loop.jogging import Jogging, JogRequest, TipStep, TipVelocity
 from control.model.arm import Arm
 from control.motion.guard import Guard
-from control.motion.jog_limits import JogLimits
-from control.motion.joint_limits import JointLimits
+from control.motion.joint_limits import JogLimits, JointLimits
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.limits import SetPointLimits, limit_set_point
 from tests.cell import RIGHT

@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from control.motion import timing
 from control.motion.errors import PathError
-from control.motion.spline import CartesianSpline, hermite, through, timed
+from control.motion.spline import (
+    CartesianSpline,
+    arc_lengths,
+    hermite,
+    section_times,
+    tangents,
+    through,
+    timed,
+)
 
 RADIUS, SPEED = 0.09, 0.15
 
@@ -84,13 +91,13 @@ def test_without_speeds_it_is_the_clamped_cubic_spline_of_scipy():
 def test_tangents_on_a_circle_are_exact_even_with_uneven_points():
     angles = [0.0, 0.2, 0.9, 1.0, 1.7, 2.5]
     points = [(math.cos(a), math.sin(a), 0.0) for a in angles]
-    for tangent, a in zip(timing.tangents(points), angles, strict=True):
+    for tangent, a in zip(tangents(points), angles, strict=True):
         assert tangent == pytest.approx((-math.sin(a), math.cos(a), 0.0), abs=1e-12)
 
 
 def test_section_lengths_on_a_circle_are_exact():
     points = [(math.cos(a), math.sin(a), 0.0) for a in (0.0, 0.2, 0.9, 1.0)]
-    assert timing.arc_lengths(points, timing.tangents(points)) == pytest.approx([0.2, 0.7, 0.1], abs=1e-12)
+    assert arc_lengths(points, tangents(points)) == pytest.approx([0.2, 0.7, 0.1], abs=1e-12)
 
 
 def test_a_circle_of_24_points_runs_at_constant_speed_and_stays_round():
@@ -130,7 +137,7 @@ def test_a_straight_line_leaves_rest_on_a_parabola_of_speed_and_keeps_its_speed(
 @pytest.mark.parametrize("start", [0.0, 0.3, 0.8, 1.0])
 @pytest.mark.parametrize("end", [0.0, 0.5, 1.0])
 def test_on_a_straight_section_the_speed_never_exceeds_the_pace_nor_turns_back(start, end):
-    (time,) = timing.section_times([0.2], [start, end], [1.0])
+    (time,) = section_times([0.2], [start, end], [1.0])
     spline = hermite([(0.0,) * 3, (0.2, 0.0, 0.0)], [(start, 0.0, 0.0), (end, 0.0, 0.0)], [time])
     speeds = [spline.at(time * i / 200)[1][0] for i in range(201)]
     assert max(speeds) <= 1.0 + 1e-12

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from console.main import main
-from console.visualisation.reading_cell import read_log
+from console.visualisation.reading import read_log
 from control.model.description import load_arm
-from control.recording.cell_folder import new_folder, recordings_in
-from control.recording.joined import join
+from control.recording.cell_folder import join, new_folder, recordings_in
 from control.recording.reading import RecordError, Recording
 from control.recording.rotation import Policy, remove_oldest
 from tests.recordings import BOOTED_s, PERIOD_s, write_recording

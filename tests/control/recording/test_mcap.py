@@ -17,11 +17,10 @@ from control.model.arm import Arm, Link, Tool
 from control.model.description import arm_text, load_arm
 from control.recording import mcap_scene as scene
 from control.recording.export import to_mcap
-from control.recording.layout import END_FIELDS
 from control.recording.mcap_events import CycleChanges
 from control.recording.mcap_schemas import FOXGLOVE, TOPICS, columns_of
 from control.recording.reading import Recording
-from control.recording.record import Layout
+from control.recording.record import END_FIELDS, Layout
 from control.recording.recorded_arm import recorded_arm
 from tests.recordings import MODES, ERROR_rad, PERIOD_s, STARTED_s, write_recording
 

@@ -15,8 +15,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Rest
 from control.model.cell import Placed, load_cell
 from control.model.description import load_arm
-from control.safety.body import ArmBody, pairs_between
-from control.safety.collision import FAR, Capsule, capsule, least_gap, middle
+from control.safety.collision import FAR, ArmBody, Capsule, capsule, least_gap, middle, pairs_between
 
 PAIR = load_cell("pair")
 LEFT, RIGHT = (ArmBody(placed, PAIR.tool_length_m) for placed in PAIR.arms)

@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from control.model.cell import save_cell
-from control.recording.cell_folder import recordings_in
-from control.recording.joined import join
+from control.recording.cell_folder import join, recordings_in
 from control.recording.reading import Recording
 from control.server.channel import SocketChannel
 from control.server.client import ArmClient

@@ -12,8 +12,8 @@ from dataclasses import replace
 import pytest
 
 from control.safety.table import Mode
-from control.server.events import Events
 from control.server.printer import Printer
+from control.server.process import Events
 from hil_mocks.scenario import GripperTable
 from tests.cell import GRIPPER, RIGHT, Cell, holding_cell, restarted, scenario
 from tests.kinds import ON_BOARDS

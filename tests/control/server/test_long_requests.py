@@ -16,10 +16,9 @@ import pytest
 from control.errors import ArmError
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
-from control.server import long_requests, messages
-from control.server.long_requests import SLICE_bytes, is_long, steps
+from control.server import messages, server
 from control.server.messages import Asked, asked
-from control.server.server import Server
+from control.server.server import Server, SLICE_bytes, is_long, steps
 
 KNOTS = 4000
 
@@ -101,7 +100,7 @@ def test_between_two_cycles_no_more_is_read_than_a_slice(monkeypatch: pytest.Mon
             return self.decoder.decode(text)
 
     for name in ("_ROWS", "_NUMBERS"):
-        monkeypatch.setattr(long_requests, name, Counting(getattr(long_requests, name)))
+        monkeypatch.setattr(server, name, Counting(getattr(server, name)))
     line = line_of("run_joints", path=joint_path())
     reading = steps(asked(line))
     decoded.append(0)

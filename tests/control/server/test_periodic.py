@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.server.periodic import PeriodicTimer
+from control.server.scheduling import PeriodicTimer
 
 PERIOD_S = 0.002
 

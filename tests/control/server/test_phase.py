@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from control.server.periodic import PeriodicTimer
 from control.server.process import BOUND, EARLIER, SILENT, VAIN, PhaseFollower
+from control.server.scheduling import PeriodicTimer
 from tests.firmware_iface.scripted import FakeClock
 
 PERIOD_s = 0.002

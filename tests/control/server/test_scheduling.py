@@ -14,7 +14,7 @@ from typing import cast
 import pytest
 
 from control.loop.drives import Bound
-from control.loop.punctuality import Punctuality
+from control.loop.parts import Punctuality
 from control.server.process import run
 from control.server.scheduling import (
     ALGEBRA,

@@ -15,9 +15,9 @@ from firmware_iface.mocap.bodies import angle_rad
 from firmware_iface.mocap.fields import Malformed
 from firmware_iface.mocap.natnet import KEEP_ALIVE_s, NatNetStream
 from firmware_iface.mocap.qtm import QtmStream
-from hil_mocks.camera_wires import CameraWire, Commands, OneClientServer, free_udp_port
 from hil_mocks.devices.camera import CameraSetup
 from hil_mocks.devices.mocap import MocapMock, NatNetMock, QtmMock, SceneSetup
+from hil_mocks.wires import CameraWire, Commands, OneClientServer, free_udp_port
 from tests.firmware_iface.mocap.standing import Standing
 
 ARM = Standing((0.5, 0.1, 0.3), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.closed_chain.candidates import Candidates, contact_candidates
 from calib.closed_chain.conduct import conduct, contact_plan
 from calib.closed_chain.contacts import read_contacts
+from calib.closed_chain.planning import Candidates, contact_candidates
 from calib.session.conversation import Recorded, unattended
 from calib.session.folder import SessionFolder
 from control.model.cell import load_cell

@@ -8,8 +8,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from calib.capture.alignment import align
-from calib.capture.motion import JointMotion
+from calib.capture.alignment import JointMotion, align
 from calib.capture.tracks import BodyTrack
 from calib.gap.log import Log, LoggedRun
 from control.kinematics.kinematics import ForwardKinematics

@@ -19,8 +19,7 @@ from calib.gap.plan.plan import PlannedRun, PlannedVisit, RecordingPlan
 from calib.points.points import Points
 from calib.points.reading import read_points
 from console.main import main
-from control.kinematics.kinematics import ForwardKinematics
-from control.kinematics.pose_kinematics import PoseKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.rotation import logarithms, matrices, quaternions
 from control.model.camera import Camera, CameraStream
 from control.model.description import load_arm

@@ -16,8 +16,8 @@ import pytest
 from benchmarks.arms import FOUR, SIX, TWO
 from calib.errors import CalibrationError
 from calib.iso9283.criteria import pose
-from calib.iso9283.cube import TestCube
 from calib.iso9283.programme import Extent, PathRun
+from calib.iso9283.workspace import TestCube
 from calib.points.reading import read_points
 from console.main import main
 from control.kinematics.kinematics import ForwardKinematics

@@ -16,9 +16,8 @@ from calib.session.boards_known import Boards
 from calib.session.conversation import Ask, Do, Message, Recorded, SessionCommand, SessionQuestion, SmallMove
 from calib.session.folder import SessionFolder
 from calib.session.moves import chosen_free_poses, read_free_poses
-from calib.session.plan import SessionPlan, board_targets, free_targets
+from calib.session.plan import Mark, SessionPlan, SessionState, board_targets, free_targets
 from calib.session.residual_watch import RecordVerdict
-from calib.session.state import Mark, SessionState
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Link
 from control.model.description import load_arm
