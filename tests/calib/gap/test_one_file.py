@@ -15,19 +15,17 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.calibration.calibrate import CalibrationPlan, identified
 from calib.calibration.outcome import calibrated_arm
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
-from calib.gap.log import Log
 from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.poses.file import File, follows
 from calib.gap.poses.find import find
-from calib.gap.series.find import examine
 from calib.gap.series.split import split
 from calib.gap.workflow import Recordings, _updated, find_gap_in, write_gap
 from calib.identify.objective import LeastSquares
 from calib.points.points import joined
 from calib.validation.verify import errors_of, predicted_tips
-from control.model.arm import Arm, Effect, Tool
+from control.model.arm import Effect, Tool
 from control.model.description import load_arm
-from tests.calib.gap.series.prescribed import arm_with_friction, log_of
+from tests.calib.gap.series.prescribed import arm_with_friction
 
 HIDDEN = (Hidden("encoder_scale", 1, 0.006), Hidden("encoder_eccentricity", 2, 0.005, 0.4))
 KEYS = ("encoder_scale:1", "encoder_eccentricity:2")
@@ -221,35 +219,6 @@ def test_a_part_of_a_recording_is_as_warm_as_it_was_in_the_whole() -> None:
     np.testing.assert_array_equal(predicted_tips(known, late), whole[middle:])
     again = points.chosen([*range(middle, len(points)), *range(middle)])
     np.testing.assert_array_equal(predicted_tips(known, joined((late, early))), predicted_tips(known, again))
-
-
-def load_friction(joint: int, q: np.ndarray, speed: np.ndarray, link: np.ndarray) -> np.ndarray:
-    return 0.2 * np.abs(link) * np.sign(speed) if joint == 1 else np.zeros_like(q)
-
-
-@pytest.mark.usefixtures("without_motion")
-def test_answers_of_a_log_depend_neither_on_current_limits_nor_on_the_order_of_its_runs() -> None:
-    arm = arm_with_friction()
-    log = log_of(arm, load_friction)
-
-    def answer(own: Arm, runs: Log) -> dict[EffectName, dict[str, float]]:
-        found = examine(
-            own, runs, candidates=("load_friction", "coulomb_friction", "viscous_friction")
-        ).finding
-        return {one.name: {key: value for key, (value, _) in one.parameters.items()} for one in found.effects}
-
-    wider = dataclasses.replace(
-        arm,
-        drives=tuple(
-            dataclasses.replace(one, current_limit_A=6.0 * one.current_limit_A) for one in arm.drives
-        ),
-    )
-    plain = answer(arm, log)
-    assert plain.keys() == {EffectName("load_friction", 2)}
-    for other in (answer(wider, log), answer(arm, Log(log.runs[::-1]))):
-        assert other.keys() == plain.keys()
-        for name, parameters in other.items():
-            assert parameters == pytest.approx(plain[name], rel=1e-3)
 
 
 def finding(effect: str, value: float) -> GapFinding:
