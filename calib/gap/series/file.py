@@ -50,7 +50,7 @@ def identified(fit: SeriesFit, some: Sequence[Member], parts: RowSplit) -> Ident
         found = _Laws.of(fit, [one for one in some if one.term.key not in dropped], parts)
         why = found.against()
         if not why:
-            return Identified(found.sizes(), found.covariances(), dropped)
+            return Identified(found.sizes(), found.stated(), dropped)
         dropped |= why
 
 
@@ -107,6 +107,18 @@ class _Laws:
                 covariance[k, :] *= factor
                 covariance[:, k] *= factor
             found[one.number] = covariance
+        return found
+
+    def stated(self) -> dict[int, Array]:
+        """`covariances`, with how far the file's values and the posterior's are apart: as poses have it.
+
+        Where what the file has departs from its laws, neither of the two knows by how much it took the part of what is named:
+        the posterior gives departures what they may be, the file's laws take all that is left.
+        """
+        found, sizes = self.covariances(), self.sizes()
+        for one in self.members:
+            apart = sizes[one.number][: one.term.laws] - one.size[: one.term.laws]
+            found[one.number][: len(apart), : len(apart)] += np.outer(apart, apart)
         return found
 
     def _spread(self) -> Array:

@@ -34,7 +34,7 @@ from calib.points.points import Points
 from calib.points.writer import write_points
 from control.model.arm import Arm
 from control.model.effects import EFFECTS
-from tests.calib.gap.series.prescribed import arm_with_friction, log_of, write_log
+from tests.calib.gap.series.prescribed import LONG, log_of, write_log
 
 HIDDEN = (Hidden("encoder_scale", 1, 0.006), Hidden("backlash", 2, 0.004))
 DESIGNS = (
@@ -100,13 +100,6 @@ def test_current_limits_that_are_five_times_as_wide_have_the_same_answer() -> No
 # Recordings as files: a table of rows (dicts of texts by column) that is written down in another way.
 Table = list[dict[str, str]]
 TRIED = ("load_friction", "coulomb_friction", "viscous_friction", "cogging")
-LONG = arm_with_friction()
-LONG = dataclasses.replace(  # another arm than the supplied one: its links are longer, its motors stronger
-    LONG.with_dh(np.array(LONG.dh) * [1.2, 1.0, 1.3, 1.0]),
-    drives=tuple(
-        dataclasses.replace(one, torque_constant_Nm_A=1.4 * one.torque_constant_Nm_A) for one in LONG.drives
-    ),
-)
 
 
 def rubbing(joint: int, q: np.ndarray, speed: np.ndarray, link: np.ndarray) -> np.ndarray:

@@ -53,6 +53,15 @@ def arm_with_friction() -> Arm:
     return replace(arm, effects=tuple(effects), drives=drives)
 
 
+def longer(arm: Arm) -> Arm:
+    """Another arm than the supplied one: its links are longer, its motors stronger."""
+    stronger = (replace(one, torque_constant_Nm_A=1.4 * one.torque_constant_Nm_A) for one in arm.drives)
+    return replace(arm.with_dh(np.array(arm.dh) * [1.2, 1.0, 1.3, 1.0]), drives=tuple(stronger))
+
+
+LONG = longer(arm_with_friction())
+
+
 def nothing(joint: int, q: Array, speed: Array, link: Array) -> Array:
     """Nothing is hidden."""
     return np.zeros_like(q)

@@ -11,8 +11,8 @@ from benchmarks.gap.dynamic.score import log_of as log_of_case
 from benchmarks.gap.dynamic.series_score import asked
 from calib.arrays import Array
 from calib.gap.finding import EffectName, GapFinding
-from calib.gap.series.find import find
-from tests.calib.gap.series.prescribed import Hidden, arm_with_friction, log_of
+from calib.gap.series.find import examine, find
+from tests.calib.gap.series.prescribed import LONG, VISCOUS, COULOMB_Nm, Hidden, arm_with_friction, log_of
 
 pytestmark = pytest.mark.usefixtures("without_motion")
 
@@ -47,6 +47,21 @@ def test_two_laws_that_are_only_roughly_right_are_both_named_as_what_they_are() 
     assert (
         found.gap_explained < 1.3 < found.gap_after < 0.06 * found.gap_before
     )  # no file says how a part departs
+
+
+def test_a_value_is_within_its_interval_where_laws_that_the_file_has_depart_by_a_few_per_cent() -> None:
+    """The named law takes a part of what they do, which the file cannot hold: its error is no noise, and is counted."""
+
+    def law(j: int, q: Array, speed: Array, link: Array) -> Array:
+        level = 0.08 * COULOMB_Nm[0] * np.sin(2.0 * q + 2.0) * np.sign(speed)
+        bent = 0.08 * VISCOUS[0] * np.abs(speed) * speed
+        return (0.25 * np.abs(link) * np.sign(speed) + level + bent) * (j == 0)
+
+    laws = ("load_friction", "coulomb_friction", "viscous_friction", "cogging")
+    (found,) = examine(LONG, log_of(LONG, law), candidates=laws).finding.effects
+    assert found.name == EffectName("load_friction", 1)
+    value, sd = found.parameters["fraction"]
+    assert 0.02 < abs(value - 0.25) < 1.96 * sd
 
 
 @pytest.mark.nightly
