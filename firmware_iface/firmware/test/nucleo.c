@@ -89,6 +89,7 @@ static void start_clocks(void)
 {
     struct sigaction act = {.sa_flags = SA_SIGINFO};
 
+    (void)sigaddset(&act.sa_mask, SIGVTALRM);
     act.sa_sigaction = touched;
     (void)sigaction(SIGSEGV, &act, NULL);
     act.sa_sigaction = stepped;
