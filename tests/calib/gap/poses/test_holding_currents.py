@@ -12,6 +12,7 @@ from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.find import find
 from calib.gap.poses.measured import Fit
 from control.dynamics.static_pose import gravity_Nm, torque_per_A
+from tests.thirds import third_of
 
 
 @pytest.mark.parametrize("rig", ["six", "planar"])
@@ -32,7 +33,7 @@ def test_what_motors_hold_follows_the_geometry_that_the_fit_has(rig: str) -> Non
         assert np.abs(left).max() < 0.05 * np.abs(torque_Nm).max()
 
 
-@pytest.mark.parametrize(("rig", "joint"), [("planar", 1), ("six", 2)])
+@pytest.mark.parametrize(("rig", "joint"), [("planar", 1), pytest.param("six", 2, marks=pytest.mark.nightly)])
 def test_a_motor_whose_current_has_the_other_sign_is_said_and_never_written(rig: str, joint: int) -> None:
     arm, points = designed(63, (), Design(rig=rig, free=40, visits=7))
     current_A = np.array(points.current_A)
@@ -44,7 +45,7 @@ def test_a_motor_whose_current_has_the_other_sign_is_said_and_never_written(rig:
     assert f"torque_constant on joint {joint}" in found.finding.unknown.where
 
 
-@pytest.mark.parametrize("seed", [93_015, 93_023])
+@pytest.mark.parametrize("seed", third_of([93_015, 93_023]))
 def test_an_arm_off_its_drawing_carries_what_its_geometry_says_and_nothing_is_named_or_left(
     seed: int,
 ) -> None:
@@ -54,6 +55,7 @@ def test_an_arm_off_its_drawing_carries_what_its_geometry_says_and_nothing_is_na
     assert found.unknown is None
 
 
+@pytest.mark.nightly  # tests/calib/gap/test_one_file.py has the same gear beside an encoder's scale at each change
 def test_a_gear_so_soft_that_its_loads_move_with_it_is_named_beside_an_encoders_error() -> None:
     hidden = (Hidden("encoder_eccentricity", 4, 0.006, 0.4), Hidden("joint_compliance", 2, 600.0))
     found = find(*designed(64, hidden, Design(rig="six", free=40, visits=5))).finding
