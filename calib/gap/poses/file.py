@@ -29,12 +29,13 @@ from calib.gap.posterior.coefficients import parameters_of
 from calib.identify.identification import Identification
 from calib.identify.objective import LeastSquares
 from calib.points.points import Points
+from calib.settling import Settling
 from control.model.arm import Arm, Effect
 from control.model.description import arm_text, parse_arm
 from control.model.effects import linear_values
 from control.model.maps import CorrectionMap, LARGEST_rad, Over
 
-STEPS = 2  # of the places of frames, tool and boards, which follow in nearly a straight line
+PLACED_m = 1e-8  # of all tips together: a step by which frames, tool and boards have their places
 NODES = 33  # of a map that stands for a law: its ends, which are level, cost a line next to nothing
 SMOOTH = 1e-3  # of a map's bend beside what a pose says: it only settles nodes without a pose
 
@@ -191,10 +192,11 @@ def _of(arm: Arm, name: EffectName) -> Effect:
 def placed(arm: Arm, points: Points, rows: Mask) -> Fit:
     """An arm as it is; what no file says (frames, tool, boards, target) is placed by the poses of a mask (m,)."""
     problem = problem_of(arm, points, Choice().for_points(arm, points))
-    x = np.zeros(len(problem.parameters))
+    x, settling = np.zeros(len(problem.parameters)), Settling()
     free = [k for k, parameter in enumerate(problem.parameters) if not parameter.has_bound]
-    for _ in range(STEPS if free else 0):
+    while free and settling.goes_on:
         residual, slope = problem.residuals_and_jacobian(x)
         wanted = slope[rows][:, :, free].reshape(-1, len(free))
-        x[free] += np.linalg.lstsq(wanted, -residual[rows].ravel(), rcond=1e-9)[0]
+        step = np.linalg.lstsq(wanted, -residual[rows].ravel(), rcond=1e-9)[0]
+        x[free] += step if settling.takes(np.linalg.norm(wanted @ step), PLACED_m) else 0.0
     return Fit.nominal(problem, x)
