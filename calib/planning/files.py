@@ -12,9 +12,8 @@ import numpy as np
 
 from calib.gap.plan.plan import GENTLE
 from calib.inputs import InputFile
-from calib.planning.cost import Cost
 from calib.planning.path import PathPlan, WayOfPath
-from calib.planning.place import NOWHERE
+from calib.planning.search import NOWHERE, Cost
 from calib.planning.stops import StopsPlan, WayOfStops
 from calib.points.points import make_points
 from calib.points.writer import replace_file, write_points

@@ -13,9 +13,17 @@ from typing import Final
 
 import numpy as np
 
-from calib.planning.cost import WORTH, Cost, Judge, is_surely_better, is_worth_it
-from calib.planning.place import NOWHERE, best_place, places_count, shifted
-from calib.planning.room import Room, lead_in_of
+from calib.planning.search import (
+    NOWHERE,
+    WORTH,
+    Cost,
+    Freedom,
+    Search,
+    TaskPlan,
+    lead_in_of,
+    places_count,
+    shifted,
+)
 from calib.trust.prediction import Predictor
 from calib.trust.task import Path, sampled
 from control.errors import ArmError
@@ -32,15 +40,6 @@ PACES: Final = (
     0.25,
 )  # of the speed given: gears that inertia lifts off their flank stay on it
 SAMPLES: Final = 100
-
-
-@dataclass(frozen=True, slots=True)
-class Freedom:
-    """What may be changed: how far the work may be moved, +- along x, y, z [m], and whether the order of its points."""
-
-    shift_m: Vector3 = NOWHERE
-    any_order: bool = False
-    payload_kg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,30 +61,21 @@ class WayOfPath:
     cost: Cost
 
 
-@dataclass(frozen=True, slots=True)
-class PathPlan:
-    """The path as given, as chosen, and what each choice brought: its name and the error after it [m]."""
+class PathPlan(TaskPlan[WayOfPath]):
+    """A path, as given and as chosen."""
 
-    plain: WayOfPath
-    chosen: WayOfPath
-    steps: tuple[tuple[str, float], ...]
+    __slots__ = ()
 
 
 def planned_path(
     arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance = silent
 ) -> PathPlan:
     """The best way within what may be changed. PathError if the path as given cannot be run."""
-    return _Search(arm, Judge(predictor), waypoints, freedom, advance).run()
+    return _Search(arm, predictor, waypoints, freedom, advance).run()
 
 
-class _Search:
+class _Search(Search[WayOfPath]):
     """One choice after the other: branch, place, way round, speed."""
-
-    def __init__(
-        self, arm: Arm, judge: Judge, waypoints: Waypoints, freedom: Freedom, advance: Advance
-    ) -> None:
-        self._arm, self._judge, self._given, self._freedom = arm, judge, waypoints, freedom
-        self._advance, self._done, self._room = advance, 0, Room(arm)
 
     def run(self) -> PathPlan:
         ways = list(self._ways(NOWHERE))
@@ -117,18 +107,9 @@ class _Search:
         """The fastest first."""
         return [way for pace in PACES for way in self._ways(best.shift_m, best.is_reversed, pace)]
 
-    def _is_better(self, one: WayOfPath, than: WayOfPath) -> bool:
-        """Worth the change, and sure to be better than the plain one."""
-        return is_worth_it(one.cost, than.cost, self._plain.cost)
-
     def _placed(self, _: WayOfPath) -> list[WayOfPath]:
-        if not any(self._freedom.shift_m):
-            return []
-        found = best_place(self._freedom.shift_m, self._best_at, self._is_better_place)
-        return [] if found is None else [found[1]]
-
-    def _is_better_place(self, one: WayOfPath, than: WayOfPath) -> bool:
-        return one.cost.rms_m < than.cost.rms_m and is_surely_better(one.cost, self._plain.cost)
+        found = self._best_place()
+        return [] if found is None else [found]
 
     def _best_at(self, shift_m: Vector3) -> WayOfPath | None:
         self._done += 1

@@ -16,10 +16,7 @@ from calib.arrays import Array, Mask
 from calib.design.candidates import STARTS_COUNT, joint_box, postures, spread_poses
 from calib.design.planning import DETOUR_RAD, clear_ways, short_path
 from calib.errors import CalibrationError
-from calib.planning.cost import Cost, Judge, is_surely_better, is_worth_it
-from calib.planning.path import Freedom
-from calib.planning.place import NOWHERE, best_place, places_count, shifted
-from calib.planning.room import Room, lead_in_of
+from calib.planning.search import NOWHERE, Cost, Freedom, Search, TaskPlan, lead_in_of, places_count, shifted
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
 from control.kinematics.inverse import InverseKinematics
@@ -62,13 +59,10 @@ class WayOfStops:
         return total
 
 
-@dataclass(frozen=True, slots=True)
-class StopsPlan:
-    """The points as given, as chosen, and what each choice brought: its name and the error after it [m]."""
+class StopsPlan(TaskPlan[WayOfStops]):
+    """Stops, as given and as chosen."""
 
-    plain: WayOfStops
-    chosen: WayOfStops
-    steps: tuple[tuple[str, float], ...]
+    __slots__ = ()
 
 
 def planned_stops(
@@ -77,17 +71,11 @@ def planned_stops(
     """The best way within what may be changed. ArmError if a point as given is out of reach."""
     if waypoints.orientations is not None:
         raise CalibrationError("--stops: takes positions, got orientations: leave out the columns qw to qz")
-    return _Search(arm, Judge(predictor), waypoints, freedom, advance).run()
+    return _Search(arm, predictor, waypoints, freedom, advance).run()
 
 
-class _Search:
+class _Search(Search[WayOfStops]):
     """First posture and side of each point, then the place, then the order."""
-
-    def __init__(
-        self, arm: Arm, judge: Judge, waypoints: Waypoints, freedom: Freedom, advance: Advance
-    ) -> None:
-        self._arm, self._judge, self._given, self._freedom = arm, judge, waypoints, freedom
-        self._advance, self._done, self._room = advance, 0, Room(arm)
 
     def run(self) -> StopsPlan:
         self._plain = best = self._as_given()
@@ -96,19 +84,11 @@ class _Search:
         if here is not None and self._is_better(here, best):
             best = here
             steps.append(("postures and sides", best.cost.rms_m))
-        if any(self._freedom.shift_m):
-            found = best_place(self._freedom.shift_m, self._best_at, self._is_better_place)
-            if found is not None and self._is_better(found[1], best):
-                best = found[1]
-                steps.append(("place", best.cost.rms_m))
+        place = self._best_place()
+        if place is not None and self._is_better(place, best):
+            best = place
+            steps.append(("place", best.cost.rms_m))
         return StopsPlan(self._plain, self._ordered(best), tuple(steps))
-
-    def _is_better_place(self, one: WayOfStops, than: WayOfStops) -> bool:
-        return one.cost.rms_m < than.cost.rms_m and is_surely_better(one.cost, self._plain.cost)
-
-    def _is_better(self, one: WayOfStops, than: WayOfStops) -> bool:
-        """Worth the change, and sure to be better than the plain one."""
-        return is_worth_it(one.cost, than.cost, self._plain.cost)
 
     def _as_given(self) -> WayOfStops:
         """In the file's order, each in the posture that is nearest to the one before, straight from there."""

@@ -13,7 +13,8 @@ from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
 from calib.inputs import input_file
 from calib.planning.files import RESULTS, Plan, plan_json, sentences, write_plan
-from calib.planning.path import Freedom, planned_path
+from calib.planning.path import planned_path
+from calib.planning.search import Freedom
 from calib.planning.stops import StopsPlan, planned_stops
 from calib.points.arm_points import base_points_for
 from calib.trust.prediction import Predictor

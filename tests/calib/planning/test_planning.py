@@ -11,9 +11,8 @@ from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
 from calib.planning.files import path_lines, sentences, stop_lines, waypoints_text
-from calib.planning.path import Freedom, PathPlan, backwards, planned_path
-from calib.planning.place import NOWHERE, best_place, places_count, shifted
-from calib.planning.room import Room, lead_in_of
+from calib.planning.path import PathPlan, backwards, planned_path
+from calib.planning.search import NOWHERE, Freedom, Room, best_place, lead_in_of, places_count, shifted
 from calib.planning.stops import StopsPlan, WayOfStops, planned_stops
 from calib.points.points import Points, make_points
 from calib.trust.prediction import Predictor
