@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from struct import Struct, error
 
 from firmware_iface.errors import MisuseError
-from firmware_iface.udp import UdpListener
+from firmware_iface.udp import FrameListener, UdpListener
 
 DEFAULT_PORT = 47310
 TIP_SOURCE = 0
@@ -52,28 +52,12 @@ def unpack(datagram: bytes) -> CameraFrame | None:
     return CameraFrame(sequence, time_s, (x_m, y_m, z_m), bool(flags), source)
 
 
-class CameraReceiver:
-    """Listens on a UDP port. Datagrams that are not camera frames are dropped and counted in `rejected`."""
+class CameraReceiver(FrameListener[CameraFrame]):
+    """Listens on a UDP port."""
 
     def __init__(self, port: int = DEFAULT_PORT, host: str = "127.0.0.1") -> None:
         """Listen on `port` of the interface with address `host`; port 0 takes any free one."""
-        self.rejected = 0
-        self._listener = UdpListener("camera", port, interface=host)
-        self.port, self.name = self._listener.port, self._listener.name
-
-    def receive(self) -> list[CameraFrame]:
-        """Return all frames received so far, in order of arrival; never blocks. Raises LinkLost."""
-        frames = []
-        for datagram in self._listener.datagrams():
-            if (frame := unpack(datagram)) is None:
-                self.rejected += 1
-            else:
-                frames.append(frame)
-        return frames
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._listener.close()
+        super().__init__(UdpListener("camera", port, interface=host), unpack)
 
 
 class CameraSender:

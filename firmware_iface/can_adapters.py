@@ -14,7 +14,6 @@ class CanInterface:
     module: str = ""
     package: str = ""
     remedy: str = "check that the adapter is plugged in and its driver installed"
-    is_tried: bool = False  # by the tests of armwright
 
     def missing(self) -> str:
         """What to install for it; "" if nothing is missing as far as this machine can say."""
@@ -32,7 +31,7 @@ INTERFACES = {
     one.name: one
     for one in (
         CanInterface("socketcan", "can0", remedy="try: ip link set {channel} up type can bitrate {bitrate} restart-ms 100"),
-        CanInterface("slcan", "/dev/serial/by-id/usb-...", is_tried=True),
+        CanInterface("slcan", "/dev/serial/by-id/usb-..."),
         CanInterface(
             "gs_usb", "0", True, "gs_usb", "gs_usb pyusb",
             remedy="the channel counts the adapters from 0" + _WAITS + _ON_LINUX,
@@ -45,10 +44,10 @@ INTERFACES = {
         CanInterface("seeedstudio", "/dev/ttyUSB0", remedy="the channel is its serial port; bitrate is the bus's"),
         CanInterface("robotell", "/dev/ttyUSB0", remedy="the channel is its serial port"),
         CanInterface(
-            "udp_multicast", "239.74.163.2", is_tried=True,
+            "udp_multicast", "239.74.163.2",
             remedy="the channel is a multicast address such as 239.74.163.2, and msgpack must be installed",
         ),
-        CanInterface("virtual", "any", is_tried=True, remedy="any name is valid for a virtual bus"),
+        CanInterface("virtual", "any", remedy="any name is valid for a virtual bus"),
     )
 }  # fmt: skip
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Generic, TypeVar
 
 from firmware_iface.errors import LinkLost, PortMissing
 
 _LONGEST_DATAGRAM = 65536
+Frame = TypeVar("Frame")
 
 
 class UdpListener:
@@ -64,6 +66,28 @@ class UdpListener:
     def close(self) -> None:
         """Stop listening."""
         self._socket.close()
+
+
+class FrameListener(Generic[Frame]):
+    """Frames of one kind, a datagram each. Datagrams that are none are dropped and counted in `rejected`."""
+
+    def __init__(self, listener: UdpListener, unpack: Callable[[bytes], Frame | None]) -> None:
+        self._listener, self._unpack, self.rejected = listener, unpack, 0
+        self.port, self.name = listener.port, listener.name
+
+    def receive(self) -> list[Frame]:
+        """All frames received so far, in order of arrival; never blocks. LinkLost."""
+        frames = []
+        for datagram in self._listener.datagrams():
+            if (frame := self._unpack(datagram)) is None:
+                self.rejected += 1
+            else:
+                frames.append(frame)
+        return frames
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._listener.close()
 
 
 def _own_address_towards(host: str) -> str:

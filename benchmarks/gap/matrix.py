@@ -6,10 +6,8 @@ Each case is run once. The hidden effects are `Truth` (as in truth.json), the wo
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -76,20 +74,6 @@ class Answer:
         """Whether this is the best possible answer."""
         wanted = {NOTHING: "nothing", OFF_THE_LIST: "unknown"}
         return self.column == wanted.get(self.sort, "right")
-
-
-def read_truth(path: Path, is_listed: bool = True) -> Truth:
-    """Of a truth.json; effects whose name starts with unknown are in no list."""
-    entries = json.loads(path.read_text(encoding="utf-8"))["effects"]
-    hidden = tuple(
-        Hidden(
-            EffectName(entry["effect"], entry.get("joint")),
-            {k: v for k, v in entry["parameters"].items() if isinstance(v, float | int)},
-        )
-        for entry in entries
-    )
-    unknown = any(one.name.effect.startswith("unknown") for one in hidden)
-    return Truth(hidden, is_listed and not unknown)
 
 
 def answer(

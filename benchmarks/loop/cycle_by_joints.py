@@ -33,7 +33,6 @@ AWAY_rad, SPEED = (
     0.25,
     0.3,
 )  # of each joint from where it rests, and of the arm's full speed: some two seconds there and back
-P99_RATIO = 1.5  # of the median
 
 
 @dataclass(frozen=True, slots=True)

@@ -148,7 +148,6 @@ class ShiftedSetup:
     setup: str
     shift_m: Array
     turn_rad: Array
-    explained_share: float
     words: str
 
 
@@ -206,7 +205,7 @@ def _moved(
     chance = float(fdtrc(gained, freedom, max(0.0, before - after) / gained / max(after / freedom, 1e-300)))
     shift, turn = LENGTH_m * step[-6:-3], TURN_rad * step[-3:]
     share = 1.0 - after / max(before, 1e-300)
-    return share, chance, ShiftedSetup(name, shift, turn, share, _words(name, shift, turn, share))
+    return share, chance, ShiftedSetup(name, shift, turn, _words(name, shift, turn, share))
 
 
 def _solved(columns: Array, wanted: Array) -> tuple[float, int, Array]:

@@ -14,7 +14,7 @@ from struct import Struct
 
 from firmware_iface.mocap.bodies import BodyFrame, Quaternion, RigidPose, SeenBody, product
 from firmware_iface.mocap.fields import FARTHEST_m, Fields, Malformed
-from firmware_iface.udp import UdpListener
+from firmware_iface.udp import FrameListener, UdpListener
 
 DEFAULT_PORT = 51001
 PADDED_bytes = (256, 512, 1024)
@@ -63,25 +63,9 @@ def from_euler_xyz(x_rad: float, y_rad: float, z_rad: float) -> Quaternion:
     return product(about_x, product(about_y, about_z))
 
 
-class ViconStream:
+class ViconStream(FrameListener[BodyFrame]):
     """Meets BodyStream: listens for the packets of one computer (`host`), or of any (empty)."""
 
     def __init__(self, host: str, port: int) -> None:
         """PortMissing if the port is taken."""
-        self.rejected = 0
-        self._listener = UdpListener("Vicon", port, host)
-        self.port, self.name = self._listener.port, self._listener.name
-
-    def receive(self) -> list[BodyFrame]:
-        """All frames received so far."""
-        frames = []
-        for datagram in self._listener.datagrams():
-            if (frame := unpack(datagram)) is None:
-                self.rejected += 1
-            else:
-                frames.append(frame)
-        return frames
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._listener.close()
+        super().__init__(UdpListener("Vicon", port, host), unpack)

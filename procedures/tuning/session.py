@@ -168,8 +168,6 @@ class StepResponse:
     t_s: tuple[float, ...]
     share: tuple[float, ...]
     overshoot: float
-    rise_s: float
-    """Rise time from 10 to 90 %."""
     settling_s: float
     """Time until it stays within 5 %, or two counts."""
 
@@ -182,7 +180,6 @@ class MoveResponse:
     set_rad: tuple[float, ...]
     angle_rad: tuple[float, ...]
     peak_error_rad: float
-    rms_error_rad: float
     settling_s: float
     """Time after the end of the set-point's motion until the error stays within 0.5 mrad."""
 
@@ -358,9 +355,8 @@ def _judged_step(
     final = float(share[-50:].mean())
     band = max(0.05, two_counts)
     outside = np.flatnonzero(np.abs(share - final) > band)
-    low, high = (int(np.argmax(share >= part * final)) for part in (0.1, 0.9))
     return StepResponse(
-        tuple(t_s.tolist()), tuple(share.tolist()), float(share.max() - final), float(t_s[high] - t_s[low]),
+        tuple(t_s.tolist()), tuple(share.tolist()), float(share.max() - final),
         float(t_s[outside[-1]]) if outside.size else 0.0,
     )  # fmt: skip
 
@@ -379,6 +375,6 @@ def _judged_move(
     t_s = cycle_s * np.arange(n)
     return MoveResponse(
         tuple(t_s.tolist()), tuple(wanted.tolist()), tuple(angle.tolist()),
-        float(np.abs(error).max()), float(np.sqrt(np.mean(error[: end + 1] ** 2))),
+        float(np.abs(error).max()),
         float(cycle_s * (unsettled[-1] + 1)) if unsettled.size else 0.0,
     )  # fmt: skip

@@ -52,8 +52,6 @@ SIZE_COST: Final = 1.5
 MOSTLY_sd: Final = 1.88
 # Doubt of a noise floor that nothing measured, as FLOOR_DOUBT: anything from a third to three times.
 UNMEASURED: Final = 1.0
-# Variance of the play over its width squared, from which on a pose does not report: one in twenty on the other flank.
-UNSURE: Final = 0.025
 # Parts in which recordings are left out in turn: each is predicted from four fifths of the others.
 FOLDS: Final = 5
 # Cosine of two shapes from which on they are one: what a block could then show is the effect that it looks like.
