@@ -11,7 +11,9 @@
 #include <unistd.h>
 
 #define main board_main
+#define board_off bridge_off
 #include "../bsp/nucleo_f446re/main_motor_board.c"
+#undef board_off
 #undef main
 int board_main(void); /* as it is, with its endless loop: nobody calls it here */
 
@@ -71,7 +73,7 @@ static void touched(int number, siginfo_t *what, void *context)
         lost++;
     }
     at->uc_mcontext.gregs[REG_EFL] |= ONE_STEP;
-    (void)sigaddset(&at->uc_sigmask, SIGVTALRM);
+    (void)sigaddset(&at->uc_sigmask, SIGALRM);
 }
 
 static void stepped(int number, siginfo_t *what, void *context)
@@ -82,14 +84,14 @@ static void stepped(int number, siginfo_t *what, void *context)
     (void)what;
     (void)mprotect((void *)opened, PAGE, PROT_NONE);
     at->uc_mcontext.gregs[REG_EFL] &= ~(greg_t)ONE_STEP;
-    (void)sigdelset(&at->uc_sigmask, SIGVTALRM);
+    (void)sigdelset(&at->uc_sigmask, SIGALRM);
 }
 
 static void start_clocks(void)
 {
     struct sigaction act = {.sa_flags = SA_SIGINFO};
 
-    (void)sigaddset(&act.sa_mask, SIGVTALRM);
+    (void)sigaddset(&act.sa_mask, SIGALRM);
     act.sa_sigaction = touched;
     (void)sigaction(SIGSEGV, &act, NULL);
     act.sa_sigaction = stepped;
@@ -120,13 +122,13 @@ static void power_up(void)
     map(0x1FFF7000u, 0x1000u);
     RCC->cr = HSE_AND_PLL_READY;
     FLASH_OPTCR = BROWN_OUT_OFF;
-    (void)signal(SIGVTALRM, follow_clock);
+    (void)signal(SIGALRM, follow_clock);
     if (fork() == 0) {
-        (void)setitimer(ITIMER_VIRTUAL, &often, NULL);
+        (void)setitimer(ITIMER_REAL, &often, NULL);
         start_clocks();
     }
     (void)wait(NULL);
-    (void)setitimer(ITIMER_VIRTUAL, &often, NULL);
+    (void)setitimer(ITIMER_REAL, &often, NULL);
     CAN1->msr = CAN_IS_INITIALISING;
     CAN1->tsr = CAN_EMPTY(0u);
     GPIO_B->idr = 1uL << BRIDGE_FAULT;
@@ -134,7 +136,7 @@ static void power_up(void)
     ADC1->jdr[1] = 24000000u / SUPPLY_UV_COUNT;
     ADC1->jdr[2] = 930u; /* 25 degC */
     set_up();
-    (void)setitimer(ITIMER_VIRTUAL, &never, NULL);
+    (void)setitimer(ITIMER_REAL, &never, NULL);
     setup.reset_cause = reset_cause();
     look(&inputs);
     aw_motor_init(&board, &setup, &inputs);
@@ -198,16 +200,23 @@ static void stuck(int number)
     _exit((IWDG_KR == FED) ? 1 : 0);
 }
 
-/* Runs what ends in `unexpected`, which never returns, for 20 ms in a process of its own. */
+/* `unexpected` begins so, and never returns: what it is like a little later is said by `stuck`. */
+void board_off(void)
+{
+    const struct itimerval soon = {{0, 0}, {0, 5000}};
+
+    bridge_off();
+    (void)signal(SIGALRM, stuck);
+    (void)setitimer(ITIMER_REAL, &soon, NULL);
+}
+
+/* Runs what ends in `unexpected` in a process of its own. */
 static void until_stuck(const char *name, void (*what)(void))
 {
-    const struct itimerval soon = {{0, 0}, {0, 20000}};
     int status;
 
     if (fork() == 0) {
         ending = name;
-        (void)signal(SIGVTALRM, stuck);
-        (void)setitimer(ITIMER_VIRTUAL, &soon, NULL);
         IWDG_KR = 0u;
         what();
         _exit(2);
