@@ -268,7 +268,7 @@ LOG = "run,t_s,q1_rad,q2_rad,q3_rad,q1_set_rad,q2_set_rad,q3_set_rad"
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("run,t_s,q1_rad\n", "line 1: required column q2_rad is missing"),
+        ("run,t_s,q1_rad\n", "line 1: joint angles of 1 joints, expected 3"),
         (LOG + "\n", "a header and no samples: expected one line per sample"),
         (LOG + "\n1,0,0,0,0,0,0\n", "line 2: 7 values, line 1 names 8"),
         (LOG + "\n1,0,a,0,0,0,0,0\n", 'line 2, column q1_rad: got "a", expected a finite number'),
