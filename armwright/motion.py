@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.errors import BadTarget
-from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import checked_quaternion
 from control.model.arm import Arm
 from control.motion.errors import PathError
@@ -59,16 +59,14 @@ class Trajectory:
         times = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
         if times.ndim != 1 or not np.isfinite(times).all():
             raise BadTarget(f"times: expected finite numbers of shape (m,), got shape {times.shape}")
-        inverse = InverseKinematics(self.arm)
-        motion = self.path.motion(inverse, inverse.kinematics)
-        points = [motion.at(t) for t in times.tolist()]
+        points = [self.path.joints.at(t) for t in times.tolist()]
         joint_rad = _stacked([point.q_rad for point in points], self.arm.joint_count)
         return Samples(
             times,
             joint_rad,
             _stacked([point.speed_rad_s for point in points], self.arm.joint_count),
             _stacked([point.acceleration_rad_s2 for point in points], self.arm.joint_count),
-            inverse.kinematics.tips(joint_rad),
+            ForwardKinematics(self.arm).tips(joint_rad),
         )
 
 

@@ -187,8 +187,6 @@ class _Conductor(Generic[R]):
         client, as_encoders = self._bench.client, self._how.as_encoders
         if isinstance(stop.goal, tuple):
             client.move_joints(stop.goal, stop.share * self._bench.speed, as_encoders=as_encoders)
-        elif isinstance(stop.goal, JointPath):
-            client.run_joints(stop.goal.to_message(), as_encoders=as_encoders)
         else:
             client.run_path(stop.goal.to_message(), as_encoders=as_encoders)
 

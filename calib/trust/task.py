@@ -17,8 +17,6 @@ from calib.trust.prediction import Predictor
 from calib.validation.statistics import proportion
 from control.dynamics.static_pose import moving_Nm
 from control.errors import MissingModel
-from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import Waypoints
@@ -69,8 +67,7 @@ def planned(arm: Arm, waypoints: Waypoints, payload_kg: float = 0.0) -> Path:
 def sampled(arm: Arm, path: PlannedPath, payload_kg: float = 0.0, count: int = SAMPLES_MOST) -> Path:
     """Poses all along a planned path. Its first and last pose count as moving, as the ones beside them do."""
     times = np.linspace(0.0, path.duration_s, count)
-    motion = path.motion(InverseKinematics(arm), ForwardKinematics(arm))
-    states = [motion.at(time_s) for time_s in times.tolist()]
+    states = [path.joints.at(time_s) for time_s in times.tolist()]
     q = np.array([state.q_rad for state in states])
     speed = np.array([state.speed_rad_s for state in states])
     acceleration = np.array([state.acceleration_rad_s2 for state in states])

@@ -127,7 +127,7 @@ def _require_clear(arm: Arm, path: PlannedPath, here_rad: Sequence[float]) -> No
     move = JointMove(here_rad, path.q_start_rad, limits.scaled(TO_START_SPEED))
     guard.require_move(move, start, path.q_start_rad)
     guard.require_rising(move)
-    guard.require_path(path)
+    guard.require_joint_path(path.joints)
 
 
 def _waits(given: argparse.Namespace) -> bool:

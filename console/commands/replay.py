@@ -24,7 +24,7 @@ def run(given: argparse.Namespace) -> int:
     with shown(client, given, "replay: to the beginning"):
         client.move_joints(planned.path.knots[0].q_rad, TO_START_SPEED)
     with shown(client, given):
-        client.run_joints(planned.path.to_message())
+        client.run_path(planned.path.to_message())
     return 0
 
 

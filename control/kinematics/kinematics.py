@@ -84,14 +84,6 @@ class ForwardKinematics:
         return compile_function("tip_jacobian", q, (tip, _transposed([derivative(tip, s) for s in q])))
 
     @shared
-    def tip_bias(self) -> Callable[[Sequence[float], Sequence[float]], Vector3]:
-        """`tip_bias(q, qd) -> Jdot qd`, the tip's acceleration [m/s^2] at constant joint speeds."""
-        graph = Graph()
-        q, speeds = self._symbols(graph, "q"), self._symbols(graph, "s")
-        velocity = _rate(self.traced_tip(q), q, speeds)
-        return compile_function("tip_bias", [q, speeds], tuple(_rate(velocity, q, speeds)))
-
-    @shared
     def _batch_jacobian(self) -> Callable[..., Any]:
         q = self._symbols(Graph(), "q")
         tip = self.traced_tip(q)
@@ -140,15 +132,6 @@ class ForwardKinematics:
 
 def _transposed(columns: Sequence[Sequence[Any]]) -> tuple[tuple[Any, ...], ...]:
     return tuple(tuple(column[i] for column in columns) for i in range(3))
-
-
-def _rate(outputs: Sequence[Any], variables: Sequence[Symbol], rates: Sequence[Symbol]) -> list[Any]:
-    """Return the outputs' derivatives by time when the variables change at the given rates."""
-    result: list[Any] = [0.0] * len(outputs)
-    for variable, rate in zip(variables, rates, strict=True):
-        slopes = derivative(outputs, variable)
-        result = [total + slope * rate for total, slope in zip(result, slopes, strict=True)]
-    return result
 
 
 # Position and orientation of the last frame with the tip, and their Jacobian: scalar and in batches, compiled for one arm.

@@ -6,12 +6,14 @@ names the way-point and the amount.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from control.kinematics.corners import Corners
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
+from control.kinematics.pose_solver import Targets, Task, joint_rates, margins, solve
 from control.model import table as tables
 from control.model.arm import Arm, Limits
 from control.motion.errors import PathError
@@ -23,10 +25,7 @@ from control.safety.workspace import LinkThickness, Workspace
 # Samples of a whole path for the checks before a motion: numpy batches, not used in the cycle.
 
 Array = NDArray[np.float64]
-# Newton steps: seeds are a tenth of a section apart and convergence is quadratic, so five suffice.
-_NEWTON_STEPS = 6
-_CONVERGED_M = 1e-9
-_LONGEST_STEP_RAD = 0.3
+_SLOPE_RAD = 1e-5  # of the fastest joint: the difference that gives Jdot
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +57,7 @@ class TipSamples:
 class JointSamples:
     """Joint angles, speeds and accelerations (m, n) at the samples; `is_solved` (m,): the pose exists.
 
-    `off` (m, 6): where the joints cannot hold all, position [m] and orientation [rad] wanted minus actual; `jacobian` (m, 6, n).
+    `jacobian` (m, 6, n): of the tip. `off` (m, 6): position [m] and orientation [rad] wanted minus actual.
     """
 
     q_rad: Array
@@ -66,8 +65,8 @@ class JointSamples:
     acceleration_rad_s2: Array
     smallest_singular_m: Array
     is_solved: NDArray[np.bool_]
-    off: Array | None = None
-    jacobian: Array | None = None
+    jacobian: Array
+    off: Array
 
 
 def sample_tip(spline: CartesianSpline, rate_Hz: float, least: int) -> TipSamples:
@@ -88,52 +87,57 @@ def sample_tip(spline: CartesianSpline, rate_Hz: float, least: int) -> TipSample
     )
 
 
-def solve_joints(kinematics: ForwardKinematics, tip: TipSamples, seeds_rad: Array) -> JointSamples:
-    """Joint samples by Newton from seeds (m, 3), which must be on the branch and near."""
-    q = seeds_rad.copy()
-    for _ in range(_NEWTON_STEPS):
-        error = tip.position_m - kinematics.tips(q)
-        if np.abs(error).max() < _CONVERGED_M:
-            break
-        # A damped step cannot jump to another branch if a pose does not exist.
-        q += np.clip(_solve(kinematics.jacobians(q), error), -_LONGEST_STEP_RAD, _LONGEST_STEP_RAD)
-    jacobians = kinematics.jacobians(q)
-    speed = _solve(jacobians, tip.velocity_m_s)
-    bias = _bias(kinematics, q, speed)
+def solve_joints(
+    kinematics: PoseKinematics, task: Task, tip: TipSamples, posture: Sequence[Array]
+) -> JointSamples:
+    """Joint samples nearest to a posture: its angles, which are the seeds, speeds and accelerations (m, n).
+
+        J qd = v,    J qdd = a - Jdot qd
+
+    Rows that are held only nearly leave terms out of this; then the rates are differences over time.
+    """
+    posture_rad, posture_speed, posture_acceleration = posture
+    rotation = None if tip.turn is None else tip.turn.rotation
+    found = solve(kinematics, task, Targets(tip.position_m, rotation), posture_rad)
+    jacobian = found.tip.jacobian
+    if task.nearest:
+        speed = _slopes(tip, found.q_rad)
+        acceleration = _slopes(tip, speed)
+    else:
+        velocity, change = _twists(tip)
+        speed = joint_rates(task, jacobian, velocity, posture_speed)
+        change = change - _bias(kinematics, found.q_rad, speed)
+        acceleration = joint_rates(task, jacobian, change, posture_acceleration)
     return JointSamples(
-        q_rad=q,
-        speed_rad_s=speed,
-        acceleration_rad_s2=_solve(jacobians, tip.acceleration_m_s2 - bias),
-        smallest_singular_m=np.asarray(np.linalg.svd(jacobians, compute_uv=False)[:, -1], dtype=np.float64),
-        is_solved=np.abs(tip.position_m - kinematics.tips(q)).max(axis=1) < 1e3 * _CONVERGED_M,
+        found.q_rad, speed, acceleration, margins(task, jacobian), found.is_solved, jacobian, found.error
     )
 
 
-def interpolated(times_s: Array, known_s: Sequence[float], known_q_rad: Sequence[Sequence[float]]) -> Array:
-    """Seeds (m, n) between known poses, linear in time."""
-    columns = np.array(known_q_rad).T
-    return np.stack([np.interp(times_s, known_s, column) for column in columns], axis=1)
+def _twists(tip: TipSamples) -> tuple[Array, Array]:
+    """Velocity and angular velocity (m, 6), and their rates."""
+    if tip.turn is None:
+        nothing = np.zeros_like(tip.velocity_m_s)
+        return np.hstack((tip.velocity_m_s, nothing)), np.hstack((tip.acceleration_m_s2, nothing))
+    return (
+        np.hstack((tip.velocity_m_s, tip.turn.velocity_rad_s)),
+        np.hstack((tip.acceleration_m_s2, tip.turn.acceleration_rad_s2)),
+    )
 
 
-def _solve(jacobians: Array, right: Array) -> Array:
-    """Solve J x = right for each sample; if one is singular, by slightly damped least squares."""
-    try:
-        return _solved(jacobians, right)
-    except np.linalg.LinAlgError:
-        transposed = np.swapaxes(jacobians, 1, 2)
-        damped = transposed @ jacobians + 1e-12 * np.eye(3)
-        return _solved(damped, (transposed @ right[:, :, None])[:, :, 0])
+def _bias(kinematics: PoseKinematics, q: Array, speed: Array) -> Array:
+    """Jdot qd (m, 6) by a central difference of J along qd: 1e-9 relative, enough for a limit."""
+    step = _SLOPE_RAD / np.maximum(np.abs(speed).max(axis=1, keepdims=True), 1e-9)
+    change = kinematics.batch(q + step * speed).jacobian - kinematics.batch(q - step * speed).jacobian
+    return np.asarray((change @ speed[:, :, None])[:, :, 0] / (2.0 * step))
 
 
-def _solved(matrices: Array, right: Array) -> Array:
-    return np.asarray(np.linalg.solve(matrices, right[:, :, None])[:, :, 0], dtype=np.float64)
-
-
-def _bias(kinematics: ForwardKinematics, q: Array, speed: Array) -> Array:
-    """Jdot qd (m, 3) by a central difference of J along qd: 1e-9 relative, enough for a limit."""
-    step = 1e-5 / np.maximum(np.abs(speed).max(axis=1, keepdims=True), 1e-9)
-    change = kinematics.jacobians(q + step * speed) - kinematics.jacobians(q - step * speed)
-    return np.asarray((change @ speed[:, :, None])[:, :, 0] / (2.0 * step), dtype=np.float64)
+def _slopes(tip: TipSamples, values: Array) -> Array:
+    """Differences over time within each section (m, n)."""
+    slopes = np.empty_like(values)
+    bounds = [*np.flatnonzero(np.diff(tip.section, prepend=-1)), len(values)]
+    for first, end in pairwise(bounds):
+        slopes[first:end] = np.gradient(values[first:end], tip.times_s[first:end], axis=0, edge_order=2)
+    return slopes
 
 
 # Smallest singular value of J [m/rad] allowed on a path: with less, a tip speed of 0.02 m/s needs 1

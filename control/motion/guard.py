@@ -23,7 +23,6 @@ from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits, reach_m, reaches_m
 from control.motion.joint_move import HARDEST, StopMotion, StraightStop
 from control.motion.joint_path import JointPath
-from control.motion.plan import PlannedPath
 from control.motion.setpoint import Motion, SetPoint
 from control.safety.workspace import Clearance, LinkThickness, Workspace
 
@@ -33,13 +32,11 @@ _STOP_STEP_s = (
 )
 _HARDNESSES = (0, 2, HARDEST)  # of the stops that are tried: one cycle must be enough to choose
 _POSES_MOST = 500
-_SECTION_SHARES = np.array([0.0, 0.25, 0.5, 0.75])  # of a path's section, where the tip is checked
 _DEEPER_m = 1e-6  # rounding
 _CLOSE_STEP_s, _CLOSE_POSES = (
     0.01,
     150,
 )  # of a motion that begins inside of something: as close as the loop looks
-_TIP_ALONE = LinkThickness((0.0,))
 ROOM_m = 0.05  # an arm with so much is not looked at again until it may have used it up
 _REMEDY = "nothing was moved; [limits] floor_z_m, floor_tolerance_m and base_radius_m, and [table], say where they are"
 
@@ -177,19 +174,6 @@ class Guard:
         step = _step(len(path.times_s))
         poses = path.poses(step)
         self._require(poses, path.times_s[::step], poses[0])
-
-    def require_path(self, path: PlannedPath) -> None:
-        """MotionError if the tip's path, or the arm at one of its way-points, meets something."""
-        step, times_s = _step(len(path.q_waypoints_rad)), path.spline.times_s
-        self._require(path.q_waypoints_rad[::step], times_s[::step], path.q_start_rad)
-        start_s, end_s = np.array(times_s[:-1:step]), np.array(times_s[1::step])
-        sections = np.array(path.spline.coefficients[::step]).reshape(-1, 3, 4)
-        t = ((end_s - start_s)[:, None] * _SECTION_SHARES)[:, None, :]
-        a = sections[..., None]
-        tips = a[:, :, 0] + t * (a[:, :, 1] + t * (a[:, :, 2] + t * a[:, :, 3]))
-        at_s = (start_s[:, None] + t[:, 0]).ravel()
-        here = self.clearance(path.q_start_rad)
-        self._require_clear([tips.transpose(1, 0, 2).reshape(3, -1)], at_s, here, _TIP_ALONE)
 
     def require_rising(self, motion: Motion) -> None:
         """MotionError if a motion that begins inside of something gets deeper again before it is out: looked at closely."""

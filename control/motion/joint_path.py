@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
-from control.motion.setpoint import SetPoint
+from control.motion.setpoint import SetPoint, at_rest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,7 +28,9 @@ _GROUPS = ("q_rad", "speed_rad_s", "acceleration_rad_s2")
 
 
 class JointPath:
-    """Implements Motion: knots at `times_s` (k,), increasing from 0, and the set-point at each; at rest at both ends.
+    """Implements Motion: knots at `times_s` (k,) from 0, and the set-point at each; without speed at both ends.
+
+    Times increase, but two knots of one angle and speed may be at one time: there the acceleration steps.
 
     Raises:
         MotionError: the knots are invalid.
@@ -62,9 +64,9 @@ class JointPath:
     def at(self, time_s: float) -> SetPoint:
         """Set-point `time_s` after the start, clamped to the path's time."""
         if time_s <= 0.0:
-            return self._knot(0)
+            return at_rest(self._knot(0).q_rad)
         if time_s >= self.duration_s:
-            return self._knot(-1)
+            return at_rest(self._knot(-1).q_rad)
         k = bisect_right(self.times_s, time_s) - 1
         h = self.times_s[k + 1] - self.times_s[k]
         if k != self._at:
@@ -158,9 +160,13 @@ def _checked(
     times = np.array(times_s)
     if not (np.isfinite(times).all() and np.isfinite(found).all()):
         raise MotionError("joint path: expected finite numbers in every knot")
-    if times[0] != 0.0 or (np.diff(times) <= 0.0).any():
-        raise MotionError("joint path: expected times that increase from 0")
-    if found[[0, -1], 1:].any():
+    steps = np.diff(times)
+    is_jump = (steps == 0.0) & (found[1:, :2] != found[:-1, :2]).any(axis=(1, 2))
+    if times[0] != 0.0 or (steps < 0.0).any() or is_jump.any() or not steps[[0, -1]].all():
+        raise MotionError(
+            "joint path: expected times that increase from 0, or twice one time between with one angle and speed"
+        )
+    if found[[0, -1], 1].any():
         raise MotionError("joint path: expected it to begin and to end at rest")
     return found
 

@@ -8,7 +8,7 @@ excess of a few per mille is removed by slowing the whole path.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from typing import Any
@@ -30,7 +30,6 @@ from control.motion.following.follower import (
     BranchFollower,
     Followed,
     Follower,
-    JointSections,
     PathStart,
     Pose,
     joint_sections,
@@ -38,8 +37,6 @@ from control.motion.following.follower import (
 )
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
-from control.motion.path import CartesianPath
-from control.motion.setpoint import Motion
 from control.motion.spline import DEFAULT_PACE_M_S, CartesianSpline, TimedWaypoints, checked_points, timed
 from control.motion.waypoints import Waypoints
 
@@ -67,16 +64,13 @@ class Slowdown:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPath:
-    """A path that this arm can run. Poses are at the spline's times, all on one branch.
-
-    `joints`: the joints' own path, of an arm whose tip position alone does not fix its joint angles. The loop then runs that.
-    """
+    """A path that this arm can run: of the tip, and the joints' own, which the loop runs. Poses are at the spline's times."""
 
     spline: CartesianSpline
     q_waypoints_rad: tuple[Pose, ...]
-    branch: str
+    joints: JointPath
+    branch: str = ""
     slowdowns: tuple[Slowdown, ...] = ()
-    joints: JointPath | None = None
 
     @property
     def duration_s(self) -> float:
@@ -88,39 +82,9 @@ class PlannedPath:
         """Joint angles at the first way-point, where the approach ends."""
         return self.q_waypoints_rad[0]
 
-    def motion(self, inverse: InverseKinematics, kinematics: ForwardKinematics) -> Motion:
-        """The motion for the loop."""
-        if self.joints is not None:
-            return self.joints
-        return CartesianPath(self.spline, inverse, kinematics, self.q_waypoints_rad)
-
     def to_message(self) -> dict[str, Any]:
-        """Plain lists and strings, for JSON; of the joints' own path (JointPath.to_message) where there is one."""
-        if self.joints is not None:
-            return self.joints.to_message()
-        return {
-            "spline": self.spline.to_message(),
-            "q_waypoints_rad": [list(q) for q in self.q_waypoints_rad],
-            "branch": self.branch,
-            "slowdowns": [[s.factor, s.waypoint, s.limit] for s in self.slowdowns],
-        }
-
-    @staticmethod
-    def from_message(message: Mapping[str, Any]) -> "PlannedPath":
-        """Inverse of `to_message`; PathError if it is invalid. The loop still limits every set-point."""
-        try:
-            spline = CartesianSpline.from_message(message["spline"])
-            angles = np.asarray(message["q_waypoints_rad"], dtype=np.float64)
-            poses = tuple(map(tuple, angles.tolist()))
-            slowdowns = tuple(Slowdown(float(f), int(w), str(limit)) for f, w, limit in message["slowdowns"])
-            branch = str(message["branch"])
-        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
-            raise PathError(
-                f"path message: expected what PlannedPath.to_message() gives ({error!r})"
-            ) from None
-        if len(poses) != len(spline.times_s) or not np.isfinite(angles).all():
-            raise PathError(f"path message: expected {len(spline.times_s)} finite poses, got {len(poses)}")
-        return PlannedPath(spline, poses, branch, slowdowns)
+        """The joints' path, for JSON."""
+        return self.joints.to_message()
 
 
 def plan_path(
@@ -226,7 +190,7 @@ def _follower(
     if arm.joint_count == 3 and waypoints.orientations is None:
         inverse = inverse or InverseKinematics(arm)
         if inverse.follows_position:
-            return BranchFollower(inverse, kinematics, waypoints)
+            return BranchFollower(inverse, waypoints)
     poses = inverse.poses if inverse is not None else PoseKinematics(kinematics)
     return PostureFollower(arm, PoseInverse(arm, poses), waypoints)
 
@@ -260,7 +224,7 @@ class _Planner:
             Slowdown(float(taken[i]), number, limit) for i, (_, number, limit) in sorted(causes.items())
         )
         joints = self._joint_path(seen, rest)
-        return PlannedPath(spline, seen.at_waypoints, str(start.branch or ""), slowdowns, joints)
+        return PlannedPath(spline, seen.at_waypoints, joints, str(start.branch or ""), slowdowns)
 
     def as_timed(
         self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart
@@ -271,7 +235,7 @@ class _Planner:
         seen, rest = self._checked(recipe, spline, start, causes)
         limit = max(causes.values())[2] if causes else ""
         joints = self._joint_path(seen, rest)
-        path = PlannedPath(spline.stretched(rest), seen.at_waypoints, str(start.branch or ""), (), joints)
+        path = PlannedPath(spline.stretched(rest), seen.at_waypoints, joints, str(start.branch or ""))
         return path, rest, limit
 
     def _checked(
@@ -286,11 +250,9 @@ class _Planner:
         self._check(spline, seen.tip, seen.joints)
         return seen, max(float(self._factors(spline, seen.tip, seen.joints, causes).max()), 1.0)
 
-    def _joint_path(self, seen: Followed, stretch: float) -> JointPath | None:
-        """The joints' own path; None if the loop can follow the tip's."""
-        if seen.joints.jacobian is None:
-            return None
-        sections: JointSections = joint_sections(seen.tip, seen.joints, seen.joints.jacobian, stretch)
+    def _joint_path(self, seen: Followed, stretch: float) -> JointPath:
+        """The joints' own path."""
+        sections = joint_sections(seen.tip, seen.joints, stretch)
         if sections.off_m > BOUND_M or sections.off_rad > BOUND_RAD:
             raise PathError(
                 f"the path turns so sharply that joint sections miss it by {sections.off_m:.2g} m and {sections.off_rad:.2g} rad"
@@ -304,8 +266,7 @@ class _Planner:
         checks.check_clearance(
             self._arm, self._kinematics, self._setup, self._waypoints, spline.times_s, tip, joints.q_rad
         )
-        if joints.jacobian is not None:  # links whose place the tip's position does not fix
-            checks.check_room(self._arm, self._waypoints, spline.times_s, tip, joints.q_rad)
+        checks.check_room(self._arm, self._waypoints, spline.times_s, tip, joints.q_rad)
 
     def _factors(
         self,

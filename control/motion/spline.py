@@ -8,10 +8,9 @@ every cycle.
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 from control.kinematics.pose_solver import TURN_LENGTH_M
 from control.motion.errors import PathError
@@ -68,37 +67,6 @@ class CartesianSpline:
         powers = (1.0, factor, factor**2, factor**3) * 3
         scaled = [[a / p for a, p in zip(section, powers, strict=True)] for section in self.coefficients]
         return CartesianSpline((t * factor for t in self.times_s), scaled)
-
-    def to_message(self) -> dict[str, Any]:
-        """Plain lists, for JSON."""
-        return {
-            "times_s": list(self.times_s),
-            "coefficients": [list(section) for section in self.coefficients],
-        }
-
-    @staticmethod
-    def from_message(message: Mapping[str, Any]) -> "CartesianSpline":
-        """Inverse of `to_message`.
-
-        Raises:
-            PathError: the message is invalid.
-        """
-        import numpy as np
-
-        try:
-            times = np.asarray(message["times_s"], dtype=np.float64)
-            coefficients = np.asarray(message["coefficients"], dtype=np.float64)
-        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
-            raise PathError(
-                f"path message: expected times_s and coefficients as lists of numbers ({error!r})"
-            ) from None
-        is_sound = times.ndim == 1 and len(times) > 1 and coefficients.shape == (len(times) - 1, 12)
-        is_increasing = is_sound and times[0] == 0.0 and (times[1:] > times[:-1]).all()
-        if not (is_increasing and np.isfinite(times[-1]) and np.isfinite(coefficients).all()):
-            raise PathError(
-                "path message: expected n + 1 increasing times from 0 and n sections of 12 finite numbers"
-            )
-        return CartesianSpline(times.tolist(), coefficients.tolist())
 
 
 def hermite(

@@ -122,13 +122,11 @@ class ArmClient:
     def run_path(
         self, path: Message, waits: bool = True, as_encoders: bool = False, tool: str | None = None
     ) -> None:
-        """Run a planned path (PlannedPath.to_message()); the arm must stand at its first point. `as_encoders`: as move_joints.
+        """Run a planned path (PlannedPath.to_message(), JointPath.to_message()); the arm must stand at its first point.
 
-        Where the tip's position does not fix the joints, the message is that of the joints' own path. `tool`: the one whose
-        tip it was planned for, if that is to be checked.
+        `as_encoders`: as move_joints. `tool`: the one whose tip it was planned for, if that is to be checked.
         """
-        do = "run_joints" if "q_rad" in path else "run_path"
-        answer = self.ask(do, path=path, as_encoders=as_encoders, tool=tool)
+        answer = self.ask("run_path", path=path, as_encoders=as_encoders, tool=tool)
         if waits:
             self.arrive(answer["duration_s"] + 5.0)
 
@@ -138,11 +136,6 @@ class ArmClient:
         if status["was_stopped"]:
             why = f" ({reason})" if (reason := status.get("stop_reason")) else ""
             raise MotionStopped(f"the motion was stopped before its end{why}; the arm holds its position")
-
-    def run_joints(self, path: Message, as_encoders: bool = False) -> None:
-        """Run a joint path (JointPath.to_message()) from the present position. `as_encoders`: as move_joints."""
-        answer = self.ask("run_joints", path=path, as_encoders=as_encoders)
-        self.arrive(answer["duration_s"] + 5.0)
 
     def jog(self, timeout_s: float = 60.0, **step: Any) -> str:
         """Jog by a step: `joint` with `by_rad`, or `axis` with `by_m` (docs/socket.md), renewed until it has ended.

@@ -12,7 +12,6 @@ import msgspec
 from msgspec import Meta
 
 from control.errors import ArmError
-from control.motion.joint_path import JointPath
 
 LONGEST_ID = 64  # characters
 LARGEST_ID = (1 << 53) - 1  # what a client's JSON can hold exactly
@@ -70,37 +69,30 @@ class MoveJoints(Owned, tag="move_joints", kw_only=True):
     as_encoders: bool = False
 
 
-class RunPath(Owned, tag="run_path", kw_only=True):
-    """A planned path of the tip (of `tool`, if that is given); read by control.motion.plan."""
-
-    path: dict[str, Any]
-    tool: Annotated[str, Meta(max_length=LONGEST_ID)] | None = None
-    as_encoders: bool = False
-
-
 class RunJoints(Owned, tag="run_joints", kw_only=True):
-    """A path of the joints; read by control.motion.joint_path."""
+    """A path of the joints (planned for the tip of `tool`, if that is given); read by control.motion.joint_path."""
 
     path: dict[str, Any]
     tool: Annotated[str, Meta(max_length=LONGEST_ID)] | None = None
     as_encoders: bool = False
+
+
+class RunPath(RunJoints, tag="run_path", kw_only=True):
+    """The same of a planned path of the tip: what PlannedPath.to_message() gives."""
 
 
 class OfOneArm(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """What one arm does in a motion of several: a joint move, or a path of its tip or joints."""
+    """What one arm does in a motion of several: a joint move, or a path."""
 
     q_rad: Numbers | msgspec.UnsetType = msgspec.UNSET
     speed: Share = 1.0
     path: dict[str, Any] | msgspec.UnsetType = msgspec.UNSET
     tool: Name | None = None
 
-    def request(self, detached: bool) -> MoveJoints | RunPath | RunJoints:
+    def request(self, detached: bool) -> MoveJoints | RunJoints:
         """The same for this arm alone. ArmError unless one of `q_rad` and `path` is given."""
         if self.path is not msgspec.UNSET and self.q_rad is msgspec.UNSET:
-            path: Any = self.path  # as it came, or read in slices
-            is_of_joints = isinstance(path, JointPath) or (isinstance(path, dict) and "q_rad" in path)
-            kind = RunJoints if is_of_joints else RunPath
-            return kind(path=path, tool=self.tool, detached=detached)
+            return RunJoints(path=self.path, tool=self.tool, detached=detached)
         if isinstance(self.q_rad, tuple) and self.path is msgspec.UNSET:
             return MoveJoints(q_rad=self.q_rad, speed=self.speed, detached=detached)
         raise ArmError("move_together: expected either q_rad or path for each arm")

@@ -23,7 +23,6 @@ import msgspec
 from control.errors import ArmError
 from control.files import utf_8
 from control.motion.joint_path import JointPath
-from control.motion.plan import PlannedPath
 from control.server import messages
 from control.server.messages import LONG, STOPPING, WATCHING, Asked, asked, is_at_once
 from control.server.sockets import ForeignFolder, peer_uid, require_private, socket_folders
@@ -369,7 +368,7 @@ def steps(request: Asked) -> Steps:
             path: dict[str, Any] = {}
             for name, text in move.path.items():
                 path[name] = yield from _value(text)
-            move.path = PlannedPath.from_message(path) if "spline" in path else JointPath.from_message(path)
+            move.path = JointPath.from_message(path)
             yield
     return outline
 

@@ -1,16 +1,14 @@
 """One model's part of a verification: planned before anything moves, then visits of the points and runs of the paths.
 
-The arm is moved by either model, whichever the runtime uses, and the camera measures. Points are joint moves to the angles of
-the model's inverse kinematics, which need no geometry in the loop. A path goes to the runtime in Cartesian space and through
-the runtime's own inverse kinematics, so it is converted to one that takes the joints to the model's angles: q(t) by the model,
-x'(t) = f(q(t)) by the runtime's forward kinematics.
+The arm is moved by either model, whichever the runtime uses, and the camera measures. Points and paths go to the runtime as
+joint angles by the model's inverse kinematics, which need no geometry in the loop.
 
 Only the runtime can correct effects between joints and encoders (backlash, springs, belt, encoder errors). For a model with
 the same effects as the runtime's, motions are given in joint angles; for one without any, in encoder angles.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -30,7 +28,6 @@ from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.setpoint import at_rest
-from control.motion.spline import hermite
 from control.motion.waypoints import Waypoints
 from control.recording.frame_decoder import row_type
 from control.recording.parts import parts_from
@@ -42,8 +39,6 @@ from procedures.verify.models import Model
 from procedures.verify.places import Place, Way
 
 AVERAGE_s = 0.2  # 20 camera frames
-# Section length of a converted path: a cubic of 10 mm follows the original within a few nanometres.
-SECTION_m = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,40 +119,10 @@ def run(
     """Go to the path's start and run it as planned by `model`."""
     as_encoders = not model.has_gears_of(runtime_model)
     client.move_joints(path.q_start_rad, speed, as_encoders=as_encoders)
-    client.run_path(handed_over(path, model, runtime_model).to_message(), as_encoders=as_encoders)
+    client.run_path(path.to_message(), as_encoders=as_encoders)
     status = client.status()
     in_joints = path if runtime_model.gears and not as_encoders else None
     return SurveyedPath(int(status["run"]), in_joints, float(status["override"]))
-
-
-def handed_over(path: PlannedPath, model: Model, runtime_model: Model) -> PlannedPath:
-    """The path in the base frame of the runtime's model: the same joint angles at the same times."""
-    if runtime_model is model or path.joints is not None:
-        return path
-    motion = path.motion(model.inverse, model.kinematics)
-    points, velocities, poses = [], [], []
-    times_s = _times_s(path)
-    for time_s in times_s:
-        wanted = motion.at(time_s)
-        tip_m, rows = runtime_model.kinematics.tip_jacobian(*wanted.q_rad)
-        x, y, z = (
-            sum(slope * speed for slope, speed in zip(row, wanted.speed_rad_s, strict=True)) for row in rows
-        )
-        points.append(tip_m)
-        velocities.append((x, y, z))
-        poses.append(tuple(wanted.q_rad))
-    durations_s = [end - start for start, end in pairwise(times_s)]
-    return replace(path, spline=hermite(points, velocities, durations_s), q_waypoints_rad=tuple(poses))
-
-
-def _times_s(path: PlannedPath) -> list[float]:
-    """The path's own times, with its sections divided into short ones."""
-    times_s = [0.0]
-    for start, end in pairwise(path.spline.times_s):
-        way_m = max(abs(b - a) for a, b in zip(path.spline.at(start)[0], path.spline.at(end)[0], strict=True))
-        cuts = 1 + int(way_m / SECTION_m)
-        times_s += [start + (end - start) * k / cuts for k in range(1, cuts)] + [end]
-    return times_s
 
 
 LONGEST_DELAY_S = 0.1  # for a usable camera

@@ -12,7 +12,6 @@ from console.commands.moving import described
 from console.options import finite
 from console.waiting import shown
 from control.errors import ArmError
-from control.kinematics.inverse import InverseKinematics
 from control.model.cell import Cell, load_cell
 from control.motion.beside import plan_beside
 from control.motion.joint_limits import JointLimits
@@ -41,10 +40,10 @@ def run(given: argparse.Namespace) -> int:
         cell = _with_tools(load_cell(given.cell), clients)
         paths = {name: _planned(cell, name, file, clients[name]) for name, file in files.items()}
         motions = {name: _joint_move(cell, name, q, given.speed, clients) for name, q in targets.items()}
-        motions |= {name: _motion(cell, name, path) for name, path in paths.items()}
+        motions |= {name: path.joints for name, path in paths.items()}
         for name, (other, file) in besides.items():
             paths[name] = _beside(cell, name, other, file, motions, clients)
-            motions[name] = _motion(cell, name, paths[name])
+            motions[name] = paths[name].joints
         if paths:
             with shown(clients[names[0]], given, "together: to the first way-points"):
                 _start(
@@ -73,11 +72,6 @@ def _joint_move(
     """As the runtime will plan it from where the arm holds."""
     start = tuple(clients[name].status()["joint_set_rad"])
     return JointMove(start, q_rad, JointLimits.of(cell.placed(name).arm).scaled(speed))
-
-
-def _motion(cell: Cell, name: str, path: PlannedPath) -> Motion:
-    inverse = InverseKinematics(cell.placed(name).arm)
-    return path.motion(inverse, inverse.kinematics)
 
 
 def _beside(

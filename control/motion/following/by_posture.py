@@ -5,7 +5,6 @@ one nearest to it that holds the tip. So a pose depends on where the path is and
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -24,13 +23,12 @@ from control.kinematics.pose_solver import (
     SolvedPoses,
     Targets,
     Task,
-    joint_rates,
     margins,
     solve,
 )
 from control.model.arm import Arm
 from control.motion import checks
-from control.motion.checks import Array, JointSamples, TipSamples, sample_tip
+from control.motion.checks import Array, JointSamples, TipSamples, sample_tip, solve_joints
 from control.motion.errors import PathError
 from control.motion.following.follower import (
     LEAST_SAMPLES,
@@ -74,7 +72,6 @@ class ReferencePosture:
 JUMP_RAD = 0.5  # between two steps; more is a jump to another solution
 # How far the tip may leave the cubic between way-points where the joints cannot hold all of it.
 FARTHEST_OFF_M, FARTHEST_OFF_RAD = 0.02, 0.2
-_SLOPE_RAD = 1e-5  # of the fastest joint: the difference that gives Jdot
 
 
 class PostureFollower:
@@ -112,7 +109,7 @@ class PostureFollower:
         _, fractions, poses = self._known
         reference = ReferencePosture(self._times(spline, fractions), poses)
         tip = self._sampled(spline, turn, rate_Hz)
-        joints = self._solved(tip, reference)
+        joints = solve_joints(self._kinematics, self._task, tip, reference.at(tip.times_s))
         self._require_near(spline, tip, joints)
         first = np.flatnonzero(np.diff(tip.section, prepend=-1))
         at_waypoints = [joints.q_rad[i] for i in (*first, len(tip.times_s) - 1)]
@@ -186,44 +183,9 @@ class PostureFollower:
         pose = "losing a direction of motion"
         return problems.near_singular(self._name, position, "arm", margin, SINGULAR_MARGIN_M, "m/rad", pose)
 
-    # ---- samples
-
-    def _solved(self, tip: TipSamples, reference: ReferencePosture) -> JointSamples:
-        """Joint angles, speeds and accelerations at the samples of the tip."""
-        posture, posture_speed, posture_acceleration = reference.at(tip.times_s)
-        rotation = None if tip.turn is None else tip.turn.rotation
-        found = solve(self._kinematics, self._task, Targets(tip.position_m, rotation), posture)
-        jacobian = found.tip.jacobian
-        if self._task.nearest:
-            speed = _slopes(tip, found.q_rad)
-            acceleration = _slopes(tip, speed)
-        else:
-            velocity, change = _twists(tip)
-            speed = joint_rates(self._task, jacobian, velocity, posture_speed)
-            change = change - self._bias(found.q_rad, speed)
-            acceleration = joint_rates(self._task, jacobian, change, posture_acceleration)
-        return JointSamples(
-            found.q_rad,
-            speed,
-            acceleration,
-            margins(self._task, jacobian),
-            found.is_solved,
-            found.error,
-            jacobian,
-        )
-
-    def _bias(self, q: Array, speed: Array) -> Array:
-        """Jdot qd (m, 6) by a central difference of J along qd."""
-        step = _SLOPE_RAD / np.maximum(np.abs(speed).max(axis=1, keepdims=True), 1e-9)
-        change = (
-            self._kinematics.batch(q + step * speed).jacobian
-            - self._kinematics.batch(q - step * speed).jacobian
-        )
-        return np.asarray((change @ speed[:, :, None])[:, :, 0] / (2.0 * step))
-
     def _require_near(self, spline: CartesianSpline, tip: TipSamples, joints: JointSamples) -> None:
         """PathError where the tip leaves what was asked for: at a way-point by the tolerance, between them by more."""
-        if not self._task.nearest or joints.off is None:
+        if not self._task.nearest:
             return
         is_between = np.abs(tip.times_s[:, None] - np.array(spline.times_s)).min(axis=1) > 1e-9
         for rows, tolerance, farthest, unit in (
@@ -241,26 +203,6 @@ class PostureFollower:
                     f" to the {what} (allowed {tolerance:g} at a way-point, {farthest:g} between two); nothing was moved",
                     number,
                 )
-
-
-def _twists(tip: TipSamples) -> tuple[Array, Array]:
-    """Velocity and angular velocity (m, 6), and their rates."""
-    if tip.turn is None:
-        nothing = np.zeros_like(tip.velocity_m_s)
-        return np.hstack((tip.velocity_m_s, nothing)), np.hstack((tip.acceleration_m_s2, nothing))
-    return (
-        np.hstack((tip.velocity_m_s, tip.turn.velocity_rad_s)),
-        np.hstack((tip.acceleration_m_s2, tip.turn.acceleration_rad_s2)),
-    )
-
-
-def _slopes(tip: TipSamples, values: Array) -> Array:
-    """Differences over time within each section (m, n): the rates of nearly held rows leave a term out."""
-    slopes = np.empty_like(values)
-    bounds = [*np.flatnonzero(np.diff(tip.section, prepend=-1)), len(values)]
-    for first, end in pairwise(bounds):
-        slopes[first:end] = np.gradient(values[first:end], tip.times_s[first:end], axis=0, edge_order=2)
-    return slopes
 
 
 # How free joints are resolved: stay near the pose before, away from joint limits and from singular poses.

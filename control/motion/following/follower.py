@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from control.errors import ArmError
 from control.kinematics import rotation as rotations
 from control.kinematics.inverse import Branch, InverseKinematics, Solution
-from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import Quaternion
 from control.motion import checks
 from control.motion.checks import (
@@ -19,13 +18,11 @@ from control.motion.checks import (
     JointSamples,
     TipSamples,
     TurnSamples,
-    interpolated,
     sample_tip,
     solve_joints,
 )
 from control.motion.errors import PathError
 from control.motion.joint_path import JointPath, quintic
-from control.motion.setpoint import SetPoint
 from control.motion.spline import CartesianSpline, TimedWaypoints
 from control.motion.waypoints import Waypoints
 
@@ -133,22 +130,12 @@ class OrientationSpline:
 #
 # A section is halved until its quintic, which has angle, speed and acceleration of the samples at both ends, passes the samples
 # between them within half of the bound. So the loop evaluates polynomials, and neither iterates nor can fail on the way. At a
-# way-point where the path's acceleration steps, the mean of both sides is taken, and the sections beside it become short.
+# way-point the path's acceleration may step: it is a knot with the acceleration before it, and one with that after it.
 
 BOUND_M, BOUND_RAD = 1e-6, 1e-5  # of the tip beside the path
 LONGEST_S = 0.1  # the loop's guard looks at the knots of a path before it begins
+FEWEST = 2000  # sections of a path of many minutes: a request has an end
 _SHARE = 0.5  # of the bound, at the samples
-
-
-@dataclass(frozen=True, slots=True)
-class _Samples:
-    """The path's samples, each way-point once."""
-
-    times_s: Array
-    q_rad: Array
-    speed_rad_s: Array
-    acceleration_rad_s2: Array
-    jacobian: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,87 +147,60 @@ class JointSections:
     off_rad: float
 
 
-def joint_sections(tip: TipSamples, joints: JointSamples, jacobian: Array, stretch: float) -> JointSections:
-    """The sections of a path from rest to rest, run `stretch` times slower than sampled; `jacobian` (m, 6, n)."""
-    samples = _merged(tip, joints, jacobian, stretch)
-    count = len(samples.times_s)
-    is_knot = np.zeros(count, dtype=np.bool_)
-    is_knot[[0, -1]] = True
-    is_knot[
-        np.searchsorted(samples.times_s, stretch * tip.times_s[np.flatnonzero(np.diff(tip.section)) + 1])
-    ] = True
+def joint_sections(tip: TipSamples, joints: JointSamples, stretch: float) -> JointSections:
+    """The sections of a path from rest to rest, run `stretch` times slower than sampled."""
+    times_s = stretch * tip.times_s
+    longest_s = max(LONGEST_S, times_s[-1] / FEWEST)
+    waypoint = np.flatnonzero(np.diff(tip.section)) + 1  # the second of its two samples
+    is_knot = np.zeros(len(times_s), dtype=np.bool_)
+    is_knot[[0, -1, *waypoint, *(waypoint - 1)]] = True
+    states = _states(joints, waypoint, stretch)
     while True:
-        off_m, off_rad = _departures(samples, is_knot)
+        off_m, off_rad = _departures(times_s, states, joints.jacobian, is_knot)
         knots = np.flatnonzero(is_knot)
         section = np.cumsum(is_knot)[:-1] - 1  # of the interval after each sample
         is_far = np.maximum(off_m / BOUND_M, off_rad / BOUND_RAD)[:-1] > _SHARE
         worst = np.zeros(len(knots) - 1, dtype=np.bool_)
         np.logical_or.at(worst, section, is_far)
-        worst |= np.diff(samples.times_s[knots]) > LONGEST_S * 1.001
+        worst |= np.diff(times_s[knots]) > longest_s * 1.001
         middles = ((knots[:-1] + knots[1:]) // 2)[worst & (np.diff(knots) > 1)]
         if not middles.size:
             break
         is_knot[middles] = True
-    path = JointPath(
-        samples.times_s[knots].tolist(),
-        (
-            SetPoint(tuple(q), tuple(v), tuple(a))
-            for q, v, a in zip(
-                samples.q_rad[knots].tolist(),
-                samples.speed_rad_s[knots].tolist(),
-                samples.acceleration_rad_s2[knots].tolist(),
-                strict=True,
-            )
-        ),
-    )
+    path = JointPath(times_s[knots].tolist(), states[knots])
     return JointSections(path, float(off_m.max()), float(off_rad.max()))
 
 
-def _merged(tip: TipSamples, joints: JointSamples, jacobian: Array, stretch: float) -> _Samples:
-    """Each way-point's two samples as one with the mean acceleration, and rest at both ends."""
-    is_first = np.diff(tip.section, prepend=tip.section[0]) > 0
-    twin = np.flatnonzero(is_first)
-    speed = joints.speed_rad_s / stretch
-    acceleration = joints.acceleration_rad_s2 / stretch**2
-    for values in (speed, acceleration):
-        values[twin] = 0.5 * (values[twin] + values[twin - 1])
-        values[[0, -1]] = 0.0
-    kept = np.ones(len(tip.times_s), dtype=np.bool_)
-    kept[twin - 1] = False
-    return _Samples(
-        stretch * tip.times_s[kept], joints.q_rad[kept], speed[kept], acceleration[kept], jacobian[kept]
+def _states(joints: JointSamples, waypoint: NDArray[np.int64], stretch: float) -> Array:
+    """Angle, speed and acceleration (m, 3, n); of one angle and speed at each way-point, and at rest at both ends."""
+    states = np.stack(
+        (joints.q_rad, joints.speed_rad_s / stretch, joints.acceleration_rad_s2 / stretch**2), axis=1
     )
+    states[waypoint, :2] = states[waypoint - 1, :2] = 0.5 * (states[waypoint, :2] + states[waypoint - 1, :2])
+    states[[0, -1], 1] = 0.0
+    return states
 
 
-def _departures(samples: _Samples, is_knot: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _departures(
+    times_s: Array, states: Array, jacobian: Array, is_knot: NDArray[np.bool_]
+) -> tuple[Array, Array]:
     """Distance [m] and angle [rad] (m,) of the tip at the quintics between the knots from the tip at the samples."""
     knots = np.flatnonzero(is_knot)
     section = np.minimum(np.cumsum(is_knot) - 1, len(knots) - 2)
     first, last = knots[section], knots[section + 1]
-    h = (samples.times_s[last] - samples.times_s[first])[:, None]
-    s = (samples.times_s[:, None] - samples.times_s[first][:, None]) / h
-    q0, v0, a0 = (
-        values[first] for values in (samples.q_rad, samples.speed_rad_s, samples.acceleration_rad_s2)
-    )
-    q1, v1, a1 = (
-        values[last] for values in (samples.q_rad, samples.speed_rad_s, samples.acceleration_rad_s2)
-    )
-    c0, c1, c2, c3, c4, c5 = quintic(h, q0, v0, a0, q1, v1, a1)
+    h = (times_s[last] - times_s[first])[:, None]
+    s = (times_s[:, None] - times_s[first][:, None]) / np.where(h > 0.0, h, 1.0)
+    c0, c1, c2, c3, c4, c5 = quintic(h, *np.moveaxis(states[first], 1, 0), *np.moveaxis(states[last], 1, 0))
     q = c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
-    moved = (samples.jacobian @ (q - samples.q_rad)[:, :, None])[:, :, 0]
+    moved = (jacobian @ (q - states[:, 0])[:, :, None])[:, :, 0]
     return np.linalg.norm(moved[:, :3], axis=1), np.linalg.norm(moved[:, 3:], axis=1)
-
-
-# Arms of three joints, whose tip position fixes the joint angles on a branch.
 
 
 class BranchFollower:
     """Implements Follower with the inverse kinematics of positions."""
 
-    def __init__(
-        self, inverse: InverseKinematics, kinematics: ForwardKinematics, waypoints: Waypoints
-    ) -> None:
-        self._inverse, self._kinematics, self._waypoints = inverse, kinematics, waypoints
+    def __init__(self, inverse: InverseKinematics, waypoints: Waypoints) -> None:
+        self._inverse, self._waypoints = inverse, waypoints
 
     def starts(self, q_near: Sequence[float]) -> Iterator[PathStart]:
         """Branches that reach the first way-point and their poses, within limits first, then nearest first."""
@@ -278,8 +238,10 @@ class BranchFollower:
         """Newton from scalar solutions, at most SEED_STEP_M apart."""
         tip = sample_tip(spline, rate_Hz, LEAST_SAMPLES)
         times, poses, at_waypoints = self._seeds(recipe, spline, start.q_rad)
-        seeds = interpolated(tip.times_s, times, poses)
-        return Followed(tip, solve_joints(self._kinematics, tip, seeds), at_waypoints)
+        seeds = np.stack([np.interp(tip.times_s, times, q) for q in zip(*poses, strict=True)], axis=1)
+        still = np.zeros_like(seeds)  # the tip alone fixes how the joints move
+        joints = solve_joints(self._inverse.poses, self._inverse.held, tip, (seeds, still, still))
+        return Followed(tip, joints, at_waypoints)
 
     def _seeds(
         self, recipe: TimedWaypoints, spline: CartesianSpline, q_start: Pose

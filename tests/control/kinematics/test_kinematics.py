@@ -117,16 +117,6 @@ def test_the_jacobian_is_the_slope_of_the_tip(k: ForwardKinematics) -> None:
 
 
 @pytest.mark.parametrize("k", ALL)
-def test_the_bias_is_the_rate_of_the_jacobian_times_the_speeds(k: ForwardKinematics) -> None:
-    q, h = _poses(k), 1e-6
-    speeds = np.random.default_rng(6).uniform(-1, 1, q.shape)
-    rates = (k.jacobians(q + h * speeds) - k.jacobians(q - h * speeds)) / (2 * h)
-    expected = np.einsum("mij,mj->mi", rates, speeds)
-    found = [k.tip_bias(a, b) for a, b in zip(q.tolist(), speeds.tolist(), strict=True)]
-    assert np.array(found) == pytest.approx(expected, abs=1e-7)
-
-
-@pytest.mark.parametrize("k", ALL)
 def test_the_identification_jacobian_is_the_slope_by_every_dh_parameter(k: ForwardKinematics) -> None:
     q, h = _poses(k), 1e-6
     jacobian = k.identification_jacobian(q)

@@ -27,13 +27,8 @@ from control.motion.errors import PathError
 from control.motion.following.follower import BOUND_M, BOUND_RAD, LONGEST_S, OrientationSpline, turns_rad
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
-from control.motion.plan import PlannedPath, plan_path
+from control.motion.plan import plan_path
 from control.motion.waypoints import Waypoints
-
-
-def joints_of(planned: PlannedPath) -> JointPath:
-    assert planned.joints is not None
-    return planned.joints
 
 
 def sampled(path: JointPath, count: int = 1500) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -48,7 +43,7 @@ def test_the_tip_stays_within_a_micrometre_of_the_cubic_and_the_joints_within_th
     arm: Arm, speed: float | None
 ) -> None:
     planned = plan_path(arm, circle_in_place(arm), speed, q_near_rad=arm.rest.q_rad if arm.rest else None)
-    path, limits = joints_of(planned), JointLimits.of(arm)
+    path, limits = planned.joints, JointLimits.of(arm)
     times_s, q, _, _ = sampled(path)
     wanted = np.array([planned.spline.at(float(t))[0] for t in times_s])
     assert np.linalg.norm(ForwardKinematics(arm).tips(q) - wanted, axis=1).max() < BOUND_M
@@ -61,7 +56,7 @@ def test_a_path_that_its_joints_slow_down_is_still_few_sections_with_the_slowed_
     slow = tuple(replace(drive, joint_speed_limit_rad_s=0.15) for drive in FOUR.drives)
     arm = replace(FOUR, drives=slow)
     planned = plan_path(arm, circle_in_place(arm), None)
-    path = joints_of(planned)
+    path = planned.joints
     times_s, q, speed, _ = sampled(path)
     assert abs(speed).max() == pytest.approx(0.15, rel=0.02)
     assert np.gradient(q, times_s, axis=0)[1:-1] == pytest.approx(speed[1:-1], abs=2e-3)
@@ -72,7 +67,7 @@ def test_a_path_that_its_joints_slow_down_is_still_few_sections_with_the_slowed_
 def test_position_and_orientation_are_held_together(arm: Arm) -> None:
     waypoints = circle_in_place(arm, tilt_rad=0.2)
     planned = plan_path(arm, waypoints, 0.1)
-    times_s, q, _, _ = sampled(joints_of(planned))
+    times_s, q, _, _ = sampled(planned.joints)
     wanted = np.array([planned.spline.at(float(t))[0] for t in times_s])
     tip = PoseKinematics(ForwardKinematics(arm)).batch(q)
     assert np.linalg.norm(tip.position_m - wanted, axis=1).max() < BOUND_M
@@ -85,14 +80,14 @@ def test_position_and_orientation_are_held_together(arm: Arm) -> None:
 
 @pytest.mark.parametrize("arm", [FOUR, SEVEN], ids=lambda arm: arm.name)
 def test_speed_and_acceleration_are_the_derivatives_of_the_angles(arm: Arm) -> None:
-    times_s, q, speed, acceleration = sampled(joints_of(plan_path(arm, circle_in_place(arm))), 4001)
+    times_s, q, speed, acceleration = sampled(plan_path(arm, circle_in_place(arm)).joints, 4001)
     np.testing.assert_allclose(np.gradient(q, times_s, axis=0)[2:-2], speed[2:-2], atol=2e-3)
     np.testing.assert_allclose(np.gradient(speed, times_s, axis=0)[2:-2], acceleration[2:-2], atol=0.25)
 
 
 def test_free_joints_stay_near_and_the_same_path_gives_the_same_postures() -> None:
     waypoints = circle_in_place(SEVEN)
-    first, again = (joints_of(plan_path(SEVEN, waypoints, 0.1)) for _ in range(2))
+    first, again = (plan_path(SEVEN, waypoints, 0.1).joints for _ in range(2))
     assert first.knots == again.knots
     _, q, _, _ = sampled(first)
     assert np.abs(q[-1] - q[0]).max() < 0.05  # a closed circle: hardly any drift of the posture
@@ -105,7 +100,7 @@ def test_free_joints_leave_the_outer_fifth_of_their_range() -> None:
     )
     assert SEVEN.rest is not None
     _, q, _, _ = sampled(
-        joints_of(plan_path(near_limit, circle_in_place(SEVEN), 0.1, q_near_rad=SEVEN.rest.q_rad))
+        plan_path(near_limit, circle_in_place(SEVEN), 0.1, q_near_rad=SEVEN.rest.q_rad).joints
     )
     assert q[:, 1].max() <= 0.65
     assert q[-1, 1] < q[0, 1]
@@ -114,7 +109,7 @@ def test_free_joints_leave_the_outer_fifth_of_their_range() -> None:
 def test_a_turn_in_place_and_a_turn_faster_than_the_way_are_slow_enough() -> None:
     here, waypoints = tip_of(SIX), turned_in_place(SIX, -0.5)
     planned = plan_path(SIX, waypoints, 0.2)
-    times_s, q, _, _ = sampled(joints_of(planned))
+    times_s, q, _, _ = sampled(planned.joints)
     tip = PoseKinematics(ForwardKinematics(SIX)).batch(q)
     is_first = times_s < planned.spline.times_s[1]
     assert np.linalg.norm(tip.position_m[is_first] - here.position_m, axis=1).max() < BOUND_M
@@ -150,7 +145,7 @@ def test_two_joints_follow_the_surface_that_they_reach_and_refuse_to_leave_it() 
         ForwardKinematics(TWO).tip(*(start + share * np.array([0.5, 0.3]))) for share in np.linspace(0, 1, 6)
     ]
     planned = plan_path(TWO, taught, 0.1)
-    times_s, q, _, _ = sampled(joints_of(planned))
+    times_s, q, _, _ = sampled(planned.joints)
     wanted = np.array([planned.spline.at(float(t))[0] for t in times_s])
     assert np.linalg.norm(ForwardKinematics(TWO).tips(q) - wanted, axis=1).max() < 1e-3
     x, y, z = taught[0]
@@ -185,7 +180,7 @@ def test_what_was_taught_with_its_orientation_can_be_run(arm: Arm) -> None:
 def test_the_message_is_the_joints_path_and_comes_back() -> None:
     planned = plan_path(SIX, circle_in_place(SIX), 0.1)
     again = JointPath.from_message(planned.to_message())
-    assert again.knots == joints_of(planned).knots
+    assert again.knots == planned.joints.knots
 
 
 @pytest.mark.parametrize("name", list(ARMS))

@@ -41,6 +41,22 @@ def test_times_beyond_the_path_are_its_ends_at_rest() -> None:
     assert path().at(99.0) == at_rest((0.0, 0.0))
 
 
+def test_where_a_time_stands_twice_the_acceleration_steps() -> None:
+    """1 s of 1 rad/s^2, and 1 s of -1 rad/s^2."""
+    knots = [
+        SetPoint((0.0,), (0.0,), (1.0,)),
+        SetPoint((0.5,), (1.0,), (1.0,)),
+        SetPoint((0.5,), (1.0,), (-1.0,)),
+        SetPoint((1.0,), (0.0,), (-1.0,)),
+    ]
+    followed = JointPath((0.0, 1.0, 1.0, 2.0), knots)
+    assert followed.at(0.5) == SetPoint((0.125,), (0.5,), (1.0,))
+    assert followed.at(1.0) == knots[2]
+    assert followed.at(1.5) == SetPoint((0.875,), (0.5,), (-1.0,))
+    assert followed.at(0.0) == at_rest((0.0,))
+    assert followed.at(2.0) == at_rest((1.0,))
+
+
 def test_a_message_survives_json_and_going_back_in_time_gives_the_same_set_points() -> None:
     again = JointPath.from_message(json.loads(json.dumps(path().to_message())))
     forth = [path().at(0.01 * k) for k in range(201)]
@@ -56,7 +72,8 @@ def test_a_message_survives_json_and_going_back_in_time_gives_the_same_set_point
         ({"q_rad": [[0.0, 0.0], [0.0], [0.0, 0.0]]}, "expected 2 joints in every knot"),
         ({"q_rad": [[0.0, 0.0], [math.nan, 0.0], [0.0, 0.0]]}, "finite"),
         ({"speed_rad_s": [[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]]}, "at rest"),
-        ({"acceleration_rad_s2": [[0.0, 0.0], [0.0, 0.0], [0.0, 1.0]]}, "at rest"),
+        ({"times_s": [0.0, 1.0, 1.0, 2.0]} | dict.fromkeys(("speed_rad_s", "acceleration_rad_s2"), [[0.0, 0.0]] * 4)
+         | {"q_rad": [[0.0, 0.0], [0.0, 0.0], [0.1, 0.0], [0.0, 0.0]]}, "one angle and speed"),
         ({"q_rad": None}, "expected what"),
         ({"q_rad": []}, "expected what"),
         ({"q_rad": [[10**400, 0.0]] * 3}, "expected what"),

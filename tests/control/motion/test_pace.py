@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import pytest
 
-from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from control.motion.joint_limits import JointLimits
@@ -32,7 +31,7 @@ GUARDS = [
 def fastest_circle():
     """A circle so fast that some joint is at a limit of its own."""
     path = plan_path(ARM, CIRCLE, 0.9)
-    return path.motion(InverseKinematics(ARM), ForwardKinematics(ARM))
+    return path.joints
 
 
 def followed(paced, wanted_of, most_s=60.0):
@@ -76,9 +75,7 @@ def test_a_pause_comes_to_rest_on_the_path_and_goes_on_to_its_end(pause_s):
 
 def test_a_pause_takes_less_than_half_a_second_on_a_path_that_is_not_at_its_limits():
     path = plan_path(ARM, CIRCLE, 0.3)
-    paced = Paced(
-        path.motion(InverseKinematics(ARM), ForwardKinematics(ARM)), LIMITS.acceleration_rad_s2, 1.0
-    )
+    paced = Paced(path.joints, LIMITS.acceleration_rad_s2, 1.0)
     points = followed(paced, lambda t: 1.0 if t < 0.5 else 0.0, most_s=1.0)
     speeds = [max(map(abs, p.speed_rad_s)) for p in points]
     assert speeds[int(0.5 / PERIOD_S)] > 0.1

@@ -1,6 +1,5 @@
 """Cartesian cubics: equation (3) from end conditions, tangents on circles, speeds, corners and errors."""
 
-import json
 import math
 import random
 
@@ -10,7 +9,6 @@ from scipy.interpolate import CubicSpline
 
 from control.motion.errors import PathError
 from control.motion.spline import (
-    CartesianSpline,
     arc_lengths,
     hermite,
     section_times,
@@ -241,33 +239,6 @@ def test_sampling_in_any_order_gives_the_same_values():
     times = [random.Random(5).uniform(0.0, spline.duration_s) for _ in range(100)]
     forward = {t: spline.at(t) for t in sorted(times)}
     assert all(spline.at(t) == forward[t] for t in times)
-
-
-def test_a_path_survives_json_bit_for_bit():
-    spline = through(_random_points(4), 0.2)
-    back = CartesianSpline.from_message(json.loads(json.dumps(spline.to_message())))
-    assert (back.times_s, back.coefficients) == (spline.times_s, spline.coefficients)
-
-
-@pytest.mark.parametrize(
-    "message",
-    [
-        {},
-        {"times_s": [0.0, 1.0]},
-        {"times_s": [0.0, 1.0], "coefficients": [[0.0] * 11]},
-        {"times_s": [0.0, 1.0, 2.0], "coefficients": [[0.0] * 12]},
-        {"times_s": [0.0], "coefficients": []},
-        {"times_s": [0.0, 0.0], "coefficients": [[0.0] * 12]},
-        {"times_s": [0.5, 1.0], "coefficients": [[0.0] * 12]},
-        {"times_s": [0.0, math.nan], "coefficients": [[0.0] * 12]},
-        {"times_s": [0.0, 1.0], "coefficients": [[math.nan] * 12]},
-        {"times_s": [0.0, 1.0], "coefficients": ["abc"]},
-        {"times_s": 3, "coefficients": 4},
-    ],
-)
-def test_a_message_that_is_no_path_is_refused(message):
-    with pytest.raises(PathError, match="path message"):
-        CartesianSpline.from_message(message)
 
 
 @pytest.mark.parametrize(

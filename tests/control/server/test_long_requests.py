@@ -15,7 +15,6 @@ import pytest
 
 from control.errors import ArmError
 from control.motion.joint_path import JointPath
-from control.motion.plan import PlannedPath
 from control.server import messages, server
 from control.server.messages import Asked, asked
 from control.server.server import Server, SLICE_bytes, is_long, steps
@@ -32,21 +31,6 @@ def joint_path(knots: int = KNOTS) -> dict[str, Any]:
     return dict(
         zip(("times_s", "q_rad", "speed_rad_s", "acceleration_rad_s2"), (times_s, *rows), strict=True)
     )
-
-
-def tip_path(sections: int = 1500) -> dict[str, Any]:
-    numbers = random.Random(6)
-    spline = {
-        "times_s": [0.1 * k for k in range(sections + 1)],
-        "coefficients": [[numbers.uniform(-1.0, 1.0) for _ in range(12)] for _ in range(sections)],
-    }
-    poses = [[numbers.uniform(-1.0, 1.0) for _ in range(3)] for _ in range(sections + 1)]
-    return {
-        "spline": spline,
-        "q_waypoints_rad": poses,
-        "branch": "up",
-        "slowdowns": [[1.5, 3, "joint 1, speed"]],
-    }
 
 
 def line_of(do: str, **keys: Any) -> bytes:
@@ -72,19 +56,13 @@ def test_a_path_of_the_joints_is_read_to_the_same_as_at_once() -> None:
     assert found.path.knots == whole.knots
 
 
-def test_a_path_of_the_tip_is_read_to_the_same_as_at_once() -> None:
-    message = tip_path()
-    found = read(asked(line_of("run_path", path=message))).path
-    assert found.to_message() == PlannedPath.from_message(message).to_message()
-
-
 def test_paths_of_several_arms_are_read_to_the_same_as_at_once() -> None:
-    moves = {"a": {"path": joint_path(2000)}, "b": {"q_rad": [0.0, 1.0, 2.0]}, "c": {"path": tip_path(300)}}
+    moves = {"a": {"path": joint_path(2000)}, "b": {"q_rad": [0.0, 1.0, 2.0]}, "c": {"path": joint_path(300)}}
     found = read(asked(line_of("move_together", moves=moves))).moves
     assert found["a"].request(False).path.times_s == tuple(moves["a"]["path"]["times_s"])
     assert isinstance(found["a"].request(False), messages.RunJoints)
     assert found["b"].request(False) == messages.MoveJoints(q_rad=(0.0, 1.0, 2.0))
-    assert isinstance(found["c"].request(True), messages.RunPath)
+    assert found["c"].request(True).detached
 
 
 def test_between_two_cycles_no_more_is_read_than_a_slice(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,14 +110,6 @@ def test_what_is_no_path_is_one_error(change: dict[str, Any], said: str) -> None
     text = line_of("run_joints", path=joint_path() | change).replace(b"Infinity", b"1e999")
     with pytest.raises(ArmError, match=said):
         read(asked(text))
-
-
-@pytest.mark.parametrize("name", ["spline", "q_waypoints_rad"])
-@pytest.mark.parametrize("value", [[0.0] * 9000, [[0.0] * 3] * 4000])
-def test_a_list_in_the_place_of_another_part_of_a_tip_path_is_one_error(name: str, value: list[Any]) -> None:
-    line = line_of("run_path", path=tip_path() | {name: value})
-    with pytest.raises(ArmError, match="path message"):
-        read(asked(line))
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -62,7 +62,7 @@ def test_the_arm_runs_it() -> None:
     path = replayed(shown(1.0, reach=0.5), RIGHT).path
     with holding_cell() as cell:
         cell.client.move_joints(path.knots[0].q_rad)
-        cell.client.run_joints(path.to_message())
+        cell.client.run_path(path.to_message())
         assert cell.rig.joint_rad() == pytest.approx(path.knots[-1].q_rad, abs=2e-3)
 
 
