@@ -16,8 +16,7 @@ from typing import NoReturn, TextIO
 
 from console import options
 from console.options import CommandSpec
-from console.specs.end_effector import END_EFFECTOR
-from console.specs.operating import OPERATING
+from console.specs.operating import END_EFFECTOR, OPERATING
 from control.errors import ArmError
 from control.server.client import ArmClient
 

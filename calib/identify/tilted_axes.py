@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arm_problem.link_frames import link_frames
+from calib.arm_problem.link_bending import link_frames
 from calib.arm_problem.parallel_axes import frame_behind, parallel_joints
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array

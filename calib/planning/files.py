@@ -18,7 +18,7 @@ from calib.planning.stops import StopsPlan, WayOfStops
 from calib.points.points import make_points
 from calib.points.writer import replace_file, write_points
 from calib.session.plan import FREE
-from calib.trust.task import Reliability
+from calib.trust.prediction import Reliability
 from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, SPEED_COLUMN, Waypoints
 
 FORMAT: Final = "task/1"

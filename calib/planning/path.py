@@ -24,8 +24,7 @@ from calib.planning.search import (
     places_count,
     shifted,
 )
-from calib.trust.prediction import Predictor
-from calib.trust.task import Path, sampled
+from calib.trust.prediction import Path, Predictor, sampled
 from control.errors import ArmError
 from control.model.arm import Arm, Vector3
 from control.motion.plan import PlannedPath, plan_paths

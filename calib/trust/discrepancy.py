@@ -21,8 +21,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.joint_effects import known_corrections
-from calib.arm_problem.link_bending import beams, bending_m
-from calib.arm_problem.link_frames import link_frames
+from calib.arm_problem.link_bending import beams, bending_m, link_frames
 from calib.arrays import Array, Mask
 from calib.design.candidates import joint_box
 from calib.points.points import Points

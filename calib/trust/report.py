@@ -16,7 +16,7 @@ from calib.points.writer import replace_file
 from calib.report.drawing import AFTER, PLANNED, svg
 from calib.report.page import Section, bullets, page, pair, paragraph, table, verdict
 from calib.trust.iso9283 import PoseFigures, pose_json, pose_rows
-from calib.trust.task import Reliability
+from calib.trust.prediction import Reliability
 from calib.trust.trust import Trust, share_within
 
 if TYPE_CHECKING:

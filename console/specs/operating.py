@@ -283,3 +283,119 @@ OPERATING = (
         module="requests",
     ),
 )
+
+
+# Commands for several arms of one cell.
+
+CELL_OF_CLIENT = option(
+    "--cell",
+    metavar="C",
+    default="pair",
+    help="the cell.toml that `serve` runs, or the name of a supplied cell (default: pair)",
+)
+CELLS = (
+    CommandSpec(
+        "together",
+        "motions of several arms that begin and end together",
+        (
+            CELL_OF_CLIENT,
+            option(
+                "--to",
+                action="append",
+                nargs="+",
+                metavar=("ARM", "RAD"),
+                help="joint angles of an arm in rad, as --to left 0.6 0.1 0.7",
+            ),
+            option(
+                "--run",
+                action="append",
+                nargs=2,
+                metavar=("ARM", "FILE"),
+                help="way-points of an arm, as for `armwright run`",
+            ),
+            option(
+                "--beside",
+                action="append",
+                nargs=3,
+                metavar=("ARM", "OTHER", "FILE"),
+                help="way-points of an arm from where OTHER's tip is at that moment; `keep` as FILE: as the tips are now",
+            ),
+            option(
+                "--speed",
+                type=finite,
+                default=0.5,
+                metavar="F",
+                help="fraction of the joints' limits, with --to (default: 0.5)",
+            ),
+        ),
+        "Give --to, --run or --beside for each arm. All is checked before anything moves, the arms against each other too.",
+        module="cell.together",
+    ),
+    CommandSpec(
+        "follow",
+        "one arm follows another, which a hand guides or a program moves",
+        (
+            CELL_OF_CLIENT,
+            option("--leader", required=True, metavar="ARM", help="the arm that is guided or moved"),
+            option("--follower", required=True, metavar="ARM", help="the arm that follows, jogged"),
+            option(
+                "--mirrored",
+                action="store_true",
+                help="as in a mirror halfway between the two bases (default: the same joint angles)",
+            ),
+        ),
+        "The follower first moves to where the leader is. It keeps to the limits of jogs, and away from the other arm.",
+        module="cell.follow",
+    ),
+)
+
+
+# Commands for what is at the end of the arm.
+
+LEVELS = ("on", "off")
+END_EFFECTOR = (
+    CommandSpec(
+        "tool",
+        "state which tool is mounted, or list the tools",
+        (
+            ARM,
+            SOCKET,
+            option("name", metavar="NAME", nargs="?", help="a [[tool]] of arm.toml (default: list them)"),
+            JSON,
+        ),
+        "The tip, the masses and the collision checks change with it. The arm must be at rest.",
+        module="end_effector",
+    ),
+    CommandSpec(
+        "gripper",
+        "open, close or stop the gripper, or go to an opening",
+        (
+            ARM,
+            SOCKET,
+            option("action", choices=("open", "close", "stop"), nargs="?", help="default: print its state"),
+            option("--to", type=finite, metavar="M", help="an opening in m, 0 is closed"),
+            option(
+                "--force", type=finite, metavar="N", help="gripping force in N (default: force_N of arm.toml)"
+            ),
+            option("--must-hold", action="store_true", help="exit status 1 if it holds nothing at the end"),
+            JSON,
+        ),
+        "Returns when it has come to its end, or holds something. It stops with Ctrl-C, and with `armwright stop`.",
+        module="end_effector",
+    ),
+    CommandSpec(
+        "digital",
+        "set an output, wait for an input, or list the pins",
+        (
+            ARM,
+            SOCKET,
+            option("name", metavar="NAME", nargs="?", help="a [[digital]] of arm.toml (default: list them)"),
+            option("level", choices=LEVELS, nargs="?", help="of an output"),
+            option("--until", choices=LEVELS, help="wait until the pin has this level"),
+            option("--timeout", type=finite, default=10.0, metavar="S", help="of --until (default: 10)"),
+            JSON,
+        ),
+        "Outputs go to their safe levels when the arm goes to FAULT or its drives go off, and stay there until they are set.",
+        module="end_effector",
+    ),
+)

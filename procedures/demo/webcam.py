@@ -28,9 +28,15 @@ from calib.vision.camera_file import write_camera
 from calib.vision.intrinsics import CORNERS_LEAST as LENS_CORNERS
 from calib.vision.intrinsics import LensFit, fit_lens
 from calib.vision.lens import Lens
-from calib.vision.measured_points import picture_name, with_pictures
 from calib.vision.opencv import picture_files, png_of
-from calib.vision.poses import CORNERS_LEAST, CameraPictures, PoseSet, measure_poses
+from calib.vision.poses import (
+    CORNERS_LEAST,
+    CameraPictures,
+    PoseSet,
+    measure_poses,
+    picture_name,
+    with_pictures,
+)
 from calib.vision.sightings import look_for
 from calib.vision.targets import Charuco
 from control.files import write_whole

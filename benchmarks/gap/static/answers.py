@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.gap.matrix import Answer, Hidden, Truth, answer
-from benchmarks.gap.static.cases import Design, designed
-from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign, drawn_pair
+from benchmarks.gap.static.cases import Design, designed, drawn, drawn_design, drawn_foreign, drawn_pair
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
 

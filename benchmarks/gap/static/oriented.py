@@ -14,8 +14,7 @@ from collections import Counter
 
 import numpy as np
 
-from benchmarks.gap.static.cases import Design, designed
-from benchmarks.gap.static.draws import SIZES
+from benchmarks.gap.static.cases import SIZES, Design, designed
 from benchmarks.gap.static.physics import Hidden
 from benchmarks.gap.static.score import name_of, names
 from calib.gap.poses.find import find

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.gap.static import physics as static_physics
-from benchmarks.gap.static.cases import Design, designed
-from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign
+from benchmarks.gap.static.cases import Design, designed, drawn, drawn_design, drawn_foreign
 from benchmarks.gap.static.physics import Hidden, Poses
 from control.model.arm import Arm, Effect
 

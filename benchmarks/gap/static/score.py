@@ -15,8 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.gap.static.cases import Design, designed
-from benchmarks.gap.static.draws import drawn, drawn_design, drawn_foreign, drawn_pair
+from benchmarks.gap.static.cases import Design, designed, drawn, drawn_design, drawn_foreign, drawn_pair
 from benchmarks.gap.static.physics import Hidden
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find

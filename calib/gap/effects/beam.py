@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.link_bending import Bending, beams, bending
-from calib.arm_problem.link_frames import link_frames
+from calib.arm_problem.link_bending import Bending, beams, bending, link_frames
 from calib.arrays import Array
 from calib.gap.effects.columns import straight
 from calib.gap.effects.pose_columns import in_poses

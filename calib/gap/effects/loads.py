@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.link_frames import LinkFrames, link_frames
+from calib.arm_problem.link_bending import LinkFrames, link_frames
 from calib.arrays import Array
 from calib.gap.effects.columns import straight
 from calib.gap.effects.departures import by_angle, by_current

@@ -14,7 +14,7 @@ from itertools import combinations, combinations_with_replacement
 import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.link_frames import LinkFrames, link_frames
+from calib.arm_problem.link_bending import LinkFrames, link_frames
 from calib.arm_problem.parallel_axes import frame_behind, parallel_joints
 from calib.arrays import Array
 from calib.gap.effects.pose_scene import PoseScene

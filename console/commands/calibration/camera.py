@@ -17,9 +17,15 @@ from calib.vision.advice import poses_text as described
 from calib.vision.camera_file import read_camera, write_camera
 from calib.vision.intrinsics import CORNERS_LEAST as CORNERS_OF_A_LENS
 from calib.vision.intrinsics import fit_lens
-from calib.vision.measured_points import poses_text, with_pictures
 from calib.vision.opencv import picture_files
-from calib.vision.poses import CORNERS_LEAST, CameraPictures, PoseSet, measure_poses
+from calib.vision.poses import (
+    CORNERS_LEAST,
+    CameraPictures,
+    PoseSet,
+    measure_poses,
+    poses_text,
+    with_pictures,
+)
 from calib.vision.sightings import look_for
 from calib.vision.targets import (
     BOARD_DICTIONARY,

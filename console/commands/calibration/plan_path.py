@@ -17,9 +17,8 @@ from calib.planning.path import planned_path
 from calib.planning.search import Freedom
 from calib.planning.stops import StopsPlan, planned_stops
 from calib.points.arm_points import base_points_for
-from calib.trust.prediction import Predictor
-from calib.trust.task import Path as TaskPath
-from calib.trust.task import Reliability, reliability_of
+from calib.trust.prediction import Path as TaskPath
+from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
 from console.commands.calibration.options import board_frames
 from console.commands.progress import Bar

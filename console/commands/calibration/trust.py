@@ -14,8 +14,8 @@ from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import Points
 from calib.points.writer import replace_file
 from calib.trust.iso9283 import PoseFigures, pose_figures
+from calib.trust.prediction import Reliability, planned, reliability_of
 from calib.trust.report import as_text, trust_json, trust_report, write_json, write_map
-from calib.trust.task import Reliability, planned, reliability_of
 from calib.trust.trust import MapRequest, Trust, trust_in
 from console.commands.calibration import trust_design
 from console.commands.calibration.options import board_frames

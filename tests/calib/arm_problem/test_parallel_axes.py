@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.link_frames import link_frames
+from calib.arm_problem.link_bending import link_frames
 from calib.arm_problem.parallel_axes import (
     frame_behind,
     in_the_same_rows,

@@ -17,8 +17,7 @@ from calib.points.points import make_points
 from calib.trust.discrepancy import SHARES, Conditions, Discrepancy, Gears, even_odds
 from calib.trust.iso9283 import pose_figures
 from calib.trust.posterior import SIZE_SPREAD, SIZES, SizeEvidence, linearised, posterior_of
-from calib.trust.prediction import TipError
-from calib.trust.task import planned, reliability_of
+from calib.trust.prediction import TipError, planned, reliability_of
 from calib.trust.trust import ELLIPSOID_95, MapRequest, Trust, trust_in, within_95_m
 from control.dynamics.static_pose import RestingPose
 from control.kinematics.kinematics import ForwardKinematics
