@@ -107,16 +107,15 @@ class Expansion:
         return self._scaled(whole)
 
     def _bend_joints(self, whole: Array, weight: Array) -> None:
-        """Second derivatives by corrections: through the joints' angles, pose by pose."""
-        c, first = self.chain_count, len(self.columns) - len(self.corrections)
-        by_joint = [
-            joint_curvature(self.columns[:c], weight, self.is_modified, theta) for theta in self.theta_places
-        ]
-        for a, slope in enumerate(self.corrections, first):
-            mixed = sum((bend * slope[:, j] for j, bend in enumerate(by_joint)), np.zeros((c, len(slope))))
-            whole[a, :c] = whole[:c, a] = -mixed.sum(axis=1)
-            for b, other in enumerate(self.corrections, first):
-                whole[a, b] = -np.einsum("jm,mj->", mixed[list(self.theta_places)], other)
+        """Second derivatives by the C corrections: through the n joints' angles, pose by pose."""
+        c, theta = self.chain_count, list(self.theta_places)
+        slopes = np.stack(self.corrections).transpose(0, 2, 1)  # (C, n, m)
+        bends = np.stack([joint_curvature(self.columns[:c], weight, self.is_modified, one) for one in theta])
+        flat = slopes.reshape(len(slopes), -1)
+        mixed = -slim_product(flat, bends.transpose(1, 0, 2).reshape(c, -1))
+        whole[-len(slopes) :, :c], whole[:c, -len(slopes) :] = mixed, mixed.T
+        among = np.einsum("aim,ijm->ajm", slopes, bends[:, theta])
+        whole[-len(slopes) :, -len(slopes) :] = -slim_product(among.reshape(flat.shape), flat)
 
     def _scaled(self, whole: Array) -> Array:
         """The unknowns' part (k, k) of a matrix over all parameters, per scaled unknown."""
