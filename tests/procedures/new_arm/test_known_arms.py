@@ -25,6 +25,7 @@ from procedures.doctor.finding import Level, as_text, worst
 from procedures.doctor.judging import judge
 from procedures.doctor.sampling import sample
 from tests.cell import open_cell, wired_to
+from tests.thirds import third_of
 
 OWNED = tuple(name for name in arm_names() if load_arm(name).boards)
 SEEN_rad = 0.01  # six counts of a servo
@@ -34,7 +35,7 @@ def test_every_servo_arm_that_is_known_is_tried_here() -> None:
     assert set(OWNED) >= {"koch", "so100", "so101", "widowx250"}
 
 
-@pytest.mark.parametrize("name", OWNED)
+@pytest.mark.parametrize("name", third_of(OWNED, 1))
 def test_a_known_arm_is_well_moves_and_is_let_go_on_the_mock(name: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     assert main(["new", "--like", name, "--out", str(file)]) == 0
@@ -126,7 +127,7 @@ def test_servos_of_another_voltage_are_named_before_they_are_driven() -> None:
     assert found_bad(weak, weak) == ""
 
 
-@pytest.mark.parametrize(("joint", "teeth"), [(2, 1), (3, -1)])
+@pytest.mark.parametrize(("joint", "teeth"), [(2, 1), pytest.param(3, -1, marks=pytest.mark.nightly)])
 def test_a_horn_on_another_tooth_is_told_before_points_are_fitted(joint: int, teeth: int) -> None:
     arm, random = load_arm("so101"), np.random.default_rng(joint)
     tooth_rad = teeth * 2.0 * math.pi / 25
@@ -155,7 +156,7 @@ def test_two_servos_of_a_joint_are_one_motor_of_their_summed_current() -> None:
     assert two.current_limit_A == 2.0 * one.current_limit_A
 
 
-@pytest.mark.parametrize("name", OWNED)
+@pytest.mark.parametrize("name", third_of(OWNED))
 def test_the_current_of_every_servo_holds_the_arm(name: str) -> None:
     """Measured or reckoned, of one servo or of two: the torque of what is reported is that of the motors."""
     arm = load_arm(name)

@@ -49,7 +49,7 @@ def test_every_number_of_joints_makes_an_arm_with_the_boards_that_it_needs(
     assert sum("# " in line for line in keys) > 40
 
 
-@pytest.mark.parametrize("joints", [2, 4])
+@pytest.mark.parametrize("joints", third_of([2, 4]))
 def test_it_homes_and_moves_on_the_mock_at_once(joints: int, tmp_path: Path) -> None:
     _, file = new(tmp_path, "--joints", str(joints), "--yes")
     arm = load_arm(file)
