@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from control.model.description import load_arm
 from control.server.channel import SocketChannel
 from control.server.client import ArmClient, ArmFaulted, fault_text
 from control.server.server import default_path
+from firmware_iface.closing import Closing
 
 Array = NDArray[np.float64]
 APPROACH_SPEED = 0.5  # of the joints' limits, for the move to the start of a path
@@ -63,7 +63,7 @@ class GripperState:
     has_lost: bool
 
 
-class RunningArm:
+class RunningArm(Closing):
     """A running arm, from `connect` or `mock_arm`; a context manager that disconnects on exit.
 
     Methods that move return when the arm is at rest at the target. A motion that this connection started is stopped when the
@@ -269,14 +269,6 @@ class RunningArm:
     def close(self) -> None:
         """Disconnect. A motion that this connection started is stopped; the loop keeps running."""
         self._client.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def connect(arm: Arm | str | Path, socket: str | Path | None = None, timeout_s: float = 2.0) -> RunningArm:

@@ -9,14 +9,13 @@ import itertools
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import msgspec
 import mujoco
 
 from control.model.cell import Cell
 from firmware_iface.clock import Clock
+from firmware_iface.closing import Closing
 from firmware_iface.link import CanFormat
 from hil_mocks.assembly import effects_of, plant_options, start_pose
 from hil_mocks.devices.motor_inputs import Frame
@@ -148,7 +147,7 @@ class MockCell:
                 robot.camera_outgoing.clear()
 
 
-class SteppedCell:
+class SteppedCell(Closing):
     """A mock cell in this process, deterministic: `hil_mocks.rig.SteppedRig` for several arms."""
 
     def __init__(self, cell: Cell, scenario: Scenario | str = "ideal") -> None:
@@ -172,14 +171,6 @@ class SteppedCell:
     def close(self) -> None:
         """Close all links."""
         self.wires.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 # Plants of several arms in one world of MuJoCo.

@@ -8,12 +8,12 @@ import socket
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import msgspec
 
 from firmware_iface.clock import Clock, MonotonicClock
+from firmware_iface.closing import Closing
 from firmware_iface.installation import command
 from firmware_iface.interrupts import held
 from hil_mocks.errors import RigError
@@ -50,7 +50,7 @@ class _Hand:
         return str(self._rig.ask("hand")["state"])
 
 
-class MockProcess:
+class MockProcess(Closing):
     """A mock in a process of its own, which ends with `close` or when this process dies."""
 
     def __init__(self, *options: str) -> None:
@@ -138,14 +138,6 @@ class MockProcess:
         for pipe in (process.stdout, process.stderr):
             if pipe is not None:
                 pipe.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class RealTimeCell(MockProcess):

@@ -12,11 +12,11 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 from control.model.description import Arm, load_arm
 from firmware_iface.clock import Clock
+from firmware_iface.closing import Closing
 from hil_mocks.in_process import CAN_INTERFACE, register
 from hil_mocks.in_process.line import SerialLine
 from hil_mocks.plant.hand import Point
@@ -137,7 +137,7 @@ class SteppedClock:
         wires.settle()
 
 
-class SteppedRig:
+class SteppedRig(Closing):
     """A mock arm in this process, deterministic: the same arm, scenario and host give the same bytes.
 
     `through_kernel`: over a pty and python-can's virtual bus.
@@ -232,11 +232,3 @@ class SteppedRig:
     def close(self) -> None:
         """Close all links."""
         self.wires.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -10,7 +10,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from calib.errors import SessionError
 from calib.points.points import COVARIANCE, ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points
 from calib.points.reading import read_points
 from control.files import KeptLines, write_whole
+from firmware_iface.closing import Closing
 
 Key = tuple[str, str, int]
 POSE_COLUMNS = (*ORIENTATION, "frame")
@@ -85,7 +85,7 @@ def write_points(path: Path, points: Points) -> None:
     replace_file(path, "".join(f"{line}\n" for line in lines).encode())
 
 
-class PointsWriter:
+class PointsWriter(Closing):
     """Appends records to a .csv; each is on the disk before `append` returns (`KeptLines`).
 
     An existing file is continued, and so are its times, where a runtime was started anew. `warnings`: of a dropped incomplete
@@ -152,16 +152,6 @@ class PointsWriter:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def __enter__(self) -> PointsWriter:
-        """Nothing to do: the file is open."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the file."""
-        self.close()
 
     def _read(self) -> dict[Key, str]:
         """The lines of the records in the file, by key. PointsFileError for an invalid one."""

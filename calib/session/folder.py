@@ -18,8 +18,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from calib.errors import SessionError
 from calib.points.points import Points
@@ -27,6 +26,7 @@ from calib.points.reading import read_points
 from calib.points.writer import DISTANCE, Key, PointsWriter, Record, replace_file
 from calib.session.plan import Mark, SessionPlan, SessionState, TargetEvent, from_json, require_same, to_json
 from control.files import KeptLines, parsed_json, read_text
+from firmware_iface.closing import Closing
 
 Entry = dict[str, Any]
 
@@ -59,7 +59,7 @@ PLAN, POINTS, JOURNAL = "session.json", "points.csv", "journal.jsonl"
 AT_POINT, LIFTED = "at point", "lifted"  # journal events
 
 
-class SessionFolder:
+class SessionFolder(Closing):
     """A session that is begun or resumed; use it as a context manager, or close it."""
 
     def __init__(self, folder: Path, wanted: SessionPlan | None = None) -> None:
@@ -155,14 +155,6 @@ class SessionFolder:
         """Close the files."""
         self._writer.close()
         self._journal.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _note(self, event: str, **details: object) -> None:
         self._journal.note({"at": _now(), "event": event, **details})

@@ -7,8 +7,6 @@ does; the board's watchdog brakes when this program stops sending. All other mot
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self
 
 from control.errors import ArmError
 from control.hardware.reference_encoders import start_stream
@@ -16,6 +14,7 @@ from control.model.arm import Arm
 from control.model.joint_map import Unwrapper
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
+from firmware_iface.closing import Closing
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import LinkError, MisuseError, connect_all
 from firmware_iface.motor.board import MotorBoard, MotorBus
@@ -33,7 +32,7 @@ SPEED_FILTER_S = 0.004
 JUMP_SHARE = 0.6  # of the allowed speed: a slower joint cannot exceed the limit within one cycle
 
 
-class ReferenceBench:
+class ReferenceBench(Closing):
     """The open reference boards; meets `procedures.bringup.workbench.Workbench`.
 
     `driving` enables one motor; within it, `cycle` sends a voltage and waits for the replies.
@@ -289,14 +288,6 @@ class ReferenceBench:
                 encoder.stream(0.0)
         for close in self._closers:
             close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _fault_names(motor: MotorBoard) -> str:

@@ -8,8 +8,7 @@ limit of bring-up as its `current_limit_A`, which the boards enforce that can.
 import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from types import TracebackType
-from typing import Final, Literal, Self
+from typing import Final, Literal
 
 from control.errors import ArmError
 from control.hardware.connect import connect
@@ -18,6 +17,7 @@ from control.hardware.words import OPERATION_ENABLED, STATE_MASK, Wanted
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
+from firmware_iface.closing import Closing
 from firmware_iface.errors import LinkError, MisuseError
 from procedures.bringup.operator import BringupOperator, Stopped
 from procedures.bringup.workbench import Channel, DriveLimits, SafetyTrip, Sample
@@ -39,7 +39,7 @@ _MODES: Final[Mapping[Literal["voltage", "current", "position"], OutputMode]] = 
 }  # fmt: skip
 
 
-class BoughtBench:
+class BoughtBench(Closing):
     """The open boards of an arm on [[board]]s; meets `procedures.bringup.workbench.Workbench`. Channels: (0, joint - 1)."""
 
     has_index = False
@@ -243,14 +243,6 @@ class BoughtBench:
         if self._wanted.is_on:
             self._switch_off()
         self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _cautious(arm: Arm, currents_A: Mapping[int, float]) -> Arm:
