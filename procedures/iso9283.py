@@ -95,12 +95,12 @@ def plan(arm: Arm, cube: TestCube, extent: Extent, rated_m_s: float) -> Planned:
     q_rad = {tip: _solved(solver, tip) for tip in tips}
     _require_clear(arm, list(q_rad.values()))
     paths: dict[tuple[Point, ...], dict[float, PlannedPath]] = {}
-    inverse, kinematics = InverseKinematics(arm), ForwardKinematics(arm)
+    inverse = InverseKinematics(arm)
     for step in todo:
         if isinstance(step, PathRun) and step.speed_m_s not in paths.setdefault(step.points_m, {}):
             near = _solved(solver, step.points_m[0])
             paths[step.points_m][step.speed_m_s] = plan_path(
-                arm, step.points_m, step.speeds_m_s, q_near_rad=near, inverse=inverse, kinematics=kinematics
+                arm, step.points_m, step.speeds_m_s, q_near_rad=near, inverse=inverse
             )
     return Planned(programme_document(cube, extent, rated_m_s), todo, q_rad, paths)
 

@@ -8,16 +8,15 @@ excess of a few per mille is removed by slowing the whole path.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
-from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.pose_inverse import PoseInverse
 from control.model.arm import Arm
 from control.motion import checks
@@ -40,6 +39,7 @@ from control.motion.joint_path import JointPath
 from control.motion.spline import DEFAULT_PACE_M_S, CartesianSpline, TimedWaypoints, checked_points, timed
 from control.motion.waypoints import Waypoints
 
+T = TypeVar("T")
 _CHECK_RATE_HZ = 500.0
 # A round applies only this power of the required factor: neighbouring sections slow each other, and full
 # steps end up to twice as slow as needed. Measured on fast circles and lines: 0.4 comes within a tenth of
@@ -96,7 +96,6 @@ def plan_path(
     setup: str = "normal",
     pace_m_s: float = DEFAULT_PACE_M_S,
     inverse: InverseKinematics | None = None,
-    kinematics: ForwardKinematics | None = None,
 ) -> PlannedPath:
     """Plan the path through `waypoints` (m, 3) [m] in the base frame.
 
@@ -108,102 +107,79 @@ def plan_path(
         q_near_rad: the branch whose start is nearest to this pose is used; by default the rest pose.
         setup: how the calibration board is tilted, for clearance.
         pace_m_s: speed if none is given.
-        inverse, kinematics: of this arm, if the caller has them already.
+        inverse: of this arm, if the caller has it already.
 
     Raises:
         ArmError: the path cannot be run; names the obstacle, the way-point and the amount.
     """
-    planner, recipe, starts = _prepared(
-        arm, waypoints, speeds, q_near_rad, setup, pace_m_s, inverse, kinematics
-    )
-    return _first(planner, recipe, starts)
+    named = _named(waypoints)
+    planner = _Planner(arm, named, setup, inverse)
+    recipe = planner.recipe(named.speeds_m_s if speeds is None else speeds, pace_m_s)
+    return next(_each(planner.starts(q_near_rad), lambda start: planner.plan(recipe, start)))
 
 
 def plan_paths(
-    arm: Arm,
-    waypoints: Waypoints | Sequence[Sequence[float]],
-    *,
-    inverse: InverseKinematics | None = None,
-    kinematics: ForwardKinematics | None = None,
+    arm: Arm, waypoints: Waypoints | Sequence[Sequence[float]], *, inverse: InverseKinematics | None = None
 ) -> Iterator[PlannedPath]:
     """A plan from each start that can be run, on each branch of an arm that has some; the first is that of `plan_path`.
 
     Raises:
         ArmError: none can be run; the first start's.
     """
-    planner, recipe, starts = _prepared(
-        arm, waypoints, None, None, "normal", DEFAULT_PACE_M_S, inverse, kinematics
-    )
+    named = _named(waypoints)
+    planner = _Planner(arm, named, "normal", inverse)
+    recipe = planner.recipe(named.speeds_m_s, DEFAULT_PACE_M_S)
+    return _each(planner.starts(None), lambda start: planner.plan(recipe, start))
+
+
+def _named(waypoints: Waypoints | Sequence[Sequence[float]]) -> Waypoints:
+    if isinstance(waypoints, Waypoints):
+        return waypoints
+    return Waypoints(tuple(checked_points(waypoints)), None)
+
+
+def _each(starts: Iterable[PathStart], plan: Callable[[PathStart], T]) -> Iterator[T]:
+    """The plan from each start that can be run. If there is none, the first start's error."""
     problems: list[ArmError] = []
     is_any = False
     for start in starts:
         try:
-            path = planner.plan(recipe, start)
+            found = plan(start)
         except ArmError as problem:
             problems.append(problem.with_traceback(None))
             continue
         is_any = True
-        yield path
+        yield found
     if not is_any:
         raise problems.pop(0)
-
-
-def _prepared(
-    arm: Arm,
-    waypoints: Waypoints | Sequence[Sequence[float]],
-    speeds: float | Sequence[float] | None,
-    q_near_rad: Sequence[float] | None,
-    setup: str,
-    pace_m_s: float,
-    inverse: InverseKinematics | None,
-    kinematics: ForwardKinematics | None,
-) -> tuple["_Planner", TimedWaypoints, Iterator[PathStart]]:
-    """What plans the path, its times, and the starts to try, the nearest first."""
-    named = (
-        waypoints if isinstance(waypoints, Waypoints) else Waypoints(tuple(checked_points(waypoints)), None)
-    )
-    turns = turns_rad(named.orientations) if named.orientations is not None else ()
-    asked = named.speeds_m_s if speeds is None else speeds
-    recipe = timed(named.points, asked, pace_m_s=pace_m_s, turns_rad=turns)
-    kinematics = kinematics or ForwardKinematics(arm)
-    follower = _follower(arm, named, inverse, kinematics)
-    rest = arm.rest.q_rad if arm.rest else (0.0,) * arm.joint_count
-    starts = islice(follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS)
-    return _Planner(arm, kinematics, follower, named, setup), recipe, starts
-
-
-def _first(planner: "_Planner", recipe: TimedWaypoints, starts: Iterable[PathStart]) -> PlannedPath:
-    """The plan from the first start that can be run; else the first start's error."""
-    problems: list[ArmError] = []
-    for start in starts:
-        try:
-            return planner.plan(recipe, start)
-        except ArmError as problem:
-            problems.append(problem.with_traceback(None))
-    raise problems.pop(0)
-
-
-def _follower(
-    arm: Arm, waypoints: Waypoints, inverse: InverseKinematics | None, kinematics: ForwardKinematics
-) -> Follower:
-    """Positions of three joints have branches or scalar solutions; everything else follows a posture."""
-    if arm.joint_count == 3 and waypoints.orientations is None:
-        inverse = inverse or InverseKinematics(arm)
-        if inverse.follows_position:
-            return BranchFollower(inverse, waypoints)
-    poses = inverse.poses if inverse is not None else PoseKinematics(kinematics)
-    return PostureFollower(arm, PoseInverse(arm, poses), waypoints)
 
 
 class _Planner:
     """Tries the path of one arm through one set of way-points on a branch."""
 
     def __init__(
-        self, arm: Arm, kinematics: ForwardKinematics, follower: Follower, waypoints: Waypoints, setup: str
+        self, arm: Arm, waypoints: Waypoints, setup: str, inverse: InverseKinematics | None = None
     ) -> None:
-        self._arm, self._kinematics, self._follower = arm, kinematics, follower
-        self._waypoints, self._setup = waypoints, setup
+        self._arm, self._waypoints, self._setup = arm, waypoints, setup
         self._limits = JointLimits.of(arm)
+        self._inverse = inverse or InverseKinematics(arm)
+        # Positions of three joints have branches or scalar solutions; everything else follows a posture.
+        self._follower: Follower
+        if waypoints.orientations is None and self._inverse.follows_position:
+            self._follower = BranchFollower(self._inverse, waypoints)
+        else:
+            self._follower = PostureFollower(arm, PoseInverse(arm, self._inverse.poses), waypoints)
+
+    def starts(self, q_near_rad: Sequence[float] | None) -> Iterator[PathStart]:
+        """Poses to begin in, the nearest first; by default those near the rest pose."""
+        rest = self._arm.rest.q_rad if self._arm.rest else (0.0,) * self._arm.joint_count
+        return islice(self._follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS)
+
+    def recipe(self, speeds: float | Sequence[float] | None, pace_m_s: float) -> TimedWaypoints:
+        """The way-points with their times, as asked for."""
+        turned = self._waypoints.orientations
+        turns = turns_rad(turned) if turned is not None else ()
+        return timed(self._waypoints.points, speeds, pace_m_s=pace_m_s, turns_rad=turns)
 
     def plan(self, recipe: TimedWaypoints, start: PathStart) -> PlannedPath:
         """Check, slow, check again; PathError if the path cannot be run from `start`."""
@@ -264,7 +240,13 @@ class _Planner:
         """Checks that do not depend on speed."""
         checks.check_poses(self._waypoints, spline.times_s, tip, joints, self._limits)
         checks.check_clearance(
-            self._arm, self._kinematics, self._setup, self._waypoints, spline.times_s, tip, joints.q_rad
+            self._arm,
+            self._inverse.kinematics,
+            self._setup,
+            self._waypoints,
+            spline.times_s,
+            tip,
+            joints.q_rad,
         )
         checks.check_room(self._arm, self._waypoints, spline.times_s, tip, joints.q_rad)
 
@@ -307,16 +289,8 @@ def plan_in_time(
         ArmError: as `plan_path`.
     """
     points = tuple(spline.at(time_s)[0] for time_s in spline.times_s)
-    waypoints, kinematics = Waypoints(points, None, tuple(names)), ForwardKinematics(arm)
     lengths_m = tuple(math.dist(a, b) for a, b in pairwise(points))
     still = (0.0,) * len(points)
     recipe = TimedWaypoints(points, points, lengths_m, still, still[1:], False)
-    follower = _follower(arm, waypoints, None, kinematics)
-    planner = _Planner(arm, kinematics, follower, waypoints, "normal")
-    problems: list[ArmError] = []
-    for start in islice(follower.starts(q_near_rad), _STARTS):
-        try:
-            return planner.as_timed(recipe, spline, start)
-        except ArmError as problem:
-            problems.append(problem.with_traceback(None))
-    raise problems.pop(0)
+    planner = _Planner(arm, Waypoints(points, None, tuple(names)), "normal")
+    return next(_each(planner.starts(q_near_rad), lambda start: planner.as_timed(recipe, spline, start)))

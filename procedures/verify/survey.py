@@ -107,7 +107,6 @@ def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float
             q_near_rad=q_near_rad,
             setup=way.setup,
             inverse=model.inverse,
-            kinematics=model.kinematics,
         )
     except ArmError as error:
         raise ArmError(f"{way.name} above the board's setup {way.setup}: {error}") from error
