@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from control.errors import BadTarget, NearSingular, OutOfReach
 from control.model.arm import Vector3
+from control.model.rules import POSITION
 
 
 def checked_point(point: Sequence[float]) -> Vector3:
@@ -23,7 +24,8 @@ def spelled(point: Sequence[float]) -> str:
 def out_of_reach(name: str, point: Sequence[float], distance_m: float) -> OutOfReach:
     """Return the error for a point that lies `distance_m` outside."""
     off = f"{distance_m:.4f}" if distance_m >= 1e-4 else f"{distance_m:.1g}"
-    message = f"arm {name}: {spelled(point)} is out of reach by {off} m; choose a point nearer to the arm"
+    remedy = POSITION.doubt(tuple(point)) or "; choose a point nearer to the arm"
+    message = f"arm {name}: {spelled(point)} is out of reach by {off} m{remedy}"
     return OutOfReach(message, distance_m)
 
 

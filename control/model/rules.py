@@ -31,6 +31,10 @@ class Rule:
             return self.hint
         return f"this looks like {self.looks_like}: write {_converted(value, self.factor)}"
 
+    def doubt(self, value: Any) -> str:
+        """The remedy in brackets, for the end of another error about a value that does not hold here; empty if it does."""
+        return "" if self.holds(value) else f" ({self.remedy(value)})"
+
 
 def _converted(value: Any, factor: float) -> str:
     if isinstance(value, tuple | list):

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from control.model.rules import ANGLE
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.setpoint import SetPoint, at_rest
@@ -228,7 +229,7 @@ def _inside(target: tuple[float, ...], limits: JointLimits) -> tuple[float, ...]
         if beyond > _ROUNDING_RAD:
             raise MotionError(
                 f"joint move: joint {joint} cannot go to {q:.4f} rad, {beyond:.4f} rad outside of its range"
-                f" {low:.4f} .. {high:.4f} rad"
+                f" {low:.4f} .. {high:.4f} rad{ANGLE.doubt(q)}"
             )
     return tuple(map(min, map(max, target, limits.lower_rad), limits.upper_rad))
 

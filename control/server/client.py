@@ -226,7 +226,10 @@ class ArmClient:
         while True:
             pins = self.status()["digital"]
             if name not in pins:
-                raise ArmError(f"digital: no pin {name!r}: expected one of {', '.join(pins) or 'none'}")
+                known = (
+                    f"expected one of {', '.join(pins)}" if pins else "arm.toml names none with [[digital]]"
+                )
+                raise ArmError(f"digital: no pin {name!r}: {known}")
             if pins[name]["level"] is level or waited_s >= timeout_s:
                 return bool(pins[name]["level"] is level)
             self._channel.wait(POLL_S)

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from control.model.rules import ANGLE
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import calculated
@@ -63,6 +64,7 @@ class JointJog:
         if not lower <= goal <= upper:
             raise MotionError(
                 f"jog: joint {joint + 1} cannot go to {goal:.4f} rad, outside of its range {lower:.4f} .. {upper:.4f} rad"
+                f"{ANGLE.doubt(by_rad)}"
             )
         speed = min(abs(speed_rad_s), self._limits.speed_rad_s[joint])
         self._wanted[joint], self._target[joint] = math.copysign(speed, by_rad), goal

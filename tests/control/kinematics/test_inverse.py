@@ -100,6 +100,11 @@ def test_an_elbow_up_over_the_shoulder_is_still_above_the_line() -> None:
         assert heights[Branch(shoulder, "up")] > heights[Branch(shoulder, "down")]
 
 
+def test_a_point_in_millimetres_is_told_its_metres() -> None:
+    with pytest.raises(OutOfReach, match=r"\(this looks like millimetres: write \[0\.3, 0, 0\.2\]\)"):
+        InverseKinematics(FREE).branches((300.0, 0.0, 200.0))
+
+
 @pytest.mark.parametrize(
     ("point", "distance_m"),
     [

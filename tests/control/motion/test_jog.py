@@ -187,6 +187,8 @@ def test_a_step_out_of_range_or_reach_is_refused_and_nothing_moves():
     hand = Hand((0.0, 0.7, 0.0))
     with pytest.raises(ArmError, match=r"joint 2 cannot go to 0\.9000 rad"):
         hand.ask(JointStep(1, 0.2, 0.1))
+    with pytest.raises(ArmError, match=r"rad \(this looks like degrees: write 0\.174533\)"):
+        hand.ask(JointStep(1, 10.0, 0.1))
     with pytest.raises(ArmError, match="jog: "):
         hand.ask(TipStep(0, 2.0, 0.1))
     hand.hold(0.1)

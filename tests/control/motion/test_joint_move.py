@@ -123,6 +123,11 @@ def test_a_target_out_of_range_names_the_joint_and_by_how_much(joint, q, excess)
         JointMove(START, target, LIMITS)
 
 
+def test_a_target_in_degrees_is_told_its_radians():
+    with pytest.raises(MotionError, match=r"\(this looks like degrees: write 1\.5708\)"):
+        JointMove(START, (90.0, 0.0, 0.0), LIMITS)
+
+
 def test_targets_at_the_ends_of_the_range_are_allowed():
     assert JointMove(START, LIMITS.upper_rad, LIMITS).at(99.0).q_rad == LIMITS.upper_rad
     assert JointMove(START, LIMITS.lower_rad, LIMITS).at(99.0).q_rad == LIMITS.lower_rad
