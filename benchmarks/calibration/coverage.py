@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.studies import add_options
+from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
+from calib.arm_problem.observations import Observations
 from calib.arm_problem.parameters import dh_names
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen
-from calib.identify import ArmModel, ArmProblem, Observations
 from calib.identify.determinability import determinability
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, objective_named

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, board_session
-from calib.design import Request, plan_poses
+from calib.arm_problem.assembly import Choice, problem_of
 from calib.design.candidates import workspace_poses
 from calib.design.information import experiment_of, uncertainty_of
-from calib.identify import Choice, LeastSquares, SumOfDistances, identify, problem_of
-from calib.identify.objective import Objective
+from calib.design.planning import Request, plan_poses
+from calib.identify.identification import identify
+from calib.identify.objective import LeastSquares, Objective, SumOfDistances
 from calib.points.points import Points, make_points
 from control.model.description import load_arm
 

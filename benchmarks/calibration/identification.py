@@ -18,7 +18,9 @@ import numpy.typing as npt
 
 from benchmarks.peers.peer import Peer, PeerMissing
 from benchmarks.table import BenchRow, compared
-from calib.identify import ArmModel, ArmProblem, Observations
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.observations import Observations
+from calib.arm_problem.problem import ArmProblem
 from calib.identify.objective import LeastSquares, Objective, objective_named, value_of
 from calib.identify.solver import minimise
 from control.model.description import load_arm

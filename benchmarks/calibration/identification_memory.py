@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.calibration.identification import problem_of, slsqp
-from calib.identify import ArmProblem
+from calib.arm_problem.problem import ArmProblem
 from calib.identify.objective import LeastSquares
 from calib.identify.solver import minimise
 

@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calib.identify import ArmModel, ArmProblem, Observations
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.observations import Observations
+from calib.arm_problem.problem import ArmProblem
 from calib.identify.objective import LeastSquares, Objective, SumOfCoordinates, objective_named, value_of
 from calib.identify.solver import best_of_starts, minimise
 from control.kinematics.inverse import InverseKinematics

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.calibration.chains import ChainModel
-from calib.identify import ArmModel, ArmProblem, Identification, Observations, identify
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.observations import Observations
+from calib.arm_problem.problem import ArmProblem
+from calib.identify.identification import Identification, identify
 from control.model.arm import Arm, Link, Tool
 
 

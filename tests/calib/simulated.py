@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.identify import ArmModel, ArmProblem, Choice, LeastSquares, SumOfDistances, problem_of
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.problem import ArmProblem
+from calib.identify.objective import LeastSquares, SumOfDistances
 from calib.identify.solver import minimise
 from calib.points.points import Points, make_points
 from control.model.arm import Arm

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.identify import ArmModel
+from calib.arm_problem.arm_model import ArmModel
 from calib.points.points import Points, make_points
 from calib.points.writer import write_points
 from console.main import main

@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
-from calib.design import CameraBox, Plan, Request, Uncertainty, in_words, plan_json, plan_poses, write_plan
-from calib.design.information import NAMES
-from calib.design.planning import known_to
+from calib.design.candidates import CameraBox
+from calib.design.information import NAMES, Uncertainty
+from calib.design.planning import Plan, Request, in_words, known_to, plan_json, plan_poses, write_plan
 from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points

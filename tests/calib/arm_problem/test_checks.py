@@ -5,10 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.checks import require_columns_meant, require_sound, require_usable
 from calib.arm_problem.misread.other_arm import doubts_of_arm
+from calib.arm_problem.observations import Observations
+from calib.arm_problem.problem import ArmProblem
 from calib.errors import CalibrationError, UnusablePointsError
-from calib.identify import ArmModel, ArmProblem, Choice, LeastSquares, Observations, identify, problem_of
+from calib.identify.identification import identify
+from calib.identify.objective import LeastSquares
 from calib.points.points import Points, make_points
 from control.model.arm import Arm, Link, Table, Tool
 from control.model.description import load_arm

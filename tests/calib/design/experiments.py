@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 from benchmarks.calibration.design_trial import ARM, NOISE_m
+from calib.arm_problem.assembly import Choice
 from calib.design.candidates import free_candidates, joined, placed_boards, table_candidates, workspace_poses
 from calib.design.information import experiment_of
-from calib.identify import Choice
 
 UNKNOWN = dataclasses.replace(ARM, table=dataclasses.replace(ARM.table, known_pose=False))
 WORKSPACE = workspace_poses(ARM, [], 150)

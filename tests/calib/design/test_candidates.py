@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, board_points
 from benchmarks.calibration.design_trial import ARM, table_points
+from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
 from calib.design.candidates import (
     FREE_HEIGHT_M,
@@ -26,7 +27,6 @@ from calib.design.candidates import (
 )
 from calib.design.planning import WAY_HEIGHT_M, clear_ways, visiting_order
 from calib.errors import CalibrationError
-from calib.identify import ArmModel
 from calib.points.points import make_points
 from control.model.arm import Arm, Link
 

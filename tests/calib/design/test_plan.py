@@ -19,11 +19,11 @@ from benchmarks.calibration.design_trial import (
 )
 from calib.arm_problem.assembly import Choice
 from calib.arm_problem.frames import Frame
-from calib.design import CameraBox, Request, in_words, plan_json, plan_poses, write_plan
-from calib.design.candidates import boards_in_the_way, free_candidates, workspace_poses
+from calib.design.candidates import CameraBox, boards_in_the_way, free_candidates, workspace_poses
 from calib.design.information import experiment_of, uncertainty_of
+from calib.design.planning import Request, in_words, plan_json, plan_poses, write_plan
 from calib.errors import CalibrationError
-from calib.identify import LeastSquares, SumOfDistances
+from calib.identify.objective import LeastSquares, SumOfDistances
 from calib.points.points import make_points
 from calib.points.reading import read_points
 

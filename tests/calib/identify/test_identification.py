@@ -13,9 +13,10 @@ from benchmarks.calibration.chains import (
     board_session,
     deviations,
 )
+from calib.arm_problem.parameters import Bounds
 from calib.arrays import norms
 from calib.errors import CalibrationError, UnusablePointsError
-from calib.identify import Bounds, LeastSquares, SumOfDistances
+from calib.identify.objective import LeastSquares, SumOfDistances
 from tests.calib.arms import identified
 
 ARMS = {

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.joint_effects import (
     corrections,
     effects_of,
@@ -18,7 +19,8 @@ from calib.arm_problem.joint_effects import (
     with_effects,
 )
 from calib.errors import CalibrationError
-from calib.identify import Choice, LeastSquares, identify, problem_of
+from calib.identify.identification import identify
+from calib.identify.objective import LeastSquares
 from calib.points.points import Points, make_points
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.static_pose import resting

@@ -15,7 +15,7 @@ from calib.arm_problem.weighted import whole_problem
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.design.information import experiment_of, uncertainty_of
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
-from calib.identify import identify
+from calib.identify.identification import identify
 from calib.identify.objective import objective_named
 from calib.iso9283.evaluate_poses import pose_criterion
 from calib.iso9283.recorded import pose_groups

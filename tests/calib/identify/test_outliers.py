@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.identify import ArmModel
+from calib.arm_problem.arm_model import ArmModel
 from calib.identify.linear_fit import LinearFit
 from calib.identify.outliers import FALSE_ALARM, find_outliers, outlier_test
 from calib.identify.suspects import find_suspects

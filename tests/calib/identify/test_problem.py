@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.chains import MODIFIED, MODIFIED_DH
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.frames import Frame, left_jacobian, rotation_of, rotation_vector
+from calib.arm_problem.observations import Observations
+from calib.arm_problem.parameters import Bounds
+from calib.arm_problem.problem import ArmProblem
 from calib.errors import CalibrationError, UnusablePointsError
-from calib.identify import ArmModel, ArmProblem, Bounds, Choice, Observations, problem_of
 from calib.points.points import make_points
 from control.model.arm import Table
 from control.model.description import load_arm

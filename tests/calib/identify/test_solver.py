@@ -14,9 +14,11 @@ from benchmarks.calibration.chains import (
     deviations,
 )
 from benchmarks.calibration.solver_study import best_known, case
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.observations import Observations
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import norms
 from calib.errors import CalibrationError
-from calib.identify import ArmModel, ArmProblem, Observations
 from calib.identify.objective import LeastSquares, SumOfDistances, objective_named, value_of
 from calib.identify.sample import CHUNK
 from calib.identify.solver import COST_OF_NEARNESS, best_of_starts, minimise

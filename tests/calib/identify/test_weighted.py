@@ -13,7 +13,7 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.weighted import whole_problem
 from calib.calibration.calibrate import CalibrationPlan, calibrate, points_in_base
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
-from calib.identify import identify
+from calib.identify.identification import identify
 from calib.identify.objective import objective_named
 from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import COVARIANCE, Points, make_points, matrices_of, triangles

@@ -5,14 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.arm_problem.assembly import Choice
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.link_bending import known_bending
+from calib.arm_problem.parameters import Bounds
 from calib.arrays import norms
 from calib.calibration.calibrate import CalibrationPlan, calibrate, identified
 from calib.calibration.outcome import calibrated_arm
 from calib.errors import CalibrationError
-from calib.identify import ArmModel, Bounds, LeastSquares, problem_of
 from calib.identify.identification import fit
+from calib.identify.objective import LeastSquares
 from calib.points.points import joined, make_points
 from calib.validation.holdout import held_out
 from calib.validation.verify import errors_of, predicted_tips

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from calib.identify import LeastSquares, identify, problem_of
+from calib.arm_problem.assembly import problem_of
+from calib.identify.identification import identify
+from calib.identify.objective import LeastSquares
 from calib.identify.suspects import find_suspects
 from calib.points.points import make_points
 from calib.validation.holdout import Fold, HeldOut, held_out

@@ -11,12 +11,11 @@ import pytest
 from calib.arm_problem.frames import Frame, rotation_of
 from calib.calibration.outcome import with_placed_stream
 from calib.points.reading import read_points
-from calib.session import ArmGeometry, SeenTip
 from calib.session.boards_known import Boards
 from calib.session.conduct import Station, conduct
 from calib.session.conversation import GO, Recorded
 from calib.session.folder import SessionFolder
-from calib.session.moves import chosen_free_poses
+from calib.session.moves import ArmGeometry, SeenTip, chosen_free_poses
 from calib.session.plan import SessionPlan, fingerprint, free_targets
 from calib.session.residual_watch import ResidualWatch
 from console.main import main
