@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from math import dist
 
-from control.errors import ArmError
 from control.model.description import load_arm
 from control.safety.table import Mode
 from firmware_iface.canopen import wire as canopen
@@ -128,7 +127,7 @@ class BoardsDrill(Promise):
             ("asked", "another program asks a board in each cycle", silent, SINKS_mm, asked, BRAKING[1:]),
             ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", GOES_ON, STOPS_mm, host_gone, HOLDING),
             ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", GOES_ON, SINKS_mm, host_gone, BRAKING),
-            ("restarted", "loop killed while it holds the arm, another started", GOES_ON, SINKS_mm, restarted_braking, BRAKING),
+            ("restarted", "loop killed while it holds the arm, another started", GOES_ON, SINKS_mm, restarted, BRAKING),
             ("torque-in-hold", "another program commands a drive of a held arm now and then", moved, SINKS_mm, torque_in_hold,
              BRAKING),
             ("old-firmware", "other firmware is found when serve starts again", GOES_ON, HELD_mm, old_firmware, HOLDING),
@@ -157,7 +156,7 @@ def off_at_once(played: Stage) -> str:
 
 
 def restarted(played: Stage) -> str:
-    """Boards that hold when a runtime connects are left so, are let go by no mere `off`, and are taken over without a step."""
+    """Boards that hold are left so, let go by no mere `off`, and taken over without a step; others wait for `enable`."""
     return _restarted(played, AWAY_S, LOOKED_AROUND_S)
 
 
@@ -166,43 +165,25 @@ def restarted_at_once(played: Stage) -> str:
     return _restarted(played, 0.0, 0.0)
 
 
-def _restarted(played: Stage, away_s: float, held_s: float) -> str:
+def _restarted(played: Stage, away_s: float, looked_s: float) -> str:
+    holds = played.arm.boards[0].kind in HOLDING
+    expected = Mode.HELD if holds else Mode.OFF
     played.begin(REST)
     played.way = played.way[-1:]
     played.away(away_s)
-    held = any(_torques(played))
+    torques = [any(_torques(played))]
     played.restart()
-    played.run(held_s)
-    if not held:
-        return "the boards did not hold without a host"
-    connected = played.mode
-    if connected is not Mode.HELD:
-        return f"the arm was {connected.name}, not HELD"
-    try:
-        played.client.ask("off")
+    played.run(looked_s)
+    torques.append(any(_torques(played)))
+    if torques != [holds] * 2:
+        return "a joint had torque that nobody had asked for" if any(torques) else "the boards did not hold"
+    if played.mode is not expected:
+        return f"the arm was {played.mode.name}, not {expected.name}"
+    if holds and played.request({"do": "off"})["ok"]:
         return "off let the arm go without a question"
-    except ArmError:
-        played.client.enable()
-    played.run(0.5)
-    return "" if played.mode is Mode.HOLDING else f"it was not taken over: {played.mode.name}"
-
-
-def restarted_braking(played: Stage) -> str:
-    """Boards that short their windings without a host do so until a person enables the arm; then it is held again."""
-    played.begin(REST)
-    played.way = played.way[-1:]
-    played.away(AWAY_S)
-    sinking = any(_torques(played))
-    played.restart()
-    played.run(0.1)
-    connected = played.mode
-    if sinking or any(_torques(played)):
-        return "a joint had torque that nobody had asked for"
-    if connected is not Mode.OFF:
-        return f"the arm was {connected.name}, not OFF"
     played.client.enable()
     played.run(0.5)
-    return "" if played.mode is Mode.HOLDING else f"it was not held again: {played.mode.name}"
+    return "" if played.mode is Mode.HOLDING else f"it was not taken over: {played.mode.name}"
 
 
 def torque_in_hold(played: Stage) -> str:

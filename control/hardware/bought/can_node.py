@@ -21,7 +21,7 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
-from firmware_iface.errors import LinkError
+from firmware_iface.errors import BoardFaulted, LinkError
 from firmware_iface.link import FrameLink
 
 B = TypeVar("B", bound=Line)
@@ -53,6 +53,7 @@ class CanNode(CountingNode, Protocol):
     def at_s(self) -> float: ...
     @property
     def is_known(self) -> bool: ...
+    def await_status(self) -> None: ...
 
 
 class BusLine:
@@ -129,6 +130,27 @@ class NodeDrive(ABC):
     def _faults_now(self) -> int:
         """What the board reports, as the loop's faults."""
 
+    @abstractmethod
+    def _fault_left(self) -> str:
+        """End a fault whose cause is gone, and say in words what is left of it."""
+
+    def _set_up(self) -> None:  # noqa: B027
+        """Set what a restart of the board forgets."""
+
+    def configure(self, fresh_count: Callable[[int], int]) -> None:
+        """Set what a restart of the board forgets, once, and wait for its values."""
+        resets = self._node.resets
+        if self._configured_resets != resets:
+            self._set_up()
+            self._configured_resets = resets
+        self._node.await_status()
+
+    def acknowledge_faults(self) -> None:
+        """Forget a fault that is gone. BoardFaulted if its cause persists."""
+        if left := self._fault_left():
+            raise BoardFaulted(f"{self._node.where}: its {left} cannot be acknowledged: the cause persists")
+        self._faults = 0
+
     def _is_driving(self) -> bool:
         """Whether the board is in operation, by its own word where it has one."""
         return self._is_enabled
@@ -168,32 +190,28 @@ class NodeDrive(ABC):
         """The encoder's offset is used with every position."""
 
 
-def open_bus(
-    arm: Arm, opened: Opened, boards: str, open_link: Callable[..., FrameLink], make: Callable[[FrameLink, Clock], B],
-    clock: Clock,
-) -> B | None:  # fmt: skip
-    """The bus of [can] for a kind of boards, which messages call `boards`; None if it cannot be opened (noted in `opened`)."""
+def open_nodes(
+    arm: Arm, boards: Sequence[Board], clock: Clock, opened: Opened, called: str,
+    open_link: Callable[..., FrameLink], make: Callable[[FrameLink, Clock], B], open_one: Callable[[B, Board, int, Drive], None],
+) -> None:  # fmt: skip
+    """Open the bus of [can] for a kind of boards, `called` so in messages, and one board after the other.
+
+    `open_one` is given its joint (0-based) and drive. Failures are noted in `opened`; without a bus no board is looked for.
+    """
     if arm.can is None:
-        raise MissingModel(f"arm {arm.name}: no [can] bus for its {boards}: add it")
+        raise MissingModel(f"arm {arm.name}: no [can] bus for its {called}: add it")
     try:
         link = open_link(arm.can.interface, arm.can.channel, arm.can.bitrate, **arm.can.options)
     except LinkError as error:
         opened.failures.append(error)
-        return None
+        return
     opened.closers.append(link.close)
     bus = make(link, clock)
     opened.lines.append(BusLine(bus))
-    return bus
-
-
-def each(
-    arm: Arm, boards: Sequence[Board], opened: Opened, open_one: Callable[[Board, int, Drive], None]
-) -> None:
-    """Open board after board, given its joint (0-based) and drive; failures are noted in `opened`."""
     driven: Mapping[str, tuple[int, Drive]] = {d.board: (joint, d) for joint, d in enumerate(arm.drives)}
     for described in boards:
         with collect(opened.failures):
-            open_one(described, *driven[described.name])
+            open_one(bus, described, *driven[described.name])
 
 
 def own_encoder(

@@ -7,7 +7,7 @@ brake by shorted windings. The zero is kept here, as an offset, so nothing is st
 import math
 from collections.abc import Callable, Sequence
 
-from control.hardware.bought.can_node import NodeEncoder, each, open_bus
+from control.hardware.bought.can_node import NodeEncoder, open_nodes
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
 from control.hardware.words import (
@@ -197,14 +197,10 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
     def make(link: FrameLink, clock: Clock) -> CanOpenBus:
         return CanOpenBus(link, clock, watchdog_s / HEARTBEATS)
 
-    bus = open_bus(arm, opened, "CiA 402 drives", open_can, make, clock)
-    if bus is not None:
-        each(
-            arm,
-            boards,
-            opened,
-            lambda board, joint, drive: _open_drive(bus, board, joint, drive, period_s, arm.limits, opened),
-        )
+    def open_one(bus: CanOpenBus, described: Board, joint: int, drive: Drive) -> None:
+        _open_drive(bus, described, joint, drive, period_s, arm.limits, opened)
+
+    open_nodes(arm, boards, clock, opened, "CiA 402 drives", open_can, make, open_one)
 
 
 def _require_rated_torque(node: Cia402Drive, drive: Drive) -> str:

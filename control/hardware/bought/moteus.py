@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
-from control.hardware.bought.can_node import NodeEncoder, each, open_bus, own_encoder
+from control.hardware.bought.can_node import NodeEncoder, open_nodes, own_encoder
 from control.hardware.bought.position_loop import PositionLoopDrive
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
@@ -26,7 +26,7 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_fd_can
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted, BoardSilent, WrongIdentity
+from firmware_iface.errors import BoardSilent, WrongIdentity
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.controller import Moteus, MoteusBus
 from firmware_iface.moteus.wire import MoteusMode
@@ -155,19 +155,9 @@ class MoteusDrive(PositionLoopDrive):
         self._held = None
         self._board.wanted = wire.brake(self._board.number)
 
-    def configure(self, fresh_count: Callable[[int], int]) -> None:
-        """Nothing is set: each command carries its limits."""
-        self._configured_resets = self._board.resets
-        self._board.await_status()
-
-    def acknowledge_faults(self) -> None:
-        """End a fault or time-out; the windings stay shorted. Raises BoardFaulted if a fault comes back."""
-        board = self._board
-        if not board.reset_fault():
-            raise BoardFaulted(
-                f"{board.where}: its fault {board.fault} cannot be acknowledged: the cause persists"
-            )
-        self._faults = 0
+    def _fault_left(self) -> str:
+        """The windings stay shorted."""
+        return "" if self._board.reset_fault() else f"fault {self._board.fault}"
 
     def require_force_limit(self) -> None:
         """Nothing to look for: each command carries its largest torque."""
@@ -184,11 +174,8 @@ class MoteusDrive(PositionLoopDrive):
 
 def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
     """Open the CAN FD bus, and identify every moteus."""
-    bus = open_bus(arm, opened, "moteus controllers", open_fd_can, MoteusBus, clock)
-    if bus is None:
-        return
 
-    def open_one(described: Board, joint: int, drive: Drive) -> None:
+    def open_one(bus: MoteusBus, described: Board, joint: int, drive: Drive) -> None:
         board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
         said = board.identify(described.absolute)
         unsaid = _require_settings(board, drive)
@@ -198,4 +185,4 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
         )
         opened.identities.append((board.where, f"{said}, supply {board.supply_V:.1f} V{unsaid}"))
 
-    each(arm, boards, opened, open_one)
+    open_nodes(arm, boards, clock, opened, "moteus controllers", open_fd_can, MoteusBus, open_one)

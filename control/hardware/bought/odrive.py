@@ -5,10 +5,10 @@ end of operation frees the motor. The zero is kept by the host, unless the board
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
-from control.hardware.bought.can_node import NodeEncoder, each, open_bus, own_encoder
+from control.hardware.bought.can_node import NodeEncoder, open_nodes, own_encoder
 from control.hardware.bought.position_loop import PositionLoopDrive
 from control.hardware.opened import Opened
 from control.hardware.words import (
@@ -23,7 +23,6 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
 from firmware_iface.odrive.wire import Error
 
@@ -80,24 +79,14 @@ class OdriveDrive(PositionLoopDrive):
             self._held = None
             self._axis.want_idle()
 
-    def configure(self, fresh_count: Callable[[int], int]) -> None:
-        """Limit speed and current, which a restart of the board forgets."""
-        axis = self._axis
-        if self._configured_resets != axis.resets:
-            resets = axis.resets
-            if all(map(math.isfinite, self._limits)):
-                axis.limit(*self._limits)
-            self._configured_resets = resets
-        axis.await_status()
+    def _set_up(self) -> None:
+        if all(map(math.isfinite, self._limits)):
+            self._axis.limit(*self._limits)
 
-    def acknowledge_faults(self) -> None:
-        """Clear the axis's errors; one that is idle stays so. BoardFaulted if a cause persists."""
+    def _fault_left(self) -> str:
+        """One that is idle stays so."""
         self._is_stopped = False
-        if not self._axis.clear_errors():
-            raise BoardFaulted(
-                f"{self._axis.where}: its error {self._axis.errors!r} cannot be acknowledged: the cause persists"
-            )
-        self._faults = 0
+        return "" if self._axis.clear_errors() else f"error {self._axis.errors!r}"
 
     def require_force_limit(self) -> None:
         """Nothing to look for: every axis takes a limit of its current."""
@@ -120,21 +109,12 @@ class OdriveDrive(PositionLoopDrive):
 
 def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
     """Open the CAN bus, and wait for what every ODrive sends."""
-    bus = open_bus(arm, opened, "ODrives", open_can, OdriveBus, clock)
-    if bus is not None:
-        each(
-            arm,
-            boards,
-            opened,
-            lambda board, joint, drive: _open_axis(bus, board, joint, drive, period_s, opened),
-        )
 
+    def open_one(bus: OdriveBus, described: Board, joint: int, drive: Drive) -> None:
+        axis = OdriveAxis(bus, described.address, described.name, drive.encoder_counts_per_rev)
+        axis.identify()
+        encoder = own_encoder(axis, joint, drive, opened, described.absolute)
+        opened.drives.append(OdriveDrive(axis, encoder, joint, drive, clock, period_s))
+        opened.identities.append((axis.where, f"{axis.errors!r}, supply {axis.supply_V:.1f} V"))
 
-def _open_axis(
-    bus: OdriveBus, described: Board, joint: int, drive: Drive, period_s: float, opened: Opened
-) -> None:
-    axis = OdriveAxis(bus, described.address, described.name, drive.encoder_counts_per_rev)
-    axis.identify()
-    encoder = own_encoder(axis, joint, drive, opened, described.absolute)
-    opened.drives.append(OdriveDrive(axis, encoder, joint, drive, bus.clock, period_s))
-    opened.identities.append((axis.where, f"{axis.errors!r}, supply {axis.supply_V:.1f} V"))
+    open_nodes(arm, boards, clock, opened, "ODrives", open_can, OdriveBus, open_one)

@@ -5,10 +5,10 @@ here. It ends a fault by itself after half a second: here FAULT is left only by 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
-from control.hardware.bought.can_node import NodeDrive, NodeEncoder, each, open_bus, own_encoder
+from control.hardware.bought.can_node import NodeDrive, NodeEncoder, open_nodes, own_encoder
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
 from control.hardware.words import (
@@ -25,7 +25,7 @@ from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_extended_can
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardFaulted, MisuseError, WrongIdentity
+from firmware_iface.errors import MisuseError, WrongIdentity
 from firmware_iface.vesc import wire
 from firmware_iface.vesc.controller import Vesc, VescBus
 
@@ -82,22 +82,15 @@ class VescDrive(NodeDrive):
         self._was_driving |= self._board.is_driving
         return self._is_enabled or (self._board.wanted is None and self._was_driving)
 
-    def configure(self, fresh_count: Callable[[int], int]) -> None:
-        """Limit the current, which a restart of the board forgets."""
-        if self._configured_resets != self._board.resets:
-            resets = self._board.resets
-            if math.isfinite(self._limit_A):
-                self._board.limit_current(self._limit_A)
-            self._configured_resets = resets
-        self._board.await_status()
+    def _set_up(self) -> None:
+        if math.isfinite(self._limit_A):
+            self._board.limit_current(self._limit_A)
 
-    def acknowledge_faults(self) -> None:
-        """Forget a fault that is gone. Raises BoardFaulted for one that is not within the time in which a VESC ends it."""
-        if not self._board.is_well_within(FAULT_STOP_S):
-            raise BoardFaulted(
-                f"{self._board.where}: its fault {self._board.fault} (mc_fault_code) cannot be acknowledged: the cause persists"
-            )
-        self._faults = 0
+    def _fault_left(self) -> str:
+        """It has the time in which a VESC ends it."""
+        return (
+            "" if self._board.is_well_within(FAULT_STOP_S) else f"fault {self._board.fault} (mc_fault_code)"
+        )
 
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
@@ -109,18 +102,6 @@ class VescDrive(NodeDrive):
 def _share(volts: float, supply_V: float) -> float:
     """The duty for a mean terminal voltage at this supply."""
     return min(max(volts / supply_V, -1.0), 1.0) if supply_V > 0.0 else 0.0
-
-
-def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
-    """Open the CAN bus for 29-bit ids, and identify every VESC."""
-    bus = open_bus(arm, opened, "VESCs", open_extended_can, VescBus, clock)
-    if bus is not None:
-        each(
-            arm,
-            boards,
-            opened,
-            lambda board, joint, drive: _open_vesc(bus, board, joint, drive, arm.limits.watchdog_s, opened),
-        )
 
 
 def _require_settings(board: Vesc, watchdog_s: float) -> str:
@@ -148,22 +129,6 @@ def _require_settings(board: Vesc, watchdog_s: float) -> str:
     return f"time-out {stored.timeout_s:g} s, then {stored.brake_A:g} A"
 
 
-def _open_vesc(
-    bus: VescBus, described: Board, joint: int, drive: Drive, watchdog_s: float, opened: Opened
-) -> None:
-    board = Vesc(bus, described.address, described.name)
-    if drive.pid.mode == "position":
-        _require_one_turn(board, drive)
-    silent = board.identify()
-    told = _require_settings(board, watchdog_s) + silent
-    encoder = own_encoder(board, joint, drive, opened)
-    board.is_counted = encoder is not None
-    opened.drives.append(VescDrive(board, encoder, joint, drive, bus))
-    opened.identities.append(
-        (board.where, f"{told}, fault code {board.fault}, supply {board.supply_V:.1f} V")
-    )
-
-
 def _require_one_turn(board: Vesc, drive: Drive) -> None:
     """A VESC turns to an angle the shorter way, so the joint's whole range must be less than half a turn of the encoder."""
     counts = JointMap(drive).counts_per_radian * (drive.joint_upper_rad - drive.joint_lower_rad)
@@ -172,3 +137,21 @@ def _require_one_turn(board: Vesc, drive: Drive) -> None:
             f'{board.where}: [drive.pid] mode = "position" needs its own encoder at the joint, and a range below half a turn: it'
             ' turns the shorter way to an angle; use "voltage" or "current"'
         )
+
+
+def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float, opened: Opened) -> None:
+    """Open the CAN bus for 29-bit ids, and identify every VESC."""
+
+    def open_one(bus: VescBus, described: Board, joint: int, drive: Drive) -> None:
+        board = Vesc(bus, described.address, described.name)
+        if drive.pid.mode == "position":
+            _require_one_turn(board, drive)
+        silent = board.identify()
+        told = _require_settings(board, arm.limits.watchdog_s) + silent
+        encoder = own_encoder(board, joint, drive, opened)
+        board.is_counted = encoder is not None
+        opened.drives.append(VescDrive(board, encoder, joint, drive, bus))
+        said = f"{told}, fault code {board.fault}, supply {board.supply_V:.1f} V"
+        opened.identities.append((board.where, said))
+
+    open_nodes(arm, boards, clock, opened, "VESCs", open_extended_can, VescBus, open_one)
