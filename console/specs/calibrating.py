@@ -29,6 +29,13 @@ HISTORY = (
     ),
 )
 
+BOUND = option(
+    "--bound",
+    metavar="NAME=VALUE",
+    action="append",
+    help="largest deviation: lengths=5mm, angles=2deg (the defaults), or one parameter, e.g. L2=8mm",
+)
+
 CALIBRATING = (
     CommandSpec(
         "calibrate",
@@ -49,12 +56,7 @@ CALIBRATING = (
                 metavar="LENGTH",
                 help="distance above which huber is linear, e.g. 0.3mm (default: from the noise)",
             ),
-            option(
-                "--bound",
-                metavar="NAME=VALUE",
-                action="append",
-                help="largest deviation: lengths=5mm, angles=2deg (the defaults), or one parameter, e.g. L2=8mm",
-            ),
+            BOUND,
             option(
                 "--fix",
                 metavar="NAMES",
@@ -200,12 +202,7 @@ CALIBRATING = (
                 choices=("huber", "lsq"),
                 help="huber: outliers count less (default); lsq: least squares",
             ),
-            option(
-                "--bound",
-                metavar="NAME=VALUE",
-                action="append",
-                help="largest deviation: lengths=5mm, angles=2deg (the defaults), or one parameter, e.g. L2=8mm",
-            ),
+            BOUND,
             option(
                 "--fix",
                 metavar="NAMES",

@@ -16,15 +16,19 @@ class BoardKind:
     """What a board offers. `modes` are those of [drive.pid], the usual one first."""
 
     line: Literal["serial", "can"]
-    motors: int  # on one board
     addresses: range  # on its line
     modes: tuple[Literal["voltage", "current", "position"], ...]
-    has_encoder: bool  # its own, which the loop can use
-    is_absolute: bool  # that encoder knows its place within one turn at power-up: there is nothing to home
     can_free: bool  # opens the motor's circuit; else a hand moves the joint against shorted windings
     can_hold: bool  # brings its joint to rest and holds it without the host
     usual_rate_Hz: float  # of the loop
-    stops_early: bool  # begins its own stop some cycles after the last command, not only at its watchdog
+    motors: int = 1  # on one board
+    has_encoder: bool = True  # its own, which the loop can use
+    is_absolute: bool = (
+        False  # that encoder knows its place within one turn at power-up: there is nothing to home
+    )
+    stops_early: bool = (
+        False  # begins its own stop some cycles after the last command, not only at its watchdog
+    )
     limits_force: bool = False  # in position mode, to what the host says: it can drive a gripper
     limits_current: bool = (
         False  # it takes `current_limit_A` from the host; else its own settings alone limit the current
@@ -49,11 +53,9 @@ class BoardKind:
 
 REFERENCE: Final = BoardKind(
     line="can",
-    motors=1,
     addresses=range(1, 16),
     modes=("voltage", "current", "position"),
     has_encoder=False,  # what the loop uses is the encoder board's
-    is_absolute=False,
     can_free=True,
     can_hold=True,
     usual_rate_Hz=500.0,
@@ -69,70 +71,53 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             motors=2,
             addresses=range(0x80, 0x88),
             modes=("voltage",),
-            has_encoder=True,
-            is_absolute=False,
             can_free=False,
             can_hold=False,
             usual_rate_Hz=100.0,
-            stops_early=False,
             limits_current=True,
             highest_supply_V=34.0,
         ),
         "cia402": BoardKind(
             line="can",
-            motors=1,
             addresses=range(1, 127),
             modes=("position", "current"),
-            has_encoder=True,
-            is_absolute=False,
             can_free=True,
             can_hold=True,
             usual_rate_Hz=250.0,
-            stops_early=False,
             limits_force=True,
             needs_own_bus=True,
             uses_other_encoder=False,
         ),
         "dynamixel": BoardKind(
             line="serial",
-            motors=1,
             addresses=range(253),
             modes=("position",),
-            has_encoder=True,
             is_absolute=True,
             can_free=True,
             can_hold=True,
             usual_rate_Hz=100.0,
-            stops_early=False,
             limits_force=True,
             counts_per_turn=4096,
         ),
         "feetech": BoardKind(
             line="serial",
-            motors=1,
             addresses=range(253),
             modes=("position",),
-            has_encoder=True,
             is_absolute=True,
             can_free=True,
             can_hold=True,
             usual_rate_Hz=100.0,
-            stops_early=False,
             limits_force=True,
             counts_per_turn=4096,
             first_count=0,
         ),
         "moteus": BoardKind(
             line="can",
-            motors=1,
             addresses=range(1, 128),
             modes=("position", "current"),
-            has_encoder=True,
-            is_absolute=False,
             can_free=True,
             can_hold=True,
             usual_rate_Hz=250.0,
-            stops_early=False,
             limits_force=True,
             limits_current=True,
             needs_fd=True,
@@ -142,15 +127,11 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
         ),
         "odrive": BoardKind(
             line="can",
-            motors=1,
             addresses=range(63),
             modes=("position", "current"),
-            has_encoder=True,
-            is_absolute=False,
             can_free=True,
             can_hold=True,
             usual_rate_Hz=250.0,
-            stops_early=False,
             limits_force=True,
             limits_current=True,
             needs_own_bus=True,
@@ -161,15 +142,11 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
         ),
         "vesc": BoardKind(
             line="can",
-            motors=1,
             addresses=range(254),
             modes=("voltage", "current", "position"),
-            has_encoder=True,
-            is_absolute=False,
             can_free=True,
             can_hold=False,
             usual_rate_Hz=200.0,
-            stops_early=False,
             limits_current=True,
             counts_per_turn=18_000,
             current_step_A=0.1,

@@ -6,7 +6,6 @@ python -m benchmarks.gap.dynamic.series_score --sorts rough many --cases 60 --fi
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ import numpy as np
 from benchmarks.gap.dynamic.cases import Asked, Case, made
 from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
 from benchmarks.gap.dynamic.score import arm_of, log_of
+from benchmarks.studies import say
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.model_update import as_totals, with_totals
 from calib.gap.series.find import examine
@@ -132,7 +132,7 @@ def _score(sort: str, some: Sequence[Asked]) -> None:
         tally.took.append(time.process_time() - began)
         found = as_totals(arm, outcome.finding) if sort == "known" else outcome.finding
         _judge(case, found, tally, f"{sort} {case.asked.seed}")
-    _say(f"== {sort} {len(some)}: {tally.line()}")
+    say(f"== {sort} {len(some)}: {tally.line()}")
 
 
 def _key(entry: dict[str, Any]) -> EffectName:
@@ -170,17 +170,12 @@ def _judge(case: Case, found: GapFinding, tally: Tally, label: str) -> None:
         tally.gaps.append(found.gap_after)
     said = {str(name): {k: (float(f"{v[0]:.4g}"), float(f"{v[1]:.2g}")) for k, v in one.parameters.items()}
             for name, one in got.items() if name.effect != "link_geometry"}  # fmt: skip
-    _say(
+    say(
         f"  {label} {'ok ' if is_exact and not (found.unknown and wanted) else 'BAD' if wrong or not wanted else '-- '}"
         f" {[(str(n), {k: float(f'{v:.4g}') for k, v in p.items()}) for n, p in wanted.items()] or case.asked.effects}: {said}"
         f" sets {[[str(n) for n in s] for s in found.ambiguous]} unknown {found.unknown and found.unknown.where}"
         f" gap {found.gap_before:.2f} {found.gap_after:.2f} nameable {wanted.keys() <= could} {tally.took[-1]:.0f} s"
     )
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ from benchmarks.gap.static import cases
 from benchmarks.gap.static.cases import RIGS, Design, designed
 from benchmarks.gap.static.physics import Hidden, Rig
 from benchmarks.gap.static.rough_cases import ON_TIP, PARAMETER, Rough, several
+from benchmarks.studies import say
 from calib.arm_problem.assembly import BASE, Choice
 from calib.arm_problem.joint_effects import LAWS
 from calib.arrays import Array, Mask
@@ -80,11 +80,11 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--data", type=Path, nargs="*", default=[])
     given = parser.parse_args()
-    _say(
+    say(
         f"{'':32} {'given':>8} {'calibr.':>8} {'with all':>8} {'file':>8} {'said':>8}  file/best said/file   s"
     )
     ratios = [_row(one) for one in (*simulated(given.first_seed, given.cases), *recorded(given.data))]
-    _say(f"file at most 1.02 of the best: {sum(ratio <= 1.02 for ratio in ratios)} of {len(ratios)}")
+    say(f"file at most 1.02 of the best: {sum(ratio <= 1.02 for ratio in ratios)} of {len(ratios)}")
 
 
 def simulated(first: int, count: int) -> Iterator[Set]:
@@ -160,7 +160,7 @@ def _row(one: Set) -> float:
             write_gap(found, one.arm, Recordings(one.points, None, (), (), ()), Path(folder) / "gap")
             file = load_arm(str(Path(folder) / "gap" / "arm.toml"))
     except (CalibrationError, ArmError) as error:
-        _say(f"{one.name:32} refused: {error}")
+        say(f"{one.name:32} refused: {error}")
         return float("inf")
     took = time.process_time() - began
     out = np.zeros(len(one.points), dtype=bool) if found.static is None else found.static.left_out
@@ -172,7 +172,7 @@ def _row(one: Set) -> float:
     names = ", ".join(str(e.name) for e in found.finding.effects if e.name.effect != "link_geometry")
     truth = ", ".join(f"{e.effect} {e.joint or ''}".strip() for e in one.hidden)
     best = min(given, plain, full)
-    _say(
+    say(
         f"{one.name:32} {given:8.3f} {plain:8.3f} {full:8.3f} {own:8.3f} {said:8.3f}  {own / best:9.3f} {said / own:9.3f}"
         f" {took:5.1f}  [{truth}] -> [{names}]{' unknown: ' + found.finding.unknown.where if found.finding.unknown else ''}"
     )
@@ -216,11 +216,6 @@ def _left_m(arm: Arm, points: Points, known: Mask, report: Mask) -> float:
 
 def _placed(points_m: Array, tips: Array, rows: Mask) -> Array:
     return np.asarray(best_motion(points_m[rows], tips[rows]).of(points_m))
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

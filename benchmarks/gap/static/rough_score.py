@@ -7,13 +7,13 @@ names, effects that the file knows in part.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections import Counter
 
 import numpy as np
 
 from benchmarks.gap.static.rough_cases import PARAMETER, Case, case
+from benchmarks.studies import say
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.poses.find import find
 
@@ -53,7 +53,7 @@ def _score(sort: str, first: int, cases: int) -> None:
         )
     if gaps:
         more += f"; gap after median {np.median(gaps):.2f}, largest {max(gaps):.2f}, <= 1.3: {sum(g <= 1.3 for g in gaps)}"
-    _say(f"== {sort} {cases}: {numbers}{more}")
+    say(f"== {sort} {cases}: {numbers}{more}")
 
 
 def _judge(
@@ -87,17 +87,12 @@ def _judge(
     if wanted and len(right) == len(wanted):
         gaps.append(found.gap_after)
     if not is_exact or (one.is_listed and found.unknown is not None) or (wanted and found.gap_after > 1.3):
-        _say(
+        say(
             f"  {label}: {[(h.effect, h.joint, round(h.value, 5)) for h in one.hidden]}: named"
             f" {[(str(n), {k: float(f'{v[0]:.4g}') for k, v in e.parameters.items()}) for n, e in got.items()]}, sets"
             f" {[[str(n) for n in s] for s in found.ambiguous]}, unknown {found.unknown and found.unknown.where}, gap"
             f" {found.gap_before:.1f} {found.gap_after:.2f}, nameable {wanted.keys() <= could}"
         )
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ different from those used for thresholds (below 1000). Prints every miss, the co
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -17,6 +16,7 @@ import numpy as np
 
 from benchmarks.gap.static.cases import Design, designed, drawn, drawn_design, drawn_foreign, drawn_pair
 from benchmarks.gap.static.physics import Hidden
+from benchmarks.studies import say
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
@@ -45,7 +45,7 @@ def main() -> None:
     began = time.perf_counter()
     for part in given.only:
         PARTS[part](given.first_seed, given.cases)
-    _say(f"{time.perf_counter() - began:.0f} s")
+    say(f"{time.perf_counter() - began:.0f} s")
 
 
 def score_named(first: int, cases: int) -> None:
@@ -71,11 +71,11 @@ def score_named(first: int, cases: int) -> None:
             errors.append(abs(value / hidden.value - 1.0))
             gaps.append(found.finding.gap_after)
             if gaps[-1] > 1.1:
-                _say(f"  seed {seed}: {hidden} right, and the gap after is {gaps[-1]:.2f}")
+                say(f"  seed {seed}: {hidden} right, and the gap after is {gaps[-1]:.2f}")
         else:
             _miss(seed, (hidden,), found)
     _table(matrix)
-    _say(
+    say(
         f"named: {tally['right']} of {cases} right, {tally['exact']} exact, {tally['in_set']} in an ambiguous set; among"
         f" {tally['nameable']} nameable {tally['right_nameable']} right, {tally['exact_nameable']} exact; parameter error median"
         f" {100 * np.median(errors):.1f} %, 90 % within {100 * np.quantile(errors, 0.9):.1f} %,"
@@ -99,7 +99,7 @@ def score_several(first: int, cases: int, count: int) -> None:
         )  # fmt: skip
         if got != wanted:
             _miss(seed, hidden, found)
-    _say(
+    say(
         f"{count} at once: {tally['exact']} of {cases // 2} exact, {tally['honest']} named or in an ambiguous set,"
         f" {tally['no_wrong']} without a wrong name; among {tally['nameable']} all nameable {tally['exact_nameable']} exact"
     )
@@ -137,7 +137,7 @@ def _score_open(what: str, first: int, cases: int, draw: Callable[[np.random.Gen
             wrong += bool(names(found))
             _miss(seed, (hidden,) if hidden else (design,), found)
     _table(matrix)
-    _say(f"{what}: {wrong} of {cases} with a wrong name; {unknown} unknown")
+    say(f"{what}: {wrong} of {cases} with a wrong name; {unknown} unknown")
 
 
 def _found(
@@ -164,7 +164,7 @@ def _short(name: EffectName) -> str:
 def _miss(seed: int, hidden: tuple[object, ...], found: StaticGap) -> None:
     ambiguous = [[_short(n) for n in s] for s in found.finding.ambiguous]
     where = found.finding.unknown
-    _say(
+    say(
         f"  seed {seed}: {hidden}: named {[_short(n) for n in names(found)]}, ambiguous {ambiguous}, unknown"
         f" {where and (where.where, str(where.nearest), where.explained)}"
     )
@@ -174,12 +174,7 @@ def _table(matrix: Counter[tuple[str, str]]) -> None:
     """Rows: hidden effects; columns: answers."""
     for row in sorted({row for row, _ in matrix}):
         cells = [f"{answer} {count}" for (own, answer), count in matrix.most_common() if own == row]
-        _say(f"  {row:24} {', '.join(cells)}")
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
+        say(f"  {row:24} {', '.join(cells)}")
 
 
 PARTS: dict[str, Callable[[int, int], None]] = {
