@@ -1,7 +1,8 @@
 """A CiA 402 drive on CANopen, written from CiA 301 and CiA 402 (IEC 61800-7-201): object dictionary, PDOs, states, modes.
 
 A state machine without I/O: `receive` frames, `tick` once per control period, and read `output`. It has its own position loop,
-as a drive that was tuned on the bench: position to speed, speed to voltage.
+as a drive that was tuned on the bench: position to speed, speed to voltage. It homes where it stands (methods 35 and 37), and has
+no profile modes, block transfers or node guarding.
 """
 
 from __future__ import annotations
@@ -14,7 +15,11 @@ from hil_mocks.devices.motor_inputs import OPEN, Frame, Output
 from hil_mocks.devices.motor_states import NEXT, MotorState, Word, word_of
 
 INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05
-CSP, CSV, CST = 8, 9, 10
+HOMING, CSP, CSV, CST = 6, 8, 9, 10
+START_HOMING, HOMED = (
+    0x10,
+    0x1400,
+)  # bit 4 of the controlword; target reached and homing attained, of the statusword
 POSITION_RATE, SPEED_RATE, SPEED_GAIN, SPEED_INTEGRAL = 20.0, 430.0, 2.0, 40.0  # 1/s; 1/s; - at most; 1/s
 SPEED_FILTER_S = 0.0015
 OVER_CURRENT, OVER_HEATED, SUPPLY_LOW, HEARTBEAT_LOST, FOLLOWING_ERROR = (
@@ -30,6 +35,11 @@ _LOWEST_SUPPLY_V = 9.0
 _FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i"}
 NO_OBJECT, NO_SUB, READ_ONLY, LENGTH, STATE = 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x08000022
 OUT_OF_RANGE = 0x06090030
+UNKNOWN_COMMAND, TOGGLE, NOT_STORED = 0x05040001, 0x05030000, 0x08000020
+STORE, RESTORE = (0x1010, 1), (0x1011, 1)
+SIGNATURES = {STORE: b"save", RESTORE: b"load"}
+NAME = (0x1008, 0)
+COMMANDED = (0x6040, 0x6060, 0x6071, 0x607A, 0x60FF)  # not stored
 NOT_MAPPABLE = 0x06040041
 MAXON, EPOS4 = 0x0000_00FB, 0x6050_0000
 _READ_ONLY = {
@@ -54,9 +64,10 @@ class Cia402Setup:
     fault_reaction: int = 2  # 0x605E: slow down by the quick stop ramp
     following_error_window: int = NO_WINDOW  # 0x6065
     following_error_ms: int = 0  # 0x6066: so long out of the window, and it is a following error
-    modes: int = 0x0380  # 0x6502: cyclic synchronous position, velocity, torque
+    modes: int = 0x03A0  # 0x6502: homing, cyclic synchronous position, velocity, torque
     position_unit: int = 0x00B5_0000  # 0x60A8: increments
     has_cycle_time: bool = True  # 0x60C2
+    name: bytes = b"mock drive"  # 0x1008
 
     @property
     def is_epos4(self) -> bool:
@@ -84,6 +95,7 @@ class Cia402Mock:
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.is_home = False  # digital input "home switch"
         self.outgoing: list[Frame] = []
+        self._stored: dict[tuple[int, int], tuple[str, int]] = {}
         self.power_up()
 
     @property
@@ -97,7 +109,12 @@ class Cia402Mock:
     def power_up(self, now_s: float | None = None) -> None:
         """State after power-up or NMT reset: everything at its default, position 0, a boot-up message."""
         node = self.setup.node
-        self.objects = _defaults(self.setup)
+        self.objects = _defaults(self.setup) | self._stored
+        self._segments: tuple[int, bytes] = (
+            0,
+            b"",
+        )  # of an answer that is too long for a frame: toggle bit, what is left
+        self._is_homed = False
         for pdo, base in ((0, 0x200), (1, 0x300)):
             self.objects[0x1400 + pdo, 1] = ("u32", base + node)
             self.objects[0x1800 + pdo, 1] = ("u32", 0x8000_0000 | NO_REMOTE_REQUESTS | base - 0x80 + node)
@@ -197,8 +214,15 @@ class Cia402Mock:
 
     def _sdo(self, payload: bytes) -> bytes:
         command, at, sub, data = struct.unpack("<BHB4s", payload)
+        if command & 0xE0 == 0x60:
+            return self._segment(command & 0x10)
+        if command == 0x40 and (at, sub) == NAME:
+            self._segments = (0, self.setup.name)
+            return struct.pack("<BHBI", 0x41, at, sub, len(self.setup.name))
         known = self.objects.get((at, sub))
-        if known is None:
+        if command != 0x40 and command & 0xE0 != 0x20:
+            code = UNKNOWN_COMMAND
+        elif known is None:
             code = NO_SUB if any(index == at for index, _ in self.objects) else NO_OBJECT
         elif command == 0x40:
             packed = _packed(known[0], self.value(at, sub))
@@ -210,6 +234,15 @@ class Cia402Mock:
             return struct.pack("<BHBI", 0x80, at, sub, code)
         return struct.pack("<BHBI", 0x60, at, sub, 0)
 
+    def _segment(self, toggle: int) -> bytes:
+        """The next seven bytes of what is read."""
+        expected, left = self._segments
+        if toggle != expected or not left:
+            return struct.pack("<BHBI", 0x80, 0, 0, TOGGLE)
+        piece, left = left[:7], left[7:]
+        self._segments = (expected ^ 0x10, left)
+        return bytes((expected | (7 - len(piece)) << 1 | (not left),)) + piece.ljust(7, b"\0")
+
     def _download(self, command: int, at: int, sub: int, kind: str, data: bytes) -> int:
         """Write an object; returns an abort code, 0 if it is done."""
         size = 4 - (command >> 2 & 3)
@@ -217,6 +250,12 @@ class Cia402Mock:
             return READ_ONLY
         if size != struct.calcsize(_FORMATS[kind]):
             return LENGTH
+        if (at, sub) in SIGNATURES:
+            if data != SIGNATURES[at, sub]:
+                return NOT_STORED
+            kept = (key for key in self.objects if key[0] not in _READ_ONLY and key[0] not in COMMANDED)
+            self._stored = {key: self.objects[key] for key in kept} if (at, sub) == STORE else {}
+            return 0
         if 0x1400 <= at <= 0x1BFF and self.nmt_state == OPERATIONAL:
             return STATE
         (value,) = struct.unpack(_FORMATS[kind], data[:size])
@@ -242,7 +281,12 @@ class Cia402Mock:
     # ---- states
 
     def _statusword(self) -> int:
-        word = self.state.value | (DID_NOT_FOLLOW if self._is_behind else 0)
+        is_homing = self.objects[0x6060, 0][1] == HOMING
+        word = (
+            self.state.value
+            | (HOMED if is_homing and self._is_homed else 0)
+            | (DID_NOT_FOLLOW if self._is_behind else 0)
+        )
         return word | 0x200 | (0x10 if self.state in (MotorState.SWITCHED_ON, MotorState.ENABLED) else 0)
 
     def _control(self, controlword: int) -> None:
@@ -254,6 +298,10 @@ class Cia402Mock:
             and self.objects[0x605A, 0][1] >= 5
         ):
             new = MotorState.ENABLED  # transition 16
+        starts_homing = controlword & START_HOMING and not self._word_before & START_HOMING
+        if starts_homing and self.state is MotorState.ENABLED and self.objects[0x6060, 0][1] == HOMING:
+            self._origin, self._is_homed = self._read_shaft(), True
+            self._held = 0
         self._word_before = controlword
         if new is None or (self.state is MotorState.FAULT and self._cause()):
             return
@@ -386,6 +434,7 @@ def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
     """The dictionary after power-up: type and value by index and sub-index."""
     objects: dict[tuple[int, int], tuple[str, int]] = {
         (0x1000, 0): ("u32", 0x0002_0192), (0x1001, 0): ("u8", 0),
+        (0x1010, 0): ("u8", 1), STORE: ("u32", 1), (0x1011, 0): ("u8", 1), RESTORE: ("u32", 1),
         (0x1016, 0): ("u8", 1), (0x1016, 1): ("u32", 0), (0x1017, 0): ("u16", 0),
         (0x1018, 0): ("u8", 4), (0x1018, 1): ("u32", setup.vendor), (0x1018, 2): ("u32", setup.product),
         (0x1018, 3): ("u32", 0x0001_0000), (0x1018, 4): ("u32", setup.serial_number),
