@@ -1,4 +1,6 @@
-"""What a webcam beside the mock arm sees: a printed target on the last link, at the arm's true pose."""
+"""What a webcam beside the mock arm sees: a printed target on the last link, at the arm's true pose, and how
+a camera draws it.
+"""
 
 from __future__ import annotations
 

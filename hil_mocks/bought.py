@@ -1,7 +1,4 @@
-"""The bought boards of a mock arm, behind its plant: which joints they drive, and what their faults do.
-
-RoboClaws and servos on serial lines; what is on the CAN bus is in `hil_mocks.bought`.
-"""
+"""The bought boards of a mock arm, behind its plant, on serial lines and on CAN: which joints they drive, and their faults."""
 
 from __future__ import annotations
 

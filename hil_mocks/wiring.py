@@ -1,4 +1,4 @@
-"""Wiring of motors, encoders and boards of a mock arm, from arm.toml, the scenario's faults and its seed."""
+"""Wiring of motors, encoders and boards of a mock arm, by arm.toml, faults and seed; swapped plugs and broken wires."""
 
 from __future__ import annotations
 

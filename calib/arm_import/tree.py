@@ -1,4 +1,4 @@
-"""A robot as other formats have it: links in a tree, joints between them, all at joint angles zero."""
+"""A robot as other formats have it, a tree of links at joint angles zero, and the serial arm in it."""
 
 from __future__ import annotations
 

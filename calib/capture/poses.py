@@ -1,4 +1,4 @@
-"""Static poses of a capture: every time in which the arm rested and the body was seen, as a point with covariances."""
+"""Static poses of a capture: rests in which the body was seen, as points with covariances; markers of a board."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which contacts of a cell's two arms to take: the D-optimal ones of those that are reachable and clear."""
+"""Which contacts of a cell's two arms to take: the D-optimal ones of those that are reachable and clear, and these candidates."""
 
 from __future__ import annotations
 

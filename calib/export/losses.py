@@ -1,4 +1,4 @@
-"""Messages about everything that a format cannot represent."""
+"""A drive at its joint for other formats, and messages about everything that a format cannot represent."""
 
 from __future__ import annotations
 

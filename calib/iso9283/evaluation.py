@@ -1,4 +1,7 @@
-"""Evaluates all fourteen criteria."""
+"""All fourteen criteria of what was recorded: which figures there are, and what is missing for the others.
+
+Those of visits are in `evaluate_poses`; here are those of approaches (4, 5, 12) and of paths (8 to 11, 14).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The largest test cube within reach: on one branch, within the joint limits, clear of the floor."""
+"""The test cube of ISO 9283:1998, clause 6.8, and the largest one within reach, joint limits and above the floor."""
 
 from __future__ import annotations
 

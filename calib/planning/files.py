@@ -1,4 +1,4 @@
-"""What a plan leaves on disk: a path or poses, operator lines that do the task, and task.json. Formats: docs/formats.md."""
+"""What a plan says and leaves on disk: sentences, way-points or poses, operator lines, task.json (docs/formats.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report's pictures of errors at points, before and after."""
+"""The report's pictures of errors before and after, at points and along trajectories."""
 
 from __future__ import annotations
 

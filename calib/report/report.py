@@ -1,6 +1,6 @@
 """report.html: procedure and results in one file without outside resources.
 
-`report_html` has the sections in their usual order. comparison_sections and report_sections provide single sections;
+`report_html` has the sections in their usual order. `report_sections` has single sections;
 `page.page` makes a page of any sections.
 """
 

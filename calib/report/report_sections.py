@@ -1,4 +1,4 @@
-"""Sections of a report on procedure, inputs and identified parameters."""
+"""Sections of a report: procedure, inputs, identified parameters, errors before and after."""
 
 from __future__ import annotations
 

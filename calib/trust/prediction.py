@@ -1,4 +1,4 @@
-"""The tip's predicted error at any pose: what is expected, how far it may be off, and what scatters from visit to visit."""
+"""The tip's predicted error at any pose: expected, uncertain and scattering parts; and whether a path keeps a tolerance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""report.html of an error map."""
+"""What an error map says: sentences and text, report.html with its pictures, trust.json and map.npz (docs/formats.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Statistics of distances, and significance of differences: Student's t, 95 %, two-sided."""
+"""Statistics of distances, and significance of differences: Student's t, 95 %, two-sided; shares and quantiles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pictures of a lens calibration lack: parts of the picture, tilts, distances, sharpness, light, pictures."""
+"""What the pictures of a lens calibration lack (parts, tilts, distances, sharpness, light), and results of cameras as text."""
 
 from __future__ import annotations
 

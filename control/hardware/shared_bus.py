@@ -1,4 +1,4 @@
-"""CAN buses that several arms share: each is opened once and drained for all of them."""
+"""CAN buses that several arms share: each is opened once and drained for all of them, also while the loop waits."""
 
 from collections.abc import Callable, Mapping
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""The fixed parts of a runtime, built by control.server.assemble."""
+"""The fixed parts of a runtime, built by control.server.assemble, and the punctuality that they measure."""
 
 import math
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""The recording of a cell: a folder with one recording an arm, all on one clock and with one count of cycles.
+"""The recording of a cell: a folder with one recording an arm, all on one clock and with one count of cycles; as one table.
 
 NAME-DATE-TIME/ARM-DATE-TIME.armlog, and the files in which they continue. Each is complete by itself: its header has the arm, and
 where every base of the cell stands.

@@ -1,4 +1,4 @@
-r"""Recording format: a JSON header and one fixed-size binary row per cycle, robust against a killed process.
+r"""Recording format: a JSON header and one fixed-size binary row per cycle, robust against a killed process; an arm's columns.
 
 File: `ARMLOG2\n`, u32 header length, JSON header (fields, joint count, arm, start time), then frames of rows
 (control.recording.frames); little endian. `ARMLOG1\n`: packed rows instead, as on the stepped clock and by earlier versions.

@@ -1,4 +1,4 @@
-"""Distances between capsules in plain floats, fast enough for every cycle. Pure functions of positions.
+"""An arm's body as capsules, and distances between capsules in plain floats, fast enough for every cycle. Pure functions.
 
 A capsule is a segment with a radius. Nearest points of two segments: Ericson, Real-Time Collision Detection, 5.1.9.
 """

@@ -1,4 +1,4 @@
-"""The loop process in real time, run by `armwright serve`.
+"""The loop process in real time, run by `armwright serve`, and the events that it prints.
 
 SIGINT and SIGTERM start the shutdown: controlled stop, hold, windings shorted until the arm is at rest, drives off. A second
 signal during that changes nothing; the emergency stop is a switch, not a signal.

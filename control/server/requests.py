@@ -1,6 +1,6 @@
 """Requests to the runtime: a JSON object in, a JSON object out, answered at once. docs/socket.md lists them.
 
-An invalid request is refused before anything changes. First the client's right (control.server.requests), then the arm's
+An invalid request is refused before anything changes. First the client's right (`ControlRight`), then the arm's
 mode are looked at, and only then the request as a whole.
 """
 

@@ -1,4 +1,4 @@
-"""Requests real-time scheduling from the operating system, and reports what was granted.
+"""Requests real-time scheduling from the operating system, and reports what was granted; the timer of cycles.
 
 The loop's process uses a real-time class, locked memory and no garbage collection. None of it is required: without the
 rights the loop still runs and reports what is missing, so that the operator can decide whether to run an arm.

@@ -1,4 +1,4 @@
-"""From set-point to output: model-based feed-forward, and PID for the remaining error.
+"""From set-point to output: model-based feed-forward, and PID for the remaining error; the torque of a hand-guided arm.
 
 Voltage of a brushed DC motor: u = R i + k_t N dq/dt (inductance is five times faster than a cycle), with i = tau / (N k_t) for
 the torque tau that the model asks for. The PID acts on the joint's error and adds volts; in CURRENT mode it adds amperes

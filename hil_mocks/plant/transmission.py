@@ -1,4 +1,5 @@
-"""Motors, gears and friction of a MuJoCo model: what stands between a drive and its link.
+"""Motors, gears and friction of a MuJoCo model: what stands between a drive and its link; and a link
+that bends.
 
 With an effect between motor and joint (backlash, compliance, a coupled belt) a motor-side hinge of inertia N^2 Jr is coupled to
 the link's by a fixed tendon of motor - link + ratio * q2, all in joint angles. Without such an effect the rotor is the armature

@@ -1,4 +1,4 @@
-"""Detects misread points: degrees, counts, millimetres, swapped or rotated columns.
+"""Detects misread points: degrees, counts, millimetres, swapped or rotated columns, orientations of another convention.
 
 A reading of the columns is judged by the share of the tips' spread that the nominal arm leaves unexplained in it: tips in
 metres that are taken for millimetres lie in a thousandth of the room, and a distance of 2 mm then explains nothing. A reading

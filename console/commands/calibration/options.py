@@ -1,4 +1,4 @@
-"""Options that several commands of calibration share: lists of names, bounds of parameters, measured boards."""
+"""Options that several commands of calibration share: lists of names, bounds, measured boards, history."""
 
 import argparse
 import dataclasses
