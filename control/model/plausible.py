@@ -21,6 +21,7 @@ TOO_HEAVY: Final = (
 )
 TOO_DENSE_kg_m3: Final = 5000.0  # mass over the cube of reach: 10 to 400 for arms, from hobby to industrial
 LEAST_REACH_m: Final = 0.1  # below it, the mass is that of the joints and says nothing
+UPRIGHT_rad: Final = 0.1  # an axis nearer than this to gravity's direction lifts next to nothing
 LARGEST_GYRATION_m: Final = 5.0  # root of inertia over mass; kg mm^2 for kg m^2 makes it 1000 times larger
 FARTHEST_FRAME_m: Final = 100.0  # of a tracker from the arm: they measure up to 80 m
 OVERRIDE: Final = "write as_given = true beside the arm's name"
@@ -127,8 +128,9 @@ def _check_inertia(arm: Arm) -> None:
 
 def _check_masses(arm: Arm) -> None:
     """The heaviest link is named; what the arm weighs is compared with its motors, or without any with its size."""
-    reach_m = sum(abs(k.L_m) + abs(k.d_m) for k in arm.links) + math.hypot(*arm.tool.position_m)
-    total_kg = sum(k.mass_kg or 0.0 for k in arm.links)
+    lifted = arm.links[_column(arm) :]
+    reach_m = sum(abs(k.L_m) + abs(k.d_m) for k in lifted) + math.hypot(*arm.tool.position_m)
+    total_kg = sum(k.mass_kg or 0.0 for k in lifted)
     strongest_Nm = max((_torque_Nm(drive) for drive in arm.drives), default=0.0)
     if len(arm.drives) == arm.joint_count:
         is_too_heavy = 0.5 * total_kg * GRAVITY_m_s2 * reach_m > TOO_HEAVY * strongest_Nm
@@ -137,7 +139,21 @@ def _check_masses(arm: Arm) -> None:
         is_too_heavy = total_kg > TOO_DENSE_kg_m3 * reach_m**3 and reach_m > LEAST_REACH_m
         what = f"the arm is {reach_m:.2g} m long"
     if is_too_heavy:
-        masses = [k.mass_kg or 0.0 for k in arm.links]
-        heaviest = masses.index(max(masses))
+        masses = [k.mass_kg or 0.0 for k in lifted]
+        heaviest = len(arm.links) - len(lifted) + masses.index(max(masses))
         expected = f"a mass in kg ({what}; the links weigh {total_kg:.4g} kg together)"
-        raise _doubted(("link", heaviest, "mass_kg"), masses[heaviest], expected, "grams", 1e-3)
+        raise _doubted(("link", heaviest, "mass_kg"), max(masses), expected, "grams", 1e-3)
+
+
+def _column(arm: Arm) -> int:
+    """How many rows of the table turn about gravity's own direction alone: no joint lifts them. 0 if the base is tilted."""
+    x, y, z = arm.gravity_m_s2
+    if len(arm.drives) < arm.joint_count or math.hypot(x, y) > UPRIGHT_rad * abs(z):
+        return 0
+    tilt_rad = 0.0  # of the row's axis
+    for row, link in enumerate(arm.links):
+        tilt_rad += link.alpha_rad if arm.dh_convention == "modified" else 0.0
+        if link.joint == "revolute" and abs(math.sin(tilt_rad)) > UPRIGHT_rad:
+            return row
+        tilt_rad += link.alpha_rad if arm.dh_convention == "standard" else 0.0
+    return len(arm.links)

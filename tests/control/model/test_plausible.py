@@ -88,6 +88,27 @@ ON_JOINT = Drive(1, 1.0, 6283185, 35.2, 1.0, 1000.0, rotor_inertia_kg_m2=47.6, c
 BENCH = Drive(1, 1.0, 20000, 0.025, 0.3, 24.0, rotor_inertia_kg_m2=1.2e-5, joint_speed_limit_rad_s=600.0)
 
 
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_a_column_that_no_joint_lifts_may_be_heavy_and_a_tilted_one_not(convention: str) -> None:
+    """Joints 1 and 2 turn about the vertical: nothing but joint 3 and what hangs on it is a load of weight."""
+    links = tuple(
+        Link("revolute", height, 0.0, length, alpha, mass)
+        for height, length, alpha, mass in (
+            (1.0, 0.0, 0.0, 8.0), (1.5, 0.0, 1.5707963 if convention == "standard" else 0.0, 8.0),
+            (0.0, 0.05, 0.0 if convention == "standard" else 1.5707963, 0.02),
+        )
+    )  # fmt: skip
+    drives = tuple(
+        dataclasses.replace(HOBBY, joint=j, motor_node=j, encoder_channel=j - 1) for j in (1, 2, 3)
+    )
+    arm = Arm("column", links, drives=drives, dh_convention=convention)  # type: ignore[arg-type]
+    assert parse_arm(arm_text(arm), FILE).joint_count == 3
+    lifted = dataclasses.replace(arm, links=(*links[:2], dataclasses.replace(links[2], mass_kg=500.0)))
+    for wrong in (lifted, dataclasses.replace(arm, gravity_m_s2=(6.9, 0.0, -6.9))):
+        with pytest.raises(ArmFileError, match="this looks like grams"):
+            parse_arm(arm_text(wrong), FILE)
+
+
 @pytest.mark.parametrize(
     "arm",
     [
