@@ -146,16 +146,18 @@ def _parameters(effect: str, values: Sequence[float]) -> dict[str, float] | None
     return linear.parameters(values) if linear is not None and linear.is_possible(values) else None
 
 
+def impossible(values: Mapping[str, float]) -> tuple[Key, ...]:
+    """Effects and joints of these corrections that no part can have: no play and no compliance is below nought."""
+    return tuple(key for key, linear in _gathered(values).items() if _parameters(key[0], linear) is None)
+
+
 def unphysical(values: Mapping[str, float]) -> tuple[str, ...]:
-    """A sentence for each unphysical effect: negative backlash or compliance."""
-    sentences = []
-    for (name, joint), linear in _gathered(values).items():
-        if _parameters(name, linear) is None:
-            sentences.append(
-                f"{name} of joint {joint}: the estimate {linear[0]:.2g} is physically impossible; it is omitted. Either these"
-                " points do not show the effect, or another effect is present."
-            )
-    return tuple(sentences)
+    """A sentence for each effect that is `impossible`."""
+    return tuple(
+        f"{name} of joint {joint}: its estimate is below zero, which is physically impossible; it is omitted. Either these"
+        " points do not show the effect, or another effect is present."
+        for name, joint in impossible(values)
+    )
 
 
 def unclear_flanks(arm: Arm, points: Points, wanted: Sequence[str]) -> tuple[str, ...]:

@@ -165,7 +165,8 @@ class ArmProblem:
 
     def tips(self, solution: ModelValues) -> Array:
         """Tips of a solution at these poses, (m, 3), base frame, including corrections and flexure."""
-        values = np.array([solution.corrections[one.name] for one in self.observed.corrections])
+        known = solution.corrections  # a part of a play that no other pose lies in is not among them
+        values = np.array([known.get(one.name, one.nominal) for one in self.observed.corrections])
         joint_rad = self._joint_rad(values, ALL)
         return self._bent(self.model.tips(solution.dh, joint_rad, solution.tool_m), values, ALL)
 

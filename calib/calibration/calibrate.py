@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.arm_problem.assembly import BASE, CAMERA, Choice, followed, problem_of, with_own_base
 from calib.arm_problem.checks import require_usable, still_joints
-from calib.arm_problem.joint_effects import unclear_flanks, unphysical
+from calib.arm_problem.joint_effects import LAWS, effect_key, impossible, unclear_flanks, unphysical
 from calib.arm_problem.problem import ArmProblem
 from calib.arm_problem.weighted import usual_noise_m
 from calib.arrays import Array, Mask, frozen
@@ -112,6 +112,7 @@ def identified(
 ) -> tuple[ArmProblem, Identification]:
     """What is identified at the points, or at those of a mask (m,), and its problem.
 
+    An effect that no part can have is none, and so it is in the file: all else is identified without it. Its value is then zero.
     Effects of loads follow the geometry: they are evaluated at that of the identification before, to first order around it, until
     what the arm predicts settles.
     """
@@ -138,6 +139,15 @@ def identified(
             problem, found = there, further
     before_m, value = first.error_before_m, first.objective_before
     found = replace(found, error_before_m=before_m, objective_before=value)
+    if none := impossible(found.solution.corrections):
+        rest = tuple(text for text in plan.choice.effects if effect_key(text, arm) not in none)
+        bare = replace(arm, effects=tuple(one for one in arm.effects if (one.effect, one.joint) not in none))
+        problem, found = identified(
+            bare, points, replace(plan, choice=replace(plan.choice, effects=rest)), rows
+        )
+        zero = {LAWS[effect][0].name(joint): 0.0 for effect, joint in none}
+        solution = replace(found.solution, corrections={**found.solution.corrections, **zero})
+        return problem, replace(found, solution=solution)
     return problem if rows is None else problem.of_rows(rows), found
 
 

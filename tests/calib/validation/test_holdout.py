@@ -7,6 +7,7 @@ import pytest
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.link_bending import known_bending
 from calib.arm_problem.parameters import Bounds
 from calib.arrays import norms
@@ -153,3 +154,27 @@ def test_what_calibrate_holds_out_is_predicted_by_the_same_fit_as_its_result() -
         others = points.chosen(some)
         own = calibrated_arm(arm, identified(arm, others, plan)[1], others)
         np.testing.assert_allclose(fold.after_m, norms(errors_of(own, points.chosen(rest))), atol=2e-6)
+
+
+def test_a_play_that_no_part_can_have_is_none_for_the_geometry_too() -> None:
+    """Joint 2 moves as if its gear lay on the flank from which the load pulls it: a width below nought."""
+    rng = np.random.default_rng(12)
+    arm = RIGHT.with_dh(np.array(RIGHT.dh) * [1.4, 1.3, 1.0, 1.0])
+    q = rng.uniform([-1.5, -0.8, -0.8], [1.5, 0.8, 0.4], (40, 3))
+    names, sides = [f"p{k}" for k in range(40)], rng.choice([-1.0, 1.0], (40, 3))
+    bare = make_points(["free"] * 40, names, [1] * 40, q, np.zeros((40, 3)), sides)
+    loose = dataclasses.replace(arm, effects=(Effect("backlash", 2, {"width_rad": 0.004}),))
+    added_rad = known_corrections(loose, bare)
+    assert np.ptp(added_rad[:, 1]) == pytest.approx(0.004)
+    tips = predicted_tips(arm, with_rows(bare, q_rad=q - added_rad))
+    points = with_rows(bare, tip_m=tips + rng.normal(0.0, NOISE_m, (40, 3)))
+    plan = CalibrationPlan(Choice(effects=("backlash:2",)), LSQ, None, 2)
+    made = calibrate(arm, points, plan)
+    _, without = identified(arm, points, dataclasses.replace(plan, choice=Choice()))
+    np.testing.assert_allclose(made.found.dh, without.dh, atol=1e-9)
+    assert not made.arm.effects
+    assert any("backlash of joint 2: its estimate is below zero" in said for said in made.warnings)
+    assert made.held is not None
+    assert made.held.after_m == pytest.approx(
+        calibrate(arm, points, dataclasses.replace(plan, choice=Choice())).held.after_m
+    )
