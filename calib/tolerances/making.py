@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeVar
 
@@ -148,7 +147,7 @@ RANGE = "such as { from = ..., to = ... }"
 
 def tolerances_text(path_or_name: str) -> str:
     """The text of a file, or of a supplied one by name. TolerancesFileError names the file."""
-    supplied = files("calib.tolerances") / f"{path_or_name}.toml"
+    supplied = Path(__file__).parent / f"{path_or_name}.toml"
     try:
         return supplied.read_text("utf-8") if supplied.is_file() else read_text(Path(path_or_name))
     except (OSError, UnicodeDecodeError) as error:

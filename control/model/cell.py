@@ -8,7 +8,6 @@ import math
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
@@ -31,6 +30,7 @@ from control.model.rules import (
 )
 from control.model.toml_lines import key_lines, nearest_line
 
+SUPPLIED = Path(__file__).parents[1] / "cells"
 UNIT_TOLERANCE = 2e-3  # of a quaternion's length: three decimals in a file
 GRAVITY_TOLERANCE_m_s2 = 0.1  # between two arms' gravity in the frame of the cell: half a degree of tilt
 Quaternion = tuple[float, float, float, float]
@@ -159,27 +159,24 @@ def cell_of_one(arm: Arm) -> Cell:
 def load_cell(path_or_name: str | Path) -> Cell:
     """Load a cell.toml, or a supplied cell by its name ("pair"). ArmFileError names file, line and key."""
     path = Path(path_or_name)
-    if path.suffix == ".toml" or path.exists():
-        try:
-            return _parsed(read_text(path), path)
-        except UnicodeDecodeError as error:
-            raise ArmFileError(path, None, "", "UTF-8 text", f"an invalid byte at {error.start}") from None
-        except OSError as error:
-            raise ArmFileError(path, None, "", "a readable file", error.strerror or str(error)) from None
-    if str(path_or_name) not in cell_names():
-        names = " or ".join(f'"{name}"' for name in cell_names())
-        raise ArmFileError(
-            str(path_or_name), None, "", f"a path to a cell.toml, or {names}", "an unknown name"
-        )
-    supplied = resources.files("control.cells").joinpath(f"{path_or_name}.toml")
-    with resources.as_file(supplied) as file:
-        return _parsed(supplied.read_text(encoding="utf-8"), file)
+    if path.suffix != ".toml" and not path.exists():
+        if str(path_or_name) not in cell_names():
+            names = " or ".join(f'"{name}"' for name in cell_names())
+            raise ArmFileError(
+                str(path_or_name), None, "", f"a path to a cell.toml, or {names}", "an unknown name"
+            )
+        path = SUPPLIED / f"{path_or_name}.toml"
+    try:
+        return _parsed(read_text(path), path)
+    except UnicodeDecodeError as error:
+        raise ArmFileError(path, None, "", "UTF-8 text", f"an invalid byte at {error.start}") from None
+    except OSError as error:
+        raise ArmFileError(path, None, "", "a readable file", error.strerror or str(error)) from None
 
 
 def cell_names() -> tuple[str, ...]:
     """The names of the supplied cells."""
-    files = resources.files("control.cells").iterdir()
-    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+    return tuple(sorted(file.stem for file in SUPPLIED.glob("*.toml")))
 
 
 def save_cell(cell: Cell, folder: Path) -> Path:

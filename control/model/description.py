@@ -8,8 +8,6 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping
-from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +68,7 @@ __all__ = [
     "supplied_text",
 ]
 
+SUPPLIED = Path(__file__).parents[1] / "arms"
 _POSITION_IN_MESSAGE = re.compile(r" ?\(at (?:line (\d+), column \d+|end of document)\)$")
 
 
@@ -78,9 +77,7 @@ def load_arm(path_or_name: str | Path) -> Arm:
     path = Path(path_or_name)
     if path.suffix == ".toml" or path.exists():
         return parse_arm(_text_of(path), path)
-    text = supplied_text(str(path_or_name))
-    with resources.as_file(_shipped(str(path_or_name))) as file:
-        return parse_arm(text, file)
+    return parse_arm(supplied_text(str(path_or_name)), SUPPLIED / f"{path_or_name}.toml")
 
 
 def supplied_text(name: str) -> str:
@@ -88,17 +85,12 @@ def supplied_text(name: str) -> str:
     if name not in arm_names():
         names = " or ".join(f'"{name}"' for name in arm_names())
         raise ArmFileError(name, None, "", f"a path to an arm.toml, or {names}", "an unknown name")
-    return _shipped(name).read_text(encoding="utf-8")
-
-
-def _shipped(name: str) -> Traversable:
-    return resources.files("control.arms").joinpath(f"{name}.toml")
+    return (SUPPLIED / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def arm_names() -> tuple[str, ...]:
     """Return the names of the supplied arms."""
-    files = resources.files("control.arms").iterdir()
-    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+    return tuple(sorted(file.stem for file in SUPPLIED.glob("*.toml")))
 
 
 def parse_arm(text: str, path: Path) -> Arm:
