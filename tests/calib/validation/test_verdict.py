@@ -15,6 +15,7 @@ from calib.validation.holdout import Fold, HeldOut, held_out
 from calib.validation.statistics import mean_half_width
 from calib.validation.verdict import NoiseFloor, noise_floor, verdict
 from tests.calib.simulated import RIGHT, NOISE_m, board_points, true_dh, with_rows
+from tests.calib.validation.test_holdout import predicted_by
 
 FLOOR = NoiseFloor(NOISE_m, "the camera's noise in the arm's file")
 
@@ -109,7 +110,7 @@ def test_a_real_session_from_end_to_end_is_good_and_with_play_it_is_not() -> Non
 def graded(points) -> str:
     problem = problem_of(RIGHT, points)
     found = identify(problem, objective=LeastSquares(), starts_count=1)
-    held = held_out(lambda some: problem_of(RIGHT, some), points, objective=LeastSquares())
+    held = held_out(predicted_by(lambda some: problem_of(RIGHT, some)), points)
     floor = noise_floor(RIGHT, points, problem, found.x)
     return verdict(found, held, floor, find_suspects(problem, found.x), points.setup).grade
 
