@@ -18,7 +18,7 @@ from firmware_iface.installation import command
 from firmware_iface.interrupts import held
 from hil_mocks.errors import RigError
 from hil_mocks.plant.hand import Point
-from hil_mocks.rig import ArmPorts, MockHand, SimulatedArm, SteppedRig
+from hil_mocks.rig import ArmPorts, MockHand
 from hil_mocks.scenario import FaultTable
 
 _START_LIMIT_S = 300.0  # Python, MuJoCo and a busy machine; a process that ends is detected at once
@@ -209,8 +209,3 @@ class RealTimeRig(MockProcess):
     def clear_faults(self) -> None:
         """End all faults that can end."""
         self.ask("clear_faults")
-
-
-def open_mock_arm(arm: str | Path, scenario: str | Path = "ideal", is_realtime: bool = False) -> SimulatedArm:
-    """Open a mock arm with either clock; the caller closes it."""
-    return RealTimeRig(arm, scenario) if is_realtime else SteppedRig(arm, scenario)
