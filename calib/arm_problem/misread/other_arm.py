@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import chain, combinations
 
 import numpy as np
@@ -24,7 +25,7 @@ import numpy as np
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.misread.points import Doubt
 from calib.arm_problem.parameters import Bounds, dh_parameters
-from calib.arrays import Array, norms
+from calib.arrays import Array, norms, slim_product
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.description import arm_names, load_arm
@@ -126,8 +127,7 @@ def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
 
     An offset that a deviation within its bound turns round makes no other arm.
     """
-    for name in arm_names():
-        other = load_arm(name)
+    for name, other in _supplied():
         if _is_of_kind(other, arm) and not np.allclose(other.dh, arm.dh):
             yield _Candidate(
                 arm.with_dh(other.dh),
@@ -145,6 +145,12 @@ def _alternatives(arm: Arm, bounds: Bounds) -> Iterator[_Candidate]:
             f"an arm with {wrong}",
             "check the sign of this offset in arm.toml, and whether the points are of a mirrored arm",
         )
+
+
+@cache
+def _supplied() -> tuple[tuple[str, Arm], ...]:
+    """Names and arms, read once: every check of points compares with all of them."""
+    return tuple((name, load_arm(name)) for name in arm_names())
 
 
 def _a_tooth_off(arm: Arm) -> Iterator[_Candidate]:
@@ -188,8 +194,10 @@ def _fitted(arm: Arm, points: Points, choice: Choice | None, size: float) -> _Fi
         distance = norms(residual)
         scale_m = max(SCALE_m, min(scale_m, float(np.median(distance)) / MEDIAN_LENGTH))
         weight = (NU + 3.0) / (NU * scale_m**2 + distance**2)
-        normal = np.einsum("mik,m,mil->kl", jacobian, weight, jacobian) + prior
-        step = -np.linalg.solve(normal, np.einsum("mik,m,mi->k", jacobian, weight, residual) + prior @ x)
+        columns = jacobian.transpose(2, 1, 0)  # (k, 3, m), as it is stored
+        weighted = (columns * weight).reshape(len(x), -1)
+        normal = slim_product(weighted, columns.reshape(len(x), -1)) + prior
+        step = -np.linalg.solve(normal, weighted @ residual.T.ravel() + prior @ x)
         x = x + step
         if float(np.abs(step).max()) < STILL:
             break
