@@ -158,7 +158,7 @@ def test_free_poses_of_a_file_are_read_strictly(tmp_path: Path) -> None:
     path.write_text("point,q1_rad,q2_rad\na,0.1,0.2\n,0.3,0.4\n")
     assert read_free_poses(path, 2) == {"a": (0.1, 0.2), "f2": (0.3, 0.4)}
     for text, said in (
-        ("point,q1_rad\n", "required column q2_rad is missing"),
+        ("point,q1_rad\n", "line 1: joint angles of 1 joints, expected 2"),
         ("q1_rad,q2_rad\n0.1,x\n", 'line 2, column q2_rad: got "x", expected an angle in radians'),
         ("q1_rad,q2_rad\n0.1,45\n", "expected an angle in radians"),
         ("point,q1_rad,q2_rad\na,1,1\na,1,1\n", "pose a appears twice"),
