@@ -115,7 +115,7 @@ def test_a_bad_header_is_named(tmp_path: Path, header: str, said: str) -> None:
 
 
 def test_another_arms_joint_count_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogFileError, match="q3_rad is missing"):
+    with pytest.raises(LogFileError, match="joint angles of 2 joints, expected 3"):
         read_log(written(tmp_path / "log.csv", rows_of(1)), joint_count=3)
 
 
