@@ -39,9 +39,15 @@ def run(given: argparse.Namespace) -> int:
             f" {100 * LARGEST_LOAD:.0f} %): give a lower rate, or each arm a bus of its own"
         )
     if load > USUAL_LOAD:
+        good_Hz = good_rate_Hz(arms, rate_Hz)
+        remedy = (
+            f"--rate {good_Hz:.0f}"
+            if good_Hz >= LOWEST_RATE_Hz
+            else "fewer boards, or rarer messages of theirs"
+        )
         sys.stderr.write(
             f"armwright: --rate {rate_Hz:g}: the boards need {100 * load:.0f} % of their CAN bus, good is up to"
-            f" {100 * USUAL_LOAD:.0f} % (--rate {good_rate_Hz(arms, rate_Hz):.0f}): frames may come late, which is a fault\n"
+            f" {100 * USUAL_LOAD:.0f} % ({remedy}): frames may come late, which is a fault\n"
         )
     ports = {placed.name: camera_port(given, placed.arm) for placed in cell.arms}
     serve(cell, ServeOptions(sockets, Path(given.log), 1.0 / rate_Hz, ports))

@@ -48,6 +48,11 @@ class BoardKind:
     counts_per_turn: int = 0  # that it sends, whatever the encoder; 0: its encoder's
     first_count: int | None = None  # of the turn that an absolute encoder knows; None: its settings say
     highest_supply_V: float = math.inf  # of its usual types
+    cycle_bits: int = (
+        0  # of a CAN bus with worst stuffing, in each cycle of the loop: its command, and what answers it
+    )
+    shared_bits: int = 0  # the same, once for all boards of a bus
+    sent_bits_s: float = 0.0  # of what it sends unasked, at the rates that its page asks for
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
 
 
@@ -62,6 +67,7 @@ REFERENCE: Final = BoardKind(
     stops_early=True,
     limits_current=True,
     current_is_newest=False,
+    cycle_bits=2 * 135,  # 8 bytes each
 )
 
 KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
@@ -87,6 +93,8 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             limits_force=True,
             needs_own_bus=True,
             uses_other_encoder=False,
+            cycle_bits=125 + 75 + 2 * 135,  # its PDOs of 7, 2, 8 and 8 bytes
+            shared_bits=55,  # SYNC
         ),
         "dynamixel": BoardKind(
             line="serial",
@@ -124,6 +132,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             highest_supply_V=44.0,
             may_be_absolute=True,
             moves_on=True,
+            cycle_bits=355,  # as long at 1 Mbit/s; what is sent at 5 Mbit/s counts a fifth
         ),
         "odrive": BoardKind(
             line="can",
@@ -139,6 +148,8 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             moves_on=True,
             frees_in=("current",),
             has_switch=False,
+            cycle_bits=135,
+            sent_bits_s=135 * (2 * 250 + 2 * 100 + 10),  # encoder, IQ; heartbeat, bus; temperature
         ),
         "vesc": BoardKind(
             line="can",
@@ -150,6 +161,9 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             limits_current=True,
             counts_per_turn=18_000,
             current_step_A=0.1,
+            cycle_bits=120,  # 4 bytes, with a 29-bit id
+            shared_bits=150 + 160,  # the question for a fault code, and its answer
+            sent_bits_s=160 * (4 * 200 + 2 * 5),  # status 1, 4, 5, 6; 2, 3
         ),
     }
 )

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Final, Protocol
 
+from control.model.board_kinds import BoardKind
 from control.model.drive import Drive
 from control.model.end_effector import Digital, Gripper
 from control.model.rules import ONE_OR_MORE
@@ -36,23 +37,30 @@ class OnBus(Protocol):
     @property
     def can(self) -> CanBus | None: ...
     @property
-    def drives(self) -> tuple[Drive, ...]: ...
+    def motors(self) -> tuple[Drive, ...]: ...
     @property
     def gripper(self) -> Gripper | None: ...
     @property
     def digital(self) -> tuple[Digital, ...]: ...
     @property
     def boards_rate_Hz(self) -> float: ...
+    def kind_of(self, drive: Drive) -> BoardKind: ...
 
 
-def bus_load(arms: Sequence[OnBus], rate_Hz: float) -> float:
-    """Worst-case share of the busiest CAN bus, for commands and replies of all motor boards that are on it."""
+def bus_load(arms: Sequence[OnBus], rate_Hz: float, with_bought: bool = True) -> float:
+    """Worst-case share of the busiest CAN bus, for all that its boards are sent and send."""
     loads: dict[tuple[str, str], float] = {}
     for arm in arms:
         if arm.can is not None:
             bus = (arm.can.interface, arm.can.channel)
-            frames_Hz = 2 * sum(not drive.board for drive in arm.drives) * rate_Hz + _end_frames_Hz(arm)
-            loads[bus] = loads.get(bus, 0.0) + frames_Hz * FRAME_bits / arm.can.bitrate
+            kinds = [arm.kind_of(drive) for drive in arm.motors if with_bought or not drive.board]
+            on_can = [kind for kind in kinds if kind.line == "can"]
+            cycle_bits = sum(kind.cycle_bits for kind in on_can) + max(
+                (kind.shared_bits for kind in on_can), default=0
+            )
+            bits_s = cycle_bits * rate_Hz + sum(kind.sent_bits_s for kind in on_can)
+            bits_s += _end_frames_Hz(arm) * FRAME_bits
+            loads[bus] = loads.get(bus, 0.0) + bits_s / arm.can.bitrate
     return max(loads.values(), default=0.0)
 
 
@@ -64,9 +72,12 @@ def good_rate_Hz(arms: Sequence[OnBus], rate_Hz: float) -> float:
 
 
 def usual_rate_Hz(arms: Sequence[OnBus]) -> float:
-    """The loop's rate if none is asked for: what the slowest boards of all arms carry, and their buses."""
+    """The loop's rate if none is asked for: what the slowest boards of all arms carry, and their buses.
+
+    Most of what bought boards send comes at rates of their own, which a slower loop does not change: `serve` tells of it.
+    """
     rate_Hz = min(arm.boards_rate_Hz for arm in arms)
-    while bus_load(arms, rate_Hz) > USUAL_LOAD and rate_Hz > RATE_STEP_Hz:
+    while bus_load(arms, rate_Hz, with_bought=False) > USUAL_LOAD and rate_Hz > RATE_STEP_Hz:
         rate_Hz = max(RATE_STEP_Hz, RATE_STEP_Hz * math.ceil(rate_Hz / RATE_STEP_Hz - 1.0))
     return rate_Hz
 

@@ -10,6 +10,7 @@ import pytest
 
 from control.errors import ArmError
 from control.model.arm import Arm, Home
+from control.model.can_bus import bus_load, usual_rate_Hz
 from control.model.description import load_arm, save_arm
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, with_drive
@@ -156,3 +157,30 @@ def test_a_board_that_is_called_absolute_says_over_how_many_turns_of_its_encoder
     save_arm(alone, tmp_path / "alone.toml")
     with pytest.raises(ArmError, match=r"absolute_turns of .* 1: expected absolute = true beside it"):
         load_arm(tmp_path / "alone.toml")
+
+
+def on_one_bus(kind: str, boards: int) -> list[Arm]:
+    """As many arms on one bus as make so many boards of a kind."""
+    arm = on_boards(RIGHT, kind)
+    whole, rest = divmod(boards, arm.joint_count)
+    parts = [arm] * whole
+    return [*parts, replace(arm, drives=arm.drives[:rest], boards=arm.boards[:rest])] if rest else parts
+
+
+@pytest.mark.parametrize(
+    ("kind", "boards", "rate_Hz", "share"),
+    [
+        ("vesc", 5, 200.0, 5 * 160 * 810 + 200 * (5 * 120 + 310)),
+        ("cia402", 3, 500.0, 500 * (3 * 470 + 55)),
+        ("odrive", 6, 250.0, 6 * 135 * (500 + 210) + 250 * 6 * 135),
+        ("moteus", 3, 750.0, 750 * 3 * 355),
+        ("roboclaw", 3, 100.0, 0),
+    ],
+)
+def test_a_can_bus_is_loaded_by_what_bought_boards_send_and_are_sent(
+    kind: str, boards: int, rate_Hz: float, share: float
+) -> None:
+    arms = on_one_bus(kind, boards)
+    shared = 310 * (len(arms) - 1) if kind == "vesc" else 55 * (len(arms) - 1) if kind == "cia402" else 0
+    assert bus_load(arms, rate_Hz) == pytest.approx((share + rate_Hz * shared) * 1e-6)
+    assert usual_rate_Hz(arms) == arms[0].boards_rate_Hz
