@@ -9,19 +9,35 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.export import export_text
+import armwright
 from calib.points.points import make_points
+from calib.points.reading import read_points
 from calib.points.writer import write_points
 from console.main import main
 from control.kinematics.kinematics import ForwardKinematics
-from control.model.arm import Arm, Effect
+from control.model.arm import Arm, Camera, Effect
 from control.model.board_kinds import KINDS, bus_conflict
 from control.model.description import load_arm, save_arm
 from procedures.new_arm.answers import USUAL_AXES
 from procedures.on_boards import REFERENCE
 
 AT_EACH_CHANGE, AT_NIGHT = 20, 300
-NAMES = ("a", "7", "left-arm_2", "Z" * 64, "x.y")
+NAMES = (
+    "a",
+    "7",
+    "left-arm_2",
+    "Z" * 64,
+    "x.y",
+    "my arm",
+    "Größe µ",
+    "名",
+    "a'b\"c",
+    "100%",
+    "{x}",
+    "a:b",
+    "<b>&",
+)
+LENGTHS_lg_m = (-3.0, 0.5)  # from a millimetre to three metres
 
 
 def drawn(seed: int, folder: Path) -> Arm:
@@ -39,7 +55,7 @@ def drawn(seed: int, folder: Path) -> Arm:
     }
     if bus_conflict(on_can):
         kinds = kinds[:1]
-    lengths = [f"{length:.6g}" for length in 10.0 ** random.uniform(-2.0, 0.0, joints)]
+    lengths = [f"{length:.6g}" for length in 10.0 ** random.uniform(*LENGTHS_lg_m, joints)]
     out = folder / "new.toml"
     options = ["--joints", str(joints), "--axes", axes, "--lengths", *lengths, "--boards", *kinds]
     options += [
@@ -86,7 +102,7 @@ def brought_up_and_tuned(arm: Arm, random: np.random.Generator) -> Arm:
         for drive in arm.drives
         for name, key in (("coulomb", "torque_Nm"), ("viscous", "coefficient_Nm_s_rad"))
     )
-    return replace(arm, drives=tuple(drives), effects=friction)
+    return replace(arm, drives=tuple(drives), effects=friction, camera=Camera(position_noise_m=2e-4))
 
 
 def read_by_every_command(file: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,37 +113,52 @@ def read_by_every_command(file: Path, folder: Path, capsys: pytest.CaptureFixtur
     assert json.loads(capsys.readouterr().out)["joints"] == arm.joint_count
     lower, upper = np.array(arm.limits_rad).T
     q_rad = np.random.default_rng(0).uniform(lower, upper, (20, arm.joint_count))
+    json_file = folder / f"{file.stem}.json"
+    assert main(["export-arm", "--arm", str(file), "--export", "json", "--out", str(json_file)]) == 0
+    assert json.loads(json_file.read_text(encoding="utf-8"))["name"] == arm.name
     for form in ("urdf", "mjcf"):
         model, again = folder / f"{file.stem}.{form}", folder / f"{file.stem}-{form}.toml"
-        model.write_text(export_text(arm, form), encoding="utf-8")
+        assert main(["export-arm", "--arm", str(file), "--export", form, "--out", str(model)]) == 0
         assert main(["arm", f"--from-{form}", str(model), "--out", str(again)]) == 0, capsys.readouterr().err
         tips_m = [ForwardKinematics(one).tips(q_rad) for one in (arm, load_arm(again))]
         np.testing.assert_allclose(tips_m[1], tips_m[0], atol=1e-6)
 
 
-def calibrated(arm: Arm, file: Path, folder: Path, random: np.random.Generator) -> Path:
-    """What `calibrate` writes from points of an arm that is somewhat different."""
+def measured(arm: Arm, folder: Path, random: np.random.Generator) -> None:
+    """points.csv and others.csv of an arm that is somewhat different."""
     true = arm.with_dh(np.array(arm.dh) + random.uniform(-0.003, 0.003, np.array(arm.dh).shape))
     lower, upper = np.array(arm.limits_rad).T
-    q_rad = random.uniform(lower, upper, (40, arm.joint_count))
-    tips_m = ForwardKinematics(true).tips(q_rad) + random.normal(0.0, 1e-4, (40, 3))
-    names = [f"p{k}" for k in range(40)]
-    write_points(folder / "points.csv", make_points(["free"] * 40, names, [1] * 40, q_rad, tips_m))
-    assert (
-        main(
-            [
-                "calibrate",
-                "--arm",
-                str(file),
-                "--points",
-                str(folder / "points.csv"),
-                "--out",
-                str(folder / "c"),
-            ]
-        )
-        == 0
-    )
-    return folder / "c" / "arm.toml"
+    for name, m in (("points", 40), ("others", 15)):
+        q_rad = random.uniform(lower, upper, (m, arm.joint_count))
+        tips_m = ForwardKinematics(true).tips(q_rad) + random.normal(0.0, 1e-4, (m, 3))
+        names = [f"p{k}" for k in range(m)]
+        write_points(folder / f"{name}.csv", make_points(["free"] * m, names, [1] * m, q_rad, tips_m))
+
+
+def used_by_every_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What `calibrate`, `gap` and Python's `save` write of tuned.toml and points.csv is taken by all that takes such files."""
+    nominal, points, others = (str(folder / name) for name in ("tuned.toml", "points.csv", "others.csv"))
+    arm = str(folder / "calibrate" / "arm.toml")
+    for line in (
+        ["calibrate", "--arm", nominal, "--points", points],
+        ["verify", "--arm", arm, "--against", nominal, "--points", others],
+        ["trust", "--arm", arm, "--points", points],
+        ["check-up", "--arm", arm, "--points", points, "--recorded", others],
+        ["plan-poses", "--arm", arm, "--points", points, "--free", "4", "--only", "free"],
+        ["calibrate", "--arm", arm, "--points", others, "--out", str(folder / "again")],
+        ["gap", "--arm", arm, "--points", points],
+    ):
+        out = [] if "--out" in line else ["--out", str(folder / line[0])]
+        assert main([*line, *out]) in (0, 1), (line, capsys.readouterr().err[-500:])
+    armwright.calibrate(load_arm(Path(nominal)), read_points(Path(points))[0]).save(folder / "saved")
+    for file in (
+        Path(arm),
+        folder / "again" / "arm.toml",
+        folder / "gap" / "arm.toml",
+        folder / "saved" / "arm.toml",
+    ):
+        if file.exists() or file.parent.name != "gap":  # which writes one only if it has found something
+            read_by_every_command(file, file.parent, capsys)
 
 
 def walk(seed: int, folder: Path, capsys: pytest.CaptureFixture[str], with_calibration: bool) -> None:
@@ -139,7 +170,8 @@ def walk(seed: int, folder: Path, capsys: pytest.CaptureFixture[str], with_calib
     save_arm(tuned, folder / "again.toml")
     assert replace(load_arm(folder / "again.toml"), path="") == replace(tuned, path="")
     if with_calibration:
-        read_by_every_command(calibrated(tuned, folder / "tuned.toml", folder, random), folder, capsys)
+        measured(tuned, folder, random)
+        used_by_every_command(folder, capsys)
 
 
 @pytest.mark.parametrize("seed", range(AT_EACH_CHANGE))
