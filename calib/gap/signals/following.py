@@ -86,7 +86,10 @@ class YieldingJoints:
 
     def foresee(self, model: Sequence[Law], variants: Sequence[Law]) -> None:
         """Follow one joint's elastic or loose gear with several values at once, for `predict` to find them done."""
-        self._foresee(sorted_terms(model), variants)
+        joint, form = variants[0].index, variants[0].form
+        with_each = [sorted_terms((*model, law)).elastic for law in variants]
+        gears = [next(g for g in own if (g.index, g.form) == (joint, form)) for own in with_each]
+        self._foresee(sorted_terms(model), gears)
 
     def _foresee(self, parts: ActingTerms, variants: Sequence[Law]) -> None:
         link_friction = parts.link_friction(variants[0].index)

@@ -29,6 +29,15 @@ class ActingTerms:
     angles: list[Law] = field(default_factory=list)
     tip: list[Law] = field(default_factory=list)
 
+    def add_gear(self, term: Law) -> None:
+        """A gear is one: what a file has of its play or softness and what is found besides make one width, or one softness."""
+        for k, gear in enumerate(self.elastic):
+            if (gear.index, gear.form) == (term.index, term.form):
+                both = zip(gear.values, term.values, strict=True)
+                self.elastic[k] = gear.at(tuple(one + other for one, other in both))
+                return
+        self.elastic.append(term)
+
     def link_friction(self, j: int) -> tuple[float, float]:
         """Coulomb and viscous friction of a joint (0-based) in all."""
         sums = {"coulomb": 0.0, "viscous": 0.0}
@@ -65,7 +74,7 @@ def sorted_terms(model: Sequence[Law]) -> ActingTerms:
             case "sag":
                 parts.sag.append(term)
             case "spring" | "play":
-                parts.elastic.append(term)
+                parts.add_gear(term)
             case "angle":
                 parts.angles.append(term)
             case "motor":

@@ -18,7 +18,7 @@ from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
 from calib.gap.signals.terms import Law
 from control.dynamics.dynamics import Dynamics
-from tests.calib.gap.series.prescribed import arm_with_friction, log_of
+from tests.calib.gap.series.prescribed import LONG, arm_with_friction, log_of
 
 ARM = arm_with_friction()
 LOG = log_of(ARM)
@@ -45,6 +45,27 @@ def gear(effect: str, *values: float) -> list[Law]:
     series = RECORDS[effect].series
     assert series is not None
     return [Law(EffectName(effect, 2), series.form, values)]
+
+
+@pytest.mark.parametrize(
+    ("effect", "known", "more"),
+    [
+        ("backlash", (0.006, 0.0), (0.004, 0.3)),
+        ("joint_compliance", (1 / 900.0, 3.0, 0.0), (1 / 700.0, 5.0, 0.2)),
+    ],
+)
+def test_what_the_file_has_of_a_gear_and_what_is_found_besides_are_one_gear(
+    effect: str, known: tuple[float, ...], more: tuple[float, ...]
+) -> None:
+    """Else what is found is the whole, and the known part is added to it once more in the file."""
+    physics = Physics(LONG, prepare(LONG, log_of(LONG)))
+    both = gear(effect, *(one + other for one, other in zip(known, more, strict=True)))
+    apart = [*gear(effect, *known), *gear(effect, *more)]
+    whole = physics.following.beyond(both)
+    for one, other in zip(physics.following.beyond(apart), whole, strict=True):
+        np.testing.assert_allclose(np.vstack(one), np.vstack(other), atol=1e-12)
+    alone = physics.following.beyond(gear(effect, *more))
+    assert np.abs(np.vstack(alone[0]) - np.vstack(whole[0])).max() > 1e-3
 
 
 def test_voltages_that_hold_the_arm_keep_it_where_it_is() -> None:
