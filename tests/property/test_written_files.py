@@ -149,7 +149,9 @@ def used_by_every_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         ["gap", "--arm", arm, "--points", points],
     ):
         out = [] if "--out" in line else ["--out", str(folder / line[0])]
-        assert main([*line, *out]) in (0, 1), (line, capsys.readouterr().err[-500:])
+        status, said = main([*line, *out]), capsys.readouterr().err
+        # One of 28, eight centimetres high, has no free pose that may be planned: it is read, and told so.
+        assert status in (0, 1) or "no pose is left to plan" in said, (line, said[-500:])
     armwright.calibrate(load_arm(Path(nominal)), read_points(Path(points))[0]).save(folder / "saved")
     for file in (
         Path(arm),
