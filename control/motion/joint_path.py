@@ -24,6 +24,7 @@ else:
 Coefficients = tuple[float, float, float, float, float, float]
 _ROUNDING = 1e-6  # of a limit
 _KNOTS_MOST = 10_000  # some minutes at 25 ms: the request stays below the server's longest line
+_DECIMALS = 10  # s, rad, rad/s, rad/s^2
 _GROUPS = ("q_rad", "speed_rad_s", "acceleration_rad_s2")
 
 
@@ -106,11 +107,13 @@ class JointPath:
         )
 
     def to_message(self) -> dict[str, Any]:
-        """Plain lists, for JSON."""
-        columns = zip(_GROUPS, zip(*self.knots, strict=True), strict=True)
+        """Plain lists, for JSON, to 1e-10: all digits of a float would be half as long again, and a request has an end."""
+        import numpy as np
+
+        columns = np.moveaxis(self._table, 1, 0).round(_DECIMALS).tolist()
         return {
-            "times_s": list(self.times_s),
-            **{name: [list(row) for row in rows] for name, rows in columns},
+            "times_s": np.round(self.times_s, _DECIMALS).tolist(),
+            **dict(zip(_GROUPS, columns, strict=True)),
         }
 
     @staticmethod

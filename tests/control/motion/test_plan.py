@@ -207,8 +207,8 @@ def test_way_points_above_the_board_follow_its_tilt():
 def test_a_planned_path_survives_json_and_runs_the_same():
     planned = plan_path(ARM, circle(TABLE), 1.0)
     back = JointPath.from_message(json.loads(json.dumps(planned.to_message())))
-    assert back.duration_s == planned.duration_s
-    assert back.at(1.0) == planned.joints.at(1.0)
+    assert back.duration_s == pytest.approx(planned.duration_s, abs=1e-9)
+    np.testing.assert_allclose(back.at(1.0), planned.joints.at(1.0), atol=1e-6)
 
 
 def test_a_path_of_minutes_needs_no_more_sections_than_a_request_has_room_for():
