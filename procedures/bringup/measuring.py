@@ -72,7 +72,7 @@ def measure(
     found = JointMeasurements(
         has_index=bench.has_index, has_volts=bench.has_volts, cycle_rad=bench.look_s * abs(speed_rad_s)
     )
-    operator.support(joint)
+    operator.support(joint, are_held=not bench.has_volts)
     driver.bench.observe(SUPPORT_S)
     try:
         _known_angle(driver, operator, joint, found, KNOWN_ANGLE_RAD if with_stops else LONG_ANGLE_RAD)

@@ -9,6 +9,7 @@ import select
 import sys
 import termios
 import tty
+from collections.abc import Collection
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self
 
@@ -43,8 +44,8 @@ class BringupOperator(Protocol):
         """The joint's angle by the drawing, in rad, as read with a protractor or an inclinometer; None if it cannot be read."""
         ...
 
-    def support(self, joint: int) -> None:
-        """Ask to support the links of all joints but the one (1-based) that will move."""
+    def support(self, joint: int, are_held: bool) -> None:
+        """The joint (1-based) that will move is next; ask to support the links of the others, if boards do not hold them."""
         ...
 
     def let_go(self) -> None:
@@ -125,11 +126,17 @@ class TerminalOperator:
                     return math.radians(degrees)
             self.say(f"  Expected a number of degrees, got {answer!r}.")
 
-    def support(self, joint: int) -> None:
+    def support(self, joint: int, are_held: bool) -> None:
         """Tell the operator which links to support."""
-        self.say(
-            f"Joint {joint} is next. Support the links of the other joints: they are braked, but not held."
-        )
+        if are_held:
+            self.say(
+                f"Joint {joint} is next. The boards hold the other joints, until one is at fault: keep a hand below the links,"
+                " but do not press."
+            )
+        else:
+            self.say(
+                f"Joint {joint} is next. Support the links of the other joints: they are braked, but not held."
+            )
 
     def let_go(self) -> None:
         """Nothing to do: a person sees that the motion is over."""
@@ -199,16 +206,17 @@ class MockOperator:
         """The true angle with a small reading error."""
         return self._rig.joint_rad()[joint - 1] + self._random.gauss(0.0, READING_SD_RAD)
 
-    def support(self, joint: int) -> None:
-        """Hold all links but one, whose weight its motor carries."""
-        self._hold(joint)
+    def support(self, joint: int, are_held: bool) -> None:
+        """Hold all links but one, whose weight its motor carries; none where boards hold them, against a hand."""
+        self._hold(() if are_held else set(range(1, self._rig.robot.plant.joints + 1)) - {joint})
 
     def let_go(self) -> None:
         """Carry the weight of all links, which may turn."""
-        self._hold(None)
+        self._hold(())
+        self._rig.robot.plant.carry(True)
 
-    def _hold(self, free: int | None) -> None:
+    def _hold(self, joints: Collection[int]) -> None:
         plant = self._rig.robot.plant
-        plant.carry(free is None)
+        plant.carry(False)
         for j in range(plant.joints):
-            plant.block(j, free is not None and j != free - 1, "operator")
+            plant.block(j, j + 1 in joints, "operator")

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from console.main import main
 from control.errors import ArmError
 from control.model.arm import Arm
+from control.model.description import load_arm
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from procedures.bringup.journal import Journal, brought_up
@@ -50,6 +52,17 @@ def test_a_joint_on_boards_that_limit_the_current_is_measured_to_its_end_stops_a
     assert figures["upper_stop_rad"] == pytest.approx(1.00, abs=5e-3)
     assert "counts per turn are the draft's" in said_of(outcome)
     assert arm.drives == draft.drives
+
+
+def test_a_servo_under_a_weight_is_measured_beside_others_that_hold(tmp_path: Path) -> None:
+    """It moves ahead of its set-point where the weight helps; and a hand that blocked the others would make them press until they
+    switch themselves off.
+    """
+    file = tmp_path / "five.toml"
+    assert main(["new", "--out", str(file), "--joints", "5", "--boards", "feetech", "--yes"]) == 0
+    outcome, _ = brought(tmp_path, load_arm(file), BringupOptions((2, 3), None, 0.2, False))
+    assert outcome.problems == []
+    assert sorted(outcome.diagnoses) == [2, 3]
 
 
 def test_a_survey_finds_boards_that_changed_places_signs_and_a_joint_that_is_stuck(tmp_path: Path) -> None:
