@@ -164,7 +164,9 @@ def _encoders() -> Iterator[Promise]:
     says = "encoder 1 slips on its shaft by 5,000 counts, with its index"
     yield from _each("slip-5000", says, inject, "encoder_leap", most=BRAKES, during=(REST, MOVE))
     inject = fault("stuck_encoder", "encoder", channel=0)
-    yield from _each("counts-stuck", "counts of joint 1 stand", inject, LYING, most=BRAKES, during=moving)
+    # at the slow beginning of a move the boards' counts part first
+    says, either = "counts of joint 1 stand", f"{LYING} encoders_differ"
+    yield from _each("counts-stuck", says, inject, either, most=BRAKES, during=moving)
     inject = fault("backwards_encoder", "encoder", channel=0)
     yield from _each("backwards", "joint 1 counts backwards", inject, LYING, most=BRAKES, during=moving)
     yield Drill("wrap-motion", "the counter of joint 1 wraps in its travel (16 bits)", MOVE, GOES_ON,
