@@ -123,7 +123,8 @@ class JointDriver:
                 row = self._row(sample)
                 span_s = row[0] - run.rows[-1][0] if run.rows else 0.0
                 # A board with a loop of its own carries the weight; where the joint sinks ahead, its set-point goes on as asked.
-                has_room = abs(volts) < room or volts * (speed_set - row[2]) < 0.0
+                is_free = abs(volts) < room and not sample.is_limited
+                has_room = is_free or volts * (speed_set - row[2]) < 0.0
                 if self.bench.has_volts and has_room:
                     integral += INTEGRAL_1_s * constant * (speed_set - row[2]) * span_s
                 if row[2] * sign > 0.5 * abs(speed_rad_s):  # at a stop it pushes, too
