@@ -18,8 +18,8 @@ from calib.planning.search import (
     WORTH,
     Cost,
     Freedom,
-    Search,
     TaskPlan,
+    WaySearch,
     lead_in_of,
     places_count,
     shifted,
@@ -73,7 +73,7 @@ def planned_path(
     return _Search(arm, predictor, waypoints, freedom, advance).run()
 
 
-class _Search(Search[WayOfPath]):
+class _Search(WaySearch[WayOfPath]):
     """One choice after the other: branch, place, way round, speed."""
 
     def run(self) -> PathPlan:

@@ -214,7 +214,7 @@ class TaskPlan(Generic[Way]):
     steps: tuple[tuple[str, float], ...]
 
 
-class Search(ABC, Generic[Way]):
+class WaySearch(ABC, Generic[Way]):
     """What all searches have: one arm, one judge, the task as given (`_plain`) and the best place for it."""
 
     _plain: Way

@@ -16,7 +16,16 @@ from calib.arrays import Array, Mask
 from calib.design.candidates import STARTS_COUNT, joint_box, postures, spread_poses
 from calib.design.planning import DETOUR_RAD, clear_ways, short_path
 from calib.errors import CalibrationError
-from calib.planning.search import NOWHERE, Cost, Freedom, Search, TaskPlan, lead_in_of, places_count, shifted
+from calib.planning.search import (
+    NOWHERE,
+    Cost,
+    Freedom,
+    TaskPlan,
+    WaySearch,
+    lead_in_of,
+    places_count,
+    shifted,
+)
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
 from control.kinematics.inverse import InverseKinematics
@@ -74,7 +83,7 @@ def planned_stops(
     return _Search(arm, predictor, waypoints, freedom, advance).run()
 
 
-class _Search(Search[WayOfStops]):
+class _Search(WaySearch[WayOfStops]):
     """First posture and side of each point, then the place, then the order."""
 
     def run(self) -> StopsPlan:
