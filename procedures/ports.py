@@ -66,7 +66,13 @@ class RuntimePort:
         mean = self._client.average(duration_s)
         warmth = tuple(math.nan if t is None else float(t) for t in self._client.status()["temperature_C"])
         return RestSample(
-            mean.q_rad, mean.q_std_rad, mean.current_A, mean.direction, warmth, self._seen(mean)
+            mean.q_rad,
+            mean.q_std_rad,
+            mean.current_A,
+            mean.direction,
+            warmth,
+            self._seen(mean),
+            mean.count_rad,
         )
 
     def measure(self, duration_s: float) -> SeenTip:

@@ -49,7 +49,7 @@ class RestSample:
 
     q_rad and its scatter q_sd_rad; current_A of the motors; direction: sign of each joint's last motion, 0
     unknown; temperature_C of the drives, empty if not measured. seen: the tip at the same time, if a
-    camera saw it.
+    camera saw it. count_rad: one count of each encoder at the joint, empty if not known.
     """
 
     q_rad: tuple[float, ...]
@@ -58,6 +58,7 @@ class RestSample:
     direction: tuple[int, ...]
     temperature_C: tuple[float, ...] = ()
     seen: SeenTip | None = None
+    count_rad: tuple[float, ...] = ()
 
 
 class ArmPort(Protocol):

@@ -1,6 +1,6 @@
 """One record: wait until the arm is at rest, average, measure with the camera.
 
-The arm is at rest if no joint has moved by more than a limit for some time.
+The arm is at rest if no joint has moved by more than a limit, beside one count of its encoder, for some time.
 """
 
 from __future__ import annotations
@@ -16,15 +16,20 @@ from calib.session.plan import Target
 
 
 class StandstillWindow:
-    """Detects from times and joint angles that the arm is at rest."""
+    """Detects from times and joint angles that the arm is at rest.
+
+    An encoder that stands between two counts gives now one and now the other: a count is no motion.
+    """
 
     def __init__(self, limit_rad: float, duration_s: float) -> None:
-        """At rest: over the last duration_s no joint spanned more than limit_rad."""
+        """At rest: over the last duration_s no joint spanned more than limit_rad and a count."""
         self._limit_rad, self._duration_s = limit_rad, duration_s
+        self._count_rad: Sequence[float] = ()
         self._seen: deque[tuple[float, tuple[float, ...]]] = deque()
 
-    def update(self, t_s: float, q_rad: Sequence[float]) -> bool:
-        """Add one reading; True if the arm is at rest. Times must increase."""
+    def update(self, t_s: float, q_rad: Sequence[float], count_rad: Sequence[float] = ()) -> bool:
+        """Add one reading and the size of a count, if it is known; True if the arm is at rest. Times must increase."""
+        self._count_rad = count_rad or (0.0,) * len(q_rad)
         self._seen.append((t_s, tuple(q_rad)))
         while len(self._seen) > 1 and self._seen[1][0] <= t_s - self._duration_s:
             self._seen.popleft()
@@ -33,9 +38,10 @@ class StandstillWindow:
 
     @property
     def motion_rad(self) -> float:
-        """The largest span of a joint over the window."""
+        """The largest span of a joint over the window beyond a count of its encoder."""
         joints: Iterable[tuple[float, ...]] = zip(*(q for _, q in self._seen), strict=True)
-        return max(max(angles) - min(angles) for angles in joints)
+        spans_rad = (max(angles) - min(angles) for angles in joints)
+        return max(span - count for span, count in zip(spans_rad, self._count_rad, strict=True))
 
 
 def wait_for_rest(
@@ -47,7 +53,7 @@ def wait_for_rest(
     while True:
         sample = arm.average(window_s)
         now_s = arm.now_s()
-        if still.update(now_s, sample.q_rad):
+        if still.update(now_s, sample.q_rad, sample.count_rad):
             return
         if now_s - began_s > patience_s:
             raise SessionError(

@@ -25,7 +25,10 @@ class MeanPose:
 
 @dataclass(frozen=True, slots=True)
 class Average:
-    """Means at rest over `duration_s`; joint angles in rad, tip in the base frame in m."""
+    """Means at rest over `duration_s`; joint angles in rad, tip in the base frame in m.
+
+    count_rad: what one count of each joint's encoder is at the joint.
+    """
 
     duration_s: float
     samples: int
@@ -36,7 +39,7 @@ class Average:
     camera_frames: int
     tip_m: tuple[float, float, float] | None
     tip_std_m: tuple[float, float, float] | None
-    moved_rad: float
+    count_rad: tuple[float, ...]
     t_s: float
     target: MeanPose | None = None
 
@@ -70,7 +73,7 @@ class Averaging:
             self._see(*seen)
             self._is_in_base = is_in_base
         if now_s - self._start_s >= self._duration_s:
-            self.result = self._finish(measured.direction)
+            self.result = self._finish(measured.direction, measured.count_rad)
 
     def _see(self, tip_m: Vector, orientation: Quaternion | None) -> None:
         self._tip_m.add(tip_m)
@@ -93,7 +96,7 @@ class Averaging:
             self._tip_m.count, _vector(self._tip_m.mean()), _vector(self._tip_m.std()), orientation
         )
 
-    def _finish(self, direction: Sequence[int]) -> Average:
+    def _finish(self, direction: Sequence[int], count_rad: tuple[float, ...]) -> Average:
         target = self._target()
         in_base = target if self._is_in_base else None
         return Average(
@@ -106,7 +109,7 @@ class Averaging:
             camera_frames=in_base.frames if in_base is not None else 0,
             tip_m=in_base.position_m if in_base is not None else None,
             tip_std_m=in_base.std_m if in_base is not None else None,
-            moved_rad=self._q_rad.spread(),
+            count_rad=count_rad,
             t_s=self._start_s,
             target=target,
         )

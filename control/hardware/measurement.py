@@ -16,7 +16,7 @@ LONGEST_GAP_S = (
     1.0  # between two reports; after a longer gap, or a step back in time, the speed filter is reset
 )
 SHORTEST_s = 1e-6  # between two counts
-DIRECTION_STEP_rad = 2e-4  # a smaller motion is dither at a set-point, not an approach
+DIRECTION_STEP_rad = 2e-4  # a smaller motion is dither at a set-point, not an approach; nor is one count
 
 
 class CountMap(Protocol):
@@ -30,7 +30,7 @@ class Measurement:
 
     `shifted_rad` is the change of angle in the last update that came from shifted counters, not from motion; `leap_rad`, one
     that no motor can make in the time between the reports (0: none), if `fastest_rad_s` gives the joints' greatest speeds.
-    `has_lost_turns`: the last report came so late that the counter may have wrapped unseen.
+    `has_lost_turns`: the last report came so late that the counter may have wrapped unseen. `count_rad`: a count of each encoder.
     """
 
     def __init__(
@@ -51,6 +51,8 @@ class Measurement:
         self._fastest_rad_s = tuple(fastest_rad_s) or (math.inf,) * n
         self._unseen_s = tuple(unseen_s) or (math.inf,) * n
         self._maps = maps
+        self.count_rad = tuple(abs(mapped.radians(1) - mapped.radians(0)) for mapped in maps)
+        self._dither_rad = tuple(max(DIRECTION_STEP_rad, 1.5 * count) for count in self.count_rad)
         self._counter_bits = tuple(counter_bits)
         self._unwrappers: list[Unwrapper] = []
         self._shifts = [0] * n
@@ -107,7 +109,7 @@ class Measurement:
                 off_rad, direction = q - turned_rad[joint], self.direction[joint]
                 if off_rad * direction > 0.0:
                     turned_rad[joint] = q
-                elif abs(off_rad) > DIRECTION_STEP_rad:
+                elif abs(off_rad) > self._dither_rad[joint]:
                     self.direction[joint] = 1 if off_rad > 0.0 else -1
                     turned_rad[joint] = q
             else:
@@ -149,22 +151,18 @@ class RunningMean:
     first: tuple[float, ...] = ()
     total: list[float] = field(default_factory=list)
     squares: list[float] = field(default_factory=list)
-    lower: list[float] = field(default_factory=list)
-    upper: list[float] = field(default_factory=list)
 
     def add(self, values: Sequence[float]) -> None:
         """Add a vector."""
         if not self.count:
             self.first = tuple(values)
             zeros = [0.0] * len(values)
-            self.total, self.squares, self.lower, self.upper = (zeros[:], zeros[:], zeros[:], zeros[:])
+            self.total, self.squares = zeros[:], zeros[:]
         self.count += 1
         for i, value in enumerate(values):
             offset = value - self.first[i]
             self.total[i] += offset
             self.squares[i] += offset * offset
-            self.lower[i] = min(self.lower[i], offset)
-            self.upper[i] = max(self.upper[i], offset)
 
     def mean(self) -> tuple[float, ...]:
         """Mean of the vectors so far."""
@@ -179,7 +177,3 @@ class RunningMean:
             math.sqrt(max(0.0, s - t * t / n) / (n - 1))
             for s, t in zip(self.squares, self.total, strict=True)
         )
-
-    def spread(self) -> float:
-        """Largest range (maximum minus minimum) over the components."""
-        return max((u - w for u, w in zip(self.upper, self.lower, strict=True)), default=0.0)

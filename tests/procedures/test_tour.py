@@ -45,7 +45,7 @@ class Runtime:
         seen = None if self.q_rad == self.hidden else (0.51, 0.02, 0.1)
         target = None if seen is None else MeanPose(9, seen, (1e-4,) * 3, None)
         return Average(
-            duration_s, 9, q_rad, (1e-5,) * 3, (0.3,) * 3, (1, -1, 1), 9, seen, None, 0.0, self.t_s, target
+            duration_s, 9, q_rad, (1e-5,) * 3, (0.3,) * 3, (1, -1, 1), 9, seen, None, (), self.t_s, target
         )
 
     def status(self) -> dict[str, Any]:

@@ -128,6 +128,16 @@ def test_still_stand_needs_its_whole_time_below_the_limit() -> None:
     assert still.update(0.34, (0.0, 2.0e-4))
 
 
+def test_an_encoder_between_two_counts_is_at_rest() -> None:
+    count_rad = (3e-5, 1.5e-3)
+    still, drifting = (StandstillWindow(limit_rad=1e-4, duration_s=0.1) for _ in range(2))
+    for k in range(20):
+        still.update(0.02 * k, (0.0, 1.5e-3 * (k % 2)), count_rad)
+        drifting.update(0.02 * k, (0.0, 4e-4 * k), count_rad)
+    assert still.update(0.4, (0.0, 0.0), count_rad)
+    assert not drifting.update(0.4, (0.0, 8e-3), count_rad)
+
+
 def test_waiting_for_rest_gives_up_after_its_patience() -> None:
     arm = ScriptedArm(settle_s=1e9)
     arm.moved_s = 0.0

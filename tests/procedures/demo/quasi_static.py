@@ -107,7 +107,7 @@ class QuasiStaticBench:
         seen = MeanPose(10, (float(tip[0]), float(tip[1]), float(tip[2])), (self._camera_m,) * 3, None)
         return Average(
             duration_s, 50, tuple(q.tolist()), (ENCODER_NOISE_rad,) * len(gravity), tuple(current.tolist()),
-            tuple(int(d) for d in self._last), seen.frames, seen.position_m, seen.std_m, 0.0, self._t_s, seen,
+            tuple(int(d) for d in self._last), seen.frames, seen.position_m, seen.std_m, (), self._t_s, seen,
         )  # fmt: skip
 
     # MockHand
