@@ -495,8 +495,9 @@ def _first_of_copies(points: Points) -> list[int]:
 
 def predicted_tips(arm: Arm, points: Points) -> Array:
     """Tips (m, 3) in the base frame from the encoders, with the static effects of the arm's model."""
-    tips = ForwardKinematics(arm).tips(points.q_rad + known_corrections(arm, points))
-    bent = known_bending(arm, points.q_rad, points.payload_kg)
+    joint_rad = points.q_rad + known_corrections(arm, points)
+    tips = ForwardKinematics(arm).tips(joint_rad)
+    bent = known_bending(arm, joint_rad, points.payload_kg)
     return tips if bent is None else np.asarray(tips + bent.shift)
 
 

@@ -140,16 +140,13 @@ class File:
             found[key] = (value, math.hypot(float(np.fmax(sd, own.get(key, (0.0, math.nan))[1])), apart))
         return found
 
-    def told(self, points: Points, among: Mask) -> Mask:
-        """Those poses (m,) of `among` of which the flank of its loose gears is known; all of them, where that is so of few."""
-        loose = [one.joint for one in self.arm.effects if one.effect == "backlash" and one.joint is not None]
+    def is_between_flanks(self, points: Points) -> Mask:
+        """Poses (m,) of which nothing tells the flank of a loose gear: whoever reads the file takes its play's middle."""
         at = resting_points(self.arm, points)
-        told = (
-            np.all([at.flank(joint) != 0.0 for joint in loose], axis=0)
-            if loose
-            else np.ones(len(points), dtype=bool)
-        )
-        return among & told if told[among].mean() > 0.5 else among
+        unclear = [
+            at.flank(one.joint) == 0.0 for one in self.arm.effects if one.effect == "backlash" and one.joint
+        ]
+        return np.any(unclear, axis=0) if unclear else np.zeros(len(points), dtype=bool)
 
 
 def _shared(

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.gap.static.cases import RIGS, Design, Hidden, designed
-from benchmarks.gap.static.file_score import MORE_RIGS
+from benchmarks.gap.static.file_score import MORE_RIGS, simulated
 from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.calibration.calibrate import CalibrationPlan, identified
@@ -39,8 +39,22 @@ def from_afar(seed: int, hidden: tuple[Hidden, ...] = HIDDEN):
     return arm, dataclasses.replace(points, tip_m=turned + np.array((-3.0, 2.0, 1.5)))
 
 
-def test_the_gap_after_is_what_verify_says_of_the_file_that_is_written(tmp_path) -> None:
-    arm, points = from_afar(43)
+def loose_between_flanks():
+    """Five joints of which one is loose, on a flank that nothing tells at some poses."""
+    *_, last = simulated(233_000, 2)
+    return last.arm, last.points
+
+
+@pytest.mark.parametrize(
+    ("made", "times_most"),
+    [(lambda: from_afar(43), 1.2), (loose_between_flanks, 1.6)],
+    ids=["tracker", "play"],
+)
+def test_the_gap_after_is_what_verify_says_of_the_file_that_is_written(
+    made, times_most: float, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setitem(RIGS, "drawn", None)
+    arm, points = made()
     recordings = Recordings(points, None, (), (), ())
     found = find_gap_in(arm, recordings)
     write_gap(found, arm, recordings, tmp_path / "gap")
@@ -49,7 +63,7 @@ def test_the_gap_after_is_what_verify_says_of_the_file_that_is_written(tmp_path)
     apart = points.chosen(np.flatnonzero(found.static.split.report))
     left_m = float(np.sqrt(np.mean(errors_of(file, apart) ** 2)))
     assert found.finding.after_si["tip_m"] == pytest.approx(left_m, rel=0.01)
-    assert found.finding.effects[-1].gap_after == found.finding.gap_after < 1.2
+    assert found.finding.effects[-1].gap_after == found.finding.gap_after < times_most
 
 
 SOFT = (Hidden("encoder_scale", 3, 0.006), Hidden("joint_compliance", 2, 600.0))

@@ -7,10 +7,10 @@ import pytest
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.joint_effects import known_corrections
+from calib.arm_problem.joint_effects import known_corrections, resting_points
 from calib.arm_problem.link_bending import known_bending
 from calib.arm_problem.parameters import Bounds
-from calib.arrays import norms
+from calib.arrays import frozen, norms
 from calib.calibration.calibrate import CalibrationPlan, calibrate, identified
 from calib.calibration.outcome import calibrated_arm
 from calib.errors import CalibrationError
@@ -19,6 +19,7 @@ from calib.identify.objective import LeastSquares
 from calib.points.points import joined, make_points
 from calib.validation.holdout import held_out
 from calib.validation.verify import errors_of, predicted_tips
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Effect
 from tests.calib.simulated import RIGHT, NOISE_m, board_points, true_dh, with_rows
 
@@ -154,6 +155,33 @@ def test_what_calibrate_holds_out_is_predicted_by_the_same_fit_as_its_result() -
         others = points.chosen(some)
         own = calibrated_arm(arm, identified(arm, others, plan)[1], others)
         np.testing.assert_allclose(fold.after_m, norms(errors_of(own, points.chosen(rest))), atol=2e-6)
+
+
+def test_where_a_gear_lies_on_an_unknown_flank_its_file_predicts_what_is_left_out() -> None:
+    """Friction of an unknown share decides about the flank: the fit has its mean place there, no file has."""
+    rng = np.random.default_rng(13)
+    arm = RIGHT.with_dh(np.array(RIGHT.dh) * [1.4, 1.3, 1.0, 1.0])
+    q = rng.uniform([-1.5, -0.8, -0.8], [1.5, 0.8, 0.4], (60, 3))
+    names, sides = [f"p{k}" for k in range(60)], rng.choice([-1.0, 1.0], (60, 3))
+    bare = make_points(["free"] * 60, names, [1] * 60, q, np.zeros((60, 3)), sides)
+    loose = dataclasses.replace(arm, effects=(Effect("backlash", 3, {"width_rad": 0.006}),))
+    at = resting_points(loose, bare)
+    unclear = at.flank(3) == 0.0
+    assert 10 < unclear.sum() < 50
+    leaning_rad = sum(-0.003 * at.unclear_side(3, part) for part in range(8))
+    q_rad = q + known_corrections(loose, bare)
+    q_rad[:, 2] += leaning_rad
+    tips = ForwardKinematics(arm).tips(q_rad) + rng.normal(0.0, NOISE_m, (60, 3))
+    points = dataclasses.replace(bare, tip_m=frozen(tips))
+    plan = CalibrationPlan(Choice(effects=("backlash:3",)), LSQ, None, 2)
+    held = calibrate(arm, points, plan).held
+    assert held is not None
+    for fold in held.folds:
+        rest, others = list(fold.rows), points.chosen([k for k in range(60) if k not in fold.rows])
+        own = calibrated_arm(arm, identified(arm, others, plan)[1], others)
+        np.testing.assert_allclose(fold.after_m, norms(errors_of(own, points.chosen(rest))), atol=1e-6)
+    is_unclear = unclear[[row for fold in held.folds for row in fold.rows]]
+    assert held.after_m[is_unclear].mean() > 3.0 * held.after_m[~is_unclear].mean()
 
 
 def test_a_play_that_no_part_can_have_is_none_for_the_geometry_too() -> None:

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.gap.static.cases import ARM, DESIGNS, Design, FRICTION_Nm, Hidden, case, designed, gravity_Nm
+from calib.arm_problem.joint_effects import resting_points
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
+from calib.gap.poses.measured import rms
 from control.dynamics.dynamics import Dynamics
 from tests.thirds import third_of
 
@@ -124,7 +126,19 @@ def test_two_or_three_effects_at_once_are_both_found(pair) -> None:
     values = {effect.name: effect.parameters for effect in found.finding.effects}
     for one in pair:
         assert values[name_of(one)][FIRST[one.effect]][0] == pytest.approx(one.value, rel=0.12)
-    assert found.finding.gap_after < 1.1
+    loose = [one.joint for one in pair if one.effect == "backlash"]
+    unclear = np.any(
+        [resting_points(found.file, found.points).flank(joint) == 0.0 for joint in loose], axis=0
+    ) | np.zeros(len(found.points), dtype=bool)
+    where_known = found.split.report & ~unclear
+    assert where_known.sum() > 0.8 * found.split.report.sum()
+    assert rms(found.stages[-1][1][where_known]) < 1.1 * found.floor.tip_m
+    # all held-out poses count: elsewhere the file has the middle of the play
+    if unclear[found.split.report].any():
+        assert any("on which flank a loose gear lies" in said for said in found.warnings)
+        assert 1.1 < found.finding.gap_after < 2.0
+    else:
+        assert found.finding.gap_after < 1.1
 
 
 def test_a_level_board_from_one_side_cannot_tell_and_says_so() -> None:
