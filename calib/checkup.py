@@ -21,8 +21,15 @@ from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.frames import cross_matrix
 from calib.arrays import Array, Mask
 from calib.gap.plan.collision_free_box import collision_free_box
-from calib.gap.plan.plan import MARGIN_rad, PlannedVisit, RecordingPlan, plan_of
-from calib.gap.plan.poses import NamedPose, PoseCounts, static_poses
+from calib.gap.plan.plan import (
+    MARGIN_rad,
+    NamedPose,
+    PlannedVisit,
+    PoseCounts,
+    RecordingPlan,
+    plan_of,
+    static_poses,
+)
 from calib.points.points import Points, joined, make_points
 from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.posterior import linearised, loose_play_m2, posterior_of

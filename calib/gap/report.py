@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.gap.drawn_law import law_picture
 from calib.gap.finding import GapFinding, NamedEffect
-from calib.gap.maps.outcome import MapsFound
+from calib.gap.maps.choose import MapsFound
 from calib.gap.maps.pictures import map_sections
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.pictures import joint_picture, places_picture, recordings_picture

@@ -14,9 +14,20 @@ from calib.errors import CalibrationError
 from calib.gap.both import brought_together
 from calib.gap.effects.catalogue import needing_drives
 from calib.gap.finding import EffectName, GapFinding, MeasuredMaps, Unknown, write_gap_json
-from calib.gap.log import Log, joined_logs, read_log
+from calib.gap.log import (
+    AMPERES,
+    TORQUES,
+    Log,
+    amperes_per,
+    joined_logs,
+    log_in_amperes,
+    points_in_amperes,
+    read_log,
+    with_ideal_drives,
+    without_voltages,
+)
 from calib.gap.maps.angles import angle_maps
-from calib.gap.maps.outcome import MapsFound
+from calib.gap.maps.choose import MapsFound
 from calib.gap.maps.torques import torque_maps
 from calib.gap.model_update import as_totals, updated_arm, with_geometry
 from calib.gap.poses.find import find
@@ -24,15 +35,6 @@ from calib.gap.poses.outcome import StaticGap
 from calib.gap.report import GapReport, gap_page
 from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
-from calib.gap.units import (
-    AMPERES,
-    TORQUES,
-    amperes_per,
-    log_in_amperes,
-    points_in_amperes,
-    with_ideal_drives,
-    without_voltages,
-)
 from calib.inputs import input_file
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
@@ -87,7 +89,7 @@ def read_recordings(
 ) -> Recordings:
     """All files, read strictly; CalibrationError where one cannot be used, or where there is none.
 
-    `current_unit`: one of calib.gap.units.UNITS, in which the columns i1_A ... are written. `is_as_given`: the points mean what
+    `current_unit`: one of calib.gap.log.UNITS, in which the columns i1_A ... are written. `is_as_given`: the points mean what
     they say (`calib.arm_problem.misread.points`).
     """
     motors = with_ideal_drives(arm) if current_unit == TORQUES else arm

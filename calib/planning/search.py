@@ -18,7 +18,7 @@ import numpy as np
 from calib.arrays import Array, Mask
 from calib.design.candidates import TOUCH_M, body_points
 from calib.gap.plan.collision_free_box import CLEARANCE_m, ground_m
-from calib.gap.plan.poses import APPROACH_rad
+from calib.gap.plan.plan import APPROACH_rad
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Predictor
 from control.kinematics.corners import Corners

@@ -9,27 +9,22 @@ from typing import Final
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects import beam, cogging, drift, electrical, encoder, frame, friction, gear, loads
+from calib.gap.effects import encoder, gear, links, loads, motor
 from calib.gap.effects.columns import known_law, unlisted
-from calib.gap.effects.pose_scene import PoseScene
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, Role
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, Role
 from calib.gap.finding import EffectName, Parameters
-from calib.gap.posterior.coefficients import parameters_of
 from calib.gap.posterior.constants import USUAL
-from calib.gap.posterior.term import Block, Key, Term
-from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.scene import SeriesScene
+from calib.gap.posterior.term import Block, Key, Term, parameters_of
+from calib.gap.residuals.scene import OperatingPoint, SeriesScene
 from calib.gap.residuals.term import SeriesTerm
-from calib.gap.signals.angles import place
-from calib.gap.signals.terms import Law
+from calib.gap.signals.terms import Law, place
 from control.model.arm import Arm
 from control.model.effects import EFFECTS
 
 RECORDS: Final[dict[str, EffectRecord]] = {
     one.effect: one
     for one in (
-        *encoder.RECORDS, *drift.RECORDS, *gear.RECORDS, *beam.RECORDS, *frame.RECORDS, *loads.RECORDS, *friction.RECORDS,
-        *cogging.RECORDS, *electrical.RECORDS,
+        *encoder.RECORDS, *gear.RECORDS, *links.RECORDS, *loads.RECORDS, *motor.RECORDS
     )
 }  # fmt: skip
 

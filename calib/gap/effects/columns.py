@@ -1,23 +1,89 @@
-"""Columns of laws in time series: what the rows do per usual size of a law, how real parts depart from it, and nuisances."""
+"""The ways in which a real part departs from its law: functions of its own variable, by which the law is multiplied."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.departures import departures
-from calib.gap.effects.record import EffectRecord, InSeries
+from calib.gap.effects.record import EffectRecord, InSeries, Shape
 from calib.gap.finding import EffectName
+from calib.gap.posterior.constants import SPEAKS_FOR
 from calib.gap.posterior.term import Block
-from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.scene import Response
-from calib.gap.residuals.term import Curve, SeriesTerm, scaled, stacked
+from calib.gap.residuals.scene import OperatingPoint, Response, RowConditions, SeriesScene
+from calib.gap.residuals.term import Curve, SeriesTerm, departed, scaled, size_of, stacked
 from calib.gap.signals.terms import Form, Law, typical
 from control.model.effects import followed_joint, linear_values
+
+
+def _unit(values: Array) -> Array:
+    """Over the root mean square."""
+    size = float(np.sqrt(np.mean(values**2)))
+    return values / size if size > 0.0 else values
+
+
+def by_angle(at: RowConditions, j: int) -> Array:
+    """Two harmonics of the joint's turn, and what is slower over its travel."""
+    q = at.q[:, j]
+    return np.array([np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)])
+
+
+def by_speed(at: RowConditions, j: int) -> Array:
+    """Its absolute value and its square."""
+    v = _unit(at.speed[:, j])
+    return np.array([np.abs(v), v**2])
+
+
+def by_direction(at: RowConditions, j: int) -> Array:
+    """One way and the other."""
+    return at.direction[:, j][None]
+
+
+def by_load(at: RowConditions, j: int) -> Array:
+    """Of what the gear transmits: its absolute value, its root and its square."""
+    load = np.abs(_unit(at.load_Nm[:, j]))
+    return np.array([load, np.sqrt(load), load**2])
+
+
+def by_current(at: RowConditions, j: int) -> Array:
+    """Of the motor: its absolute value and its square."""
+    i = _unit(at.current_A[:, j])
+    return np.array([np.abs(i), i**2])
+
+
+def by_currents(at: RowConditions, j: int) -> Array:
+    """Of all motors together."""
+    return _unit(np.sum(np.abs(at.current_A), axis=1))[None]
+
+
+def departures(
+    scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Response
+) -> tuple[dict[int, Array], Array]:
+    """Columns of a law's departures on a joint (0-based), each as large as the law; every channel for itself.
+
+    With them what departures change that looks like the law itself, a part of each for every shape of a variable (`departed`), of
+    the channel that shows the law best. A motor that saturates gives less torque, and its back-EMF is as before. What currents
+    show of a gear is mostly how its angle changes, with the noise of that: where the tip shows the angle, it alone says how the
+    gear departs.
+    """
+    if not shapes or not law:
+        return {}, np.zeros((0, 1, 1))
+    parts, alike, largest = [], np.zeros((0, 1, 1)), 0.0
+    channels = list(dict.fromkeys(scene.cells[cell].channel for cell in law))
+    for channel in channels:
+        own = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
+        wanted = {cell: [one(scene.beside[cell], joint) for one in shapes] for cell in own}
+        bent, taken = departed(own, {cell: np.concatenate(some) for cell, some in wanted.items()})
+        if bent:
+            parts.append(bent)
+        if (size := float(np.linalg.norm(size_of(own)))) > largest:
+            counts = [len(some) for some in next(iter(wanted.values()))]
+            alike, largest = taken / np.sqrt(np.repeat(counts, counts))[:, None, None], size
+    return (stacked(parts) if parts else {}), alike
 
 
 def in_series(record: EffectRecord) -> InSeries:
@@ -132,3 +198,63 @@ def _per_value(
         values[place] += step
         columns.append((around.scene.columns.residual((*base, law.at(tuple(values)))) - at) / step)
     return around.scene.split(np.stack(columns, axis=1))
+
+
+FINER = (1.0, 1.2)  # times what was found, the next time: the second says how the first bends
+
+
+@dataclass(frozen=True, slots=True)
+class Bent:
+    """A law that the rows follow in no straight line: starts of its first value, and steps of the others that are free."""
+
+    starts: tuple[float, ...]
+    others: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()
+    upper: tuple[float, ...] = ()
+    most: float = math.inf  # of the first value
+
+
+def _stepped(values: tuple[float, ...], steps: Sequence[float]) -> list[tuple[float, ...]]:
+    """Values, and the same with a step of each but the first."""
+    one_more = [(*values[: k + 1], values[k + 1] + step, *values[k + 2 :]) for k, step in enumerate(steps)]
+    return [values, *one_more]
+
+
+def secants(
+    around: OperatingPoint, record: EffectRecord, key: EffectName, bent: Bent
+) -> Iterator[SeriesTerm]:
+    """The secant from nought to each start, how the next start's differs from it, and what the other values' steps do."""
+    rows = around.scene.columns
+    base, at = around.without(key)
+    own = around.found.get(key)
+    first = bent.starts if own is None else tuple(own.values[0] * k for k in FINER)
+    others = bent.others if own is None else own.values[1:]
+    steps = tuple(
+        step if value + step <= upper else -step
+        for value, step, upper in zip(others, bent.steps, bent.upper, strict=True)
+    )
+    asked = [_stepped((v, *others), steps) for v in first]
+    law = Law(key, in_series(record).form, asked[0][0])
+    size = size_of_law(around, record, law.form, key)
+    if law.form.is_gear:
+        rows.physics.following.foresee(base, [law.at(values) for some in asked for values in some])
+    moved = [[rows.residual((*base, law.at(values))) for values in some] for some in asked]
+    secants = [(some[0] - at) * (size / v) for some, v in zip(moved, first, strict=True)]
+    for k, value in enumerate(first if own is None else first[:1]):
+        near = k + 1 if k + 1 < len(first) else k - 1
+        bends = secants[near] - secants[k]
+        columns = [secants[k], bends * value / size, *(one - moved[k][0] for one in moved[k][1:])]
+        parts = [around.scene.split(column[:, None]) for column in columns]
+        parts[1:] = [one or scaled(parts[0], 0.0) for one in parts[1:]]
+
+        def law_of(c: Array, value: float = value) -> Law:
+            found = float(np.clip(c[0] * size, SPEAKS_FOR[0] * value, min(SPEAKS_FOR[1] * value, bent.most)))
+            more = np.array(others) + np.array(steps) * c[len(c) - len(steps) :]
+            return law.at((found, *np.clip(more, 0.0, bent.upper).tolist()))
+
+        now = np.array([value / size]) if own is not None and math.isclose(own.values[0], value) else None
+        reach = SPEAKS_FOR[0] * value / size, min(SPEAKS_FOR[1] * value, bent.most) / size
+        yield from made(
+            around, record, key, parts[0], size, law_of, parts[1:], value, is_positive=True, now=now, reach=reach,
+            towards=(value, first[near]),
+        )  # fmt: skip

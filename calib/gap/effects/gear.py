@@ -8,16 +8,20 @@ import numpy as np
 from scipy.special import erf
 
 from calib.arrays import Array
-from calib.gap.effects.departures import by_angle, by_load
-from calib.gap.effects.pose_columns import NO_TORQUE_Nm, harmonics, term_on_joint
-from calib.gap.effects.pose_scene import PoseScene
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries
-from calib.gap.effects.secants import Bent, secants
+from calib.gap.effects.columns import Bent, by_angle, by_load, secants
+from calib.gap.effects.record import (
+    EffectRecord,
+    InPoses,
+    InSeries,
+    NO_TORQUE_Nm,
+    PoseScene,
+    harmonics,
+    term_on_joint,
+)
 from calib.gap.finding import EffectName, Parameters
-from calib.gap.posterior.coefficients import parameters_of
 from calib.gap.posterior.constants import WOUND_SHARE
-from calib.gap.posterior.term import Term, Traits, like, smooth
-from calib.gap.residuals.operating_point import OperatingPoint
+from calib.gap.posterior.term import Term, Traits, like, parameters_of, smooth
+from calib.gap.residuals.scene import OperatingPoint
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import Form, Law
 from control.dynamics.static_pose import (

@@ -15,15 +15,11 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_bending import LinkFrames, link_frames
 from calib.arrays import Array
-from calib.gap.effects.columns import straight
-from calib.gap.effects.departures import by_angle, by_current
-from calib.gap.effects.pose_columns import NO_TORQUE_Nm, in_poses
-from calib.gap.effects.pose_scene import PoseScene
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries
+from calib.gap.effects.columns import by_angle, by_current, straight
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, NO_TORQUE_Nm, PoseScene, in_poses
 from calib.gap.finding import EffectName, Parameters
-from calib.gap.posterior.coefficients import inverse
 from calib.gap.posterior.constants import MISSING_MOST
-from calib.gap.posterior.term import Term, like, on_joint
+from calib.gap.posterior.term import Term, inverse, like, on_joint
 from calib.gap.signals.terms import Form, Law
 from control.model.arm import Arm
 

@@ -1,7 +1,4 @@
-"""One record an effect: how the gap workflow looks for it, in poses and in time series, and what it can be mistaken for.
-
-Name, acting joint or link, parameters and torque are those of its record in `control.model.effects`.
-"""
+"""What the laws of effects act on: the arm as fitted so far, its loads, and the poses."""
 
 from __future__ import annotations
 
@@ -10,17 +7,65 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from calib.arrays import Array
-from calib.gap.effects.departures import Shape
-from calib.gap.effects.pose_scene import PoseScene
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import USUAL
-from calib.gap.posterior.term import NO_TRAITS, Term, Traits
-from calib.gap.residuals.operating_point import OperatingPoint
+from calib.gap.posterior.term import NO_TRAITS, Term, ToParameters, Traits, on_joint, parameters_of
+from calib.gap.residuals.scene import OperatingPoint, RowConditions
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import Form, Law
+from calib.points.points import Points
+from control.dynamics.static_pose import RestingPose, gravity_Nm, resting
+from control.errors import MissingModel
 from control.model.arm import Arm
+from control.model.effects import moved_joint
 
+
+@dataclass(frozen=True, slots=True)
+class PoseScene:
+    """Poses of the arm at its fitted geometry under the loads found so far.
+
+    `nominal`: the same geometry without those loads; `joint_rad` (m, n): the joints' angles, at which loads act, while
+    encoders' errors follow those of the points; `pose`: what the gears transmit, None without masses.
+    """
+
+    nominal: Arm
+    arm: Arm
+    points: Points
+    joint_rad: Array
+    pose: RestingPose | None
+
+    @classmethod
+    def of(cls, nominal: Arm, arm: Arm, points: Points, joint_rad: Array) -> PoseScene:
+        """With what the gears transmit, where the arm's file has masses and drives."""
+        try:
+            pose = resting(arm, joint_rad, points.direction, points.current_A, stated_kg(points))
+        except MissingModel:
+            pose = None
+        return cls(nominal, arm, points, joint_rad, pose)
+
+    @property
+    def gravity_Nm(self) -> Array | None:
+        """What holds the links, (m, n); None for an arm without masses."""
+        return None if self.pose is None else self.pose.gravity_Nm
+
+
+def stated_kg(points: Points) -> Array:
+    """The payload that the data states, (m,); 0 where it is unknown."""
+    return np.nan_to_num(points.payload_kg)
+
+
+def load_of(arm: Arm, points: Points, joint_rad: Array | None = None) -> Array | None:
+    """Gravity's torques (m, n) at joint angles (m, n), by default the encoders'; None for an arm without masses."""
+    try:
+        return gravity_Nm(arm, points.q_rad if joint_rad is None else joint_rad, stated_kg(points))
+    except MissingModel:
+        return None
+
+
+Shape = Callable[[RowConditions, int], Array]  # (c, rows), from what stands beside and the joint
 Role = Literal["", "angle", "torque"]
 Needs = Literal["motor", "angle", "tip", "electrical"]
 Over = Literal["load", "speed", "angle", "current", "time", "motor"]
@@ -73,3 +118,42 @@ class EffectRecord:
     role: Role = ""  # a joint that is not where its encoder says, or that is hard to turn: mistaken for others of its role
     traits: Traits = NO_TRAITS
     needs_drives: bool = False  # no answer without the drives' electrical values
+
+
+NO_TORQUE_Nm = 1e-6  # rounding: below it a joint carries nothing
+
+
+def in_poses(record: EffectRecord) -> InPoses:
+    """What a record has of poses."""
+    if record.poses is None:
+        raise ValueError(f"{record.effect} is not looked for in poses")
+    return record.poses
+
+
+def term_on_joint(
+    scene: PoseScene,
+    record: EffectRecord,
+    joint: int | None,
+    columns: Array,
+    *,
+    laws: int = 1,
+    departures: int = 0,
+    variable: str = "",
+    variant: float = 0.0,
+    is_positive: bool = False,
+    parameters: ToParameters | None = None,
+    doubt: Array | None = None,
+) -> Term:
+    """A term on the joint that the effect moves: columns (c, m) per unit of the coefficient, `laws` and `departures` first."""
+    size, moved = in_poses(record).size, moved_joint(record.effect, joint) or 1
+    slope = size * on_joint(columns, moved - 1, scene.points.joint_count)
+    return Term(
+        EffectName(record.effect, joint), "", laws, departures, size, slope_rad=slope, variant=variant,
+        is_positive=is_positive, parameters=parameters or parameters_of(record.effect), variable=variable, doubt=doubt,
+        traits=record.traits,
+    )  # fmt: skip
+
+
+def harmonics(angle: Array, *orders: int) -> list[Array]:
+    """Sine and cosine of each order."""
+    return [f(order * angle) for order in orders for f in (np.sin, np.cos)]

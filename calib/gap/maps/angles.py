@@ -13,13 +13,21 @@ from calib.arm_problem.measured_maps import along
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.calibration.outcome import with_base_frame
-from calib.gap.effects.pose_scene import load_of
+from calib.gap.effects.record import load_of
 from calib.gap.finding import MapCheck
-from calib.gap.maps.candidate import Candidate, maps_of, over_angle, over_load
-from calib.gap.maps.choose import MapRows, Places, chosen
-from calib.gap.maps.outcome import DrawnMap, MapsFound, rms
-from calib.gap.poses.linear import FREE_PRECISION
-from calib.gap.poses.measured import Fit, by_joints
+from calib.gap.maps.choose import (
+    Candidate,
+    DrawnMap,
+    MapRows,
+    MapsFound,
+    Places,
+    chosen,
+    maps_of,
+    over_angle,
+    over_load,
+    rms,
+)
+from calib.gap.poses.linear import FREE_PRECISION, Fit, by_joints
 from calib.gap.poses.outcome import StaticGap
 from calib.identify.objective import LeastSquares
 from calib.identify.solver import minimise

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.maps.outcome import DrawnMap, MapsFound
+from calib.gap.maps.choose import DrawnMap, MapsFound
 from calib.report.drawing import AFTER, BEFORE, svg
 from calib.report.page import Section, paragraph, table
 

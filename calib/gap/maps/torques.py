@@ -18,11 +18,21 @@ from scipy import sparse
 from calib.arm_problem.measured_maps import along
 from calib.arrays import Array, Mask
 from calib.gap.finding import MapCheck
-from calib.gap.maps.candidate import Candidate, maps_of, over_angle, over_load, over_speed, over_turn
-from calib.gap.maps.choose import MapRows, chosen
-from calib.gap.maps.outcome import DrawnMap, MapsFound, rms
+from calib.gap.maps.choose import (
+    Candidate,
+    DrawnMap,
+    MapRows,
+    MapsFound,
+    chosen,
+    maps_of,
+    over_angle,
+    over_load,
+    over_speed,
+    over_turn,
+    rms,
+)
 from calib.gap.series.outcome import DynamicOutcome
-from calib.gap.signals.parts import sorted_terms
+from calib.gap.signals.body import sorted_terms
 from calib.gap.signals.recording import EvenRun
 from control.model.arm import Arm
 from control.model.effect_laws import direction

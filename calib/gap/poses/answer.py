@@ -12,8 +12,8 @@ import numpy as np
 from calib.arm_problem.parameters import dh_names
 from calib.arrays import Mask
 from calib.gap.effects.catalogue import is_load
-from calib.gap.effects.frame import FRAME
-from calib.gap.effects.pose_scene import load_of
+from calib.gap.effects.links import FRAME
+from calib.gap.effects.record import load_of
 from calib.gap.finding import (
     GEOMETRY,
     LINK_KEYS,
@@ -26,20 +26,16 @@ from calib.gap.finding import (
 )
 from calib.gap.model_update import is_possible
 from calib.gap.poses.cautions import about_fit
-from calib.gap.poses.drawn_laws import drawn_laws
-from calib.gap.poses.experiments import next_experiment, open_questions
 from calib.gap.poses.file import File, follows, placed
 from calib.gap.poses.floor import Floor, noise_floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
-from calib.gap.poses.measured import Fit, Left
-from calib.gap.poses.outcome import StaticGap
+from calib.gap.poses.linear import Fit, Left
+from calib.gap.poses.outcome import StaticGap, drawn_laws
 from calib.gap.poses.recordings import Split
-from calib.gap.poses.remainder import remainders, unknown_part
+from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
 from calib.gap.poses.state import Around
 from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, CHANGED_sd
-from calib.gap.posterior.decide import Decision, share_of
-from calib.gap.posterior.nameable import nameable
-from calib.gap.posterior.parameters import Estimated, estimated
+from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key
 from calib.points.points import Points

@@ -11,7 +11,7 @@ from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.checks import require_usable
 from calib.arrays import Array, Mask, frozen
 from calib.errors import UnusablePointsError
-from calib.gap.effects.pose_scene import load_of
+from calib.gap.effects.record import load_of
 from calib.gap.poses.currents import SATURATED
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.recordings import EVERY, RECORDINGS_LEAST, recordings, split

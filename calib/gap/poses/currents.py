@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, Mask
-from calib.gap.effects.pose_scene import stated_kg
-from calib.gap.poses.measured import Fit
+from calib.gap.effects.record import stated_kg
+from calib.gap.poses.linear import Fit
 from calib.gap.posterior.term import Term
 from calib.points.points import Points
 from control.dynamics.static_pose import gravity_Nm, torque_per_A

@@ -21,11 +21,11 @@ from calib.arrays import Mask
 from calib.calibration.calibrate import CalibrationPlan, identified
 from calib.calibration.outcome import calibrated_arm
 from calib.gap.effects.catalogue import RECORDS
-from calib.gap.effects.frame import FRAME
+from calib.gap.effects.links import FRAME
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.model_update import effect_of, with_totals
-from calib.gap.poses.measured import Fit
-from calib.gap.posterior.coefficients import parameters_of
+from calib.gap.poses.linear import Fit
+from calib.gap.posterior.term import parameters_of
 from calib.identify.identification import Identification
 from calib.identify.objective import LeastSquares
 from calib.points.points import Points

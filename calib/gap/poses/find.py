@@ -13,21 +13,18 @@ from calib.arm_problem.parallel_axes import parallel_joints, tilt_row, with_tilt
 from calib.arrays import Array
 from calib.errors import UnusablePointsError
 from calib.gap.effects.catalogue import are_total_in_poses, is_load, pose_terms
-from calib.gap.effects.pose_scene import PoseScene
+from calib.gap.effects.record import PoseScene
 from calib.gap.finding import EffectName
 from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_orientations, about_outliers, cleaned, require_posed
-from calib.gap.poses.floor import FINEST_m, Floor, noise_floor
-from calib.gap.poses.linear import Linear
-from calib.gap.poses.measured import Fit
+from calib.gap.poses.floor import FINEST_m, Floor, middle, noise_floor, outlying
+from calib.gap.poses.linear import Fit, Linear
 from calib.gap.poses.nameless import SKEWED
 from calib.gap.poses.outcome import StaticGap
-from calib.gap.poses.outlying import middle, outlying
 from calib.gap.poses.recordings import Split, split
 from calib.gap.poses.state import Around, State
 from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED, SETTLED_sd
-from calib.gap.posterior.decide import Decision, decide
-from calib.gap.posterior.nameable import nameable
+from calib.gap.posterior.decide import Decision, decide, nameable
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points

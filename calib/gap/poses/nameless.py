@@ -17,7 +17,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_bending import LinkFrames, link_frames
 from calib.arm_problem.parallel_axes import frame_behind, parallel_joints
 from calib.arrays import Array
-from calib.gap.effects.pose_scene import PoseScene
+from calib.gap.effects.record import PoseScene
 from calib.gap.posterior.constants import SAME
 from calib.gap.posterior.term import Block, Term, on_joint, smooth
 from calib.points.points import Points

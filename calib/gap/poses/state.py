@@ -11,15 +11,14 @@ import numpy as np
 
 from calib.arrays import Array, Mask, frozen
 from calib.gap.effects.catalogue import is_load, pose_terms
-from calib.gap.effects.frame import FRAME, beyond_linear_m
-from calib.gap.effects.pose_scene import PoseScene, load_of
+from calib.gap.effects.links import FRAME, beyond_linear_m
+from calib.gap.effects.record import PoseScene, load_of
 from calib.gap.finding import EffectName
 from calib.gap.model_update import effect_of, with_totals
 from calib.gap.poses.currents import holding_currents
-from calib.gap.poses.linear import Linear
-from calib.gap.poses.measured import Fit, Left, by_joints
+from calib.gap.poses.floor import flank_covariance
+from calib.gap.poses.linear import Fit, Left, Linear, by_joints
 from calib.gap.poses.nameless import blocks_of
-from calib.gap.poses.outlying import flank_covariance
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
 from calib.gap.posterior.term import Block, Key, Term

@@ -1,4 +1,4 @@
-"""From weighed sets to an answer: what is named, what is ambiguous, what stays without a name."""
+"""From weighed sets to an answer: names, ambiguous sets and what has no name; parameters; what these data could name at all."""
 
 from __future__ import annotations
 
@@ -7,13 +7,26 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri, ndtr
 
 from calib.arrays import Array, Mask
-from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import CERTAIN, CREDIBLE_LEAST, LAW_MOST, MARGIN
+from calib.gap.finding import EffectName, Nameable, Parameters
+from calib.gap.posterior.constants import (
+    CERTAIN,
+    CREDIBLE_LEAST,
+    DEPARTURES,
+    LAW_MOST,
+    MARGIN,
+    NAME_PRIOR,
+    NEGLIGIBLE,
+    SIZE_COST,
+    SIZE_LEVELS,
+    CHANGED_sd,
+    MOSTLY_sd,
+)
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Weighed
-from calib.gap.posterior.term import Block, Key
+from calib.gap.posterior.term import Block, Key, Term
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,3 +184,149 @@ def left_with(evidence: Evidence, found: Weighed) -> float:
     size, _ = evidence.estimate(found.members, found.kappa)
     gram = evidence.gram
     return float(gram.left - 2.0 * size @ gram.pull[at] + size @ gram.tip[np.ix_(at, at)] @ size)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """An effect of the set: parameters with sd, and how far it departs from its law, as a share, in which variable.
+
+    `variants`: numbers of the terms that may be it, and their posterior weights.
+    """
+
+    parameters: Parameters
+    departure: float
+    variable: str
+    value: Array
+    covariance: Array
+    variants: tuple[tuple[int, float], ...]
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of `value`, (c,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def differs_from(self, other: Array) -> bool:
+        """Whether the coefficients differ from others (c,) by what one of them alone would at CHANGED_sd."""
+        apart = self.value - other
+        least = chdtri(len(apart), 2.0 * ndtr(-CHANGED_sd))  # of chi-square
+        return bool(apart @ np.linalg.solve(self.covariance, apart) > least)
+
+
+def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
+    """Averaged over the variants and sizes of the effect, all others at their best."""
+    rest = [one for one in found.members if evidence.terms[one[0]].key != key]
+    means, covariances, weights, departs, terms, numbers = [], [], [], [], [], []
+    for number, scale, log in _ways(evidence, found, rest, key):
+        term = evidence.terms[number]
+        size, covariance = evidence.estimate([*rest, (number, scale)], found.kappa)
+        own = slice(len(size) - term.count, len(size) - term.count + term.laws)
+        means.append(size[own] * term.size)
+        covariances.append(covariance[own, own] * term.size**2)
+        departs.append(_departure(term, size[len(size) - term.count :]))
+        weights.append(np.exp(log))
+        terms.append(term)
+        numbers.append(number)
+    share = np.array(weights) / np.sum(weights)
+    mean = np.einsum("v,vc->c", share, np.array(means))
+    apart = np.array(means) - mean
+    covariance = np.einsum("v,vcd->cd", share, np.array(covariances)) + np.einsum(
+        "v,vc,vd->cd", share, apart, apart
+    )
+    best = terms[int(np.argmax(share))]
+    named = best.parameters(mean, covariance) if best.parameters is not None else {}
+    summed = dict.fromkeys(numbers, 0.0)
+    for number, weight in zip(numbers, share.tolist(), strict=True):
+        summed[number] += weight
+    departs_by = float(share @ np.array(departs))
+    return Estimated(named, departs_by, best.variable, mean, covariance, tuple(summed.items()))
+
+
+def _ways(
+    evidence: Evidence, found: Weighed, rest: list[tuple[int, int]], key: Key
+) -> list[tuple[int, int, float]]:
+    """Variants and sizes that count, with their log evidence; those of exact laws left out, where a law may depart.
+
+    No real part keeps its law: an interval holds only if it counts the departures that the data do not show.
+    """
+    ways = [
+        (number, scale, evidence.value([*rest, (number, scale)], found.kappa))
+        for number in evidence.of_key[key]
+        for scale in range(len(evidence.weights[number]))
+        if not is_exact(evidence, number, scale)
+    ]
+    top = max(log for _, _, log in ways)
+    return [(number, scale, log - top) for number, scale, log in ways if log > top - NEGLIGIBLE]
+
+
+def is_exact(evidence: Evidence, number: int, scale: int) -> bool:
+    """Whether a size leaves a law that may depart as the textbook has it."""
+    term = evidence.terms[number]
+    departs = evidence.scales[number][0][scale][term.laws : term.laws + term.departures]
+    return term.departures > 0 and not departs.any()
+
+
+def _departure(term: Term, size: Array) -> float:
+    """How far what an effect does is from every multiple of its law, over what it does; root mean squares.
+
+    What a departure has of the law makes the effect another size, and its mean is another zero of the joint.
+    """
+    slope = next((one for one in (term.slope_rad, term.slope_m, term.slope_Nm) if one is not None), None)
+    if slope is None or not term.departures:
+        return 0.0
+    own = slope[: term.laws + term.departures]
+    about = own - own.mean(axis=1, keepdims=True) if slope is term.slope_rad else own
+    flat = about.reshape(len(own), -1).T
+    law, whole = flat[:, : term.laws], flat @ size[: len(own)]
+    rest = whole - law @ np.linalg.lstsq(law, whole, rcond=None)[0]
+    done = float(np.linalg.norm(np.tensordot(size[: len(own)], own, 1)))
+    return float(np.linalg.norm(rest)) / done if done > 0.0 else 0.0
+
+
+# What this data could name at all: how far an effect of usual size would stand out beside the geometry, and beside each rival.
+#
+# A rival may depart from its law as real parts do, so that it passes for more than its textbook form would.
+ODDS = math.log(CERTAIN / (1.0 - CERTAIN))
+# Standard deviations at which the expected log evidence, half their square, pays a name, and its margin over a rival:
+NAMEABLE_sd = math.sqrt(2.0 * (ODDS - math.log(NAME_PRIOR) + SIZE_COST)) + MOSTLY_sd
+TOLD_APART_sd = math.sqrt(2.0 * ODDS) + MOSTLY_sd
+RIVAL_LEVEL, RIVAL_DEPARTURE = SIZE_LEVELS[2], DEPARTURES[2]  # a large one, of the usual roughness
+
+
+def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
+    """Every effect of the list, the middle one of its variants, with those that it cannot be told from."""
+    gram = evidence.gram.tip + evidence.gram.current
+    names = {
+        key: numbers[len(numbers) // 2]
+        for key, numbers in evidence.of_key.items()
+        if isinstance(key, EffectName)
+    }
+    columns = [evidence.places[k][: evidence.terms[k].laws] for k in names.values()]
+    every, ends = np.concatenate([*columns, []]).astype(int), np.cumsum([len(own) for own in columns])
+    places = {key: slice(end - len(own), end) for key, own, end in zip(names, columns, ends, strict=True)}
+    alone = np.diagonal(gram)[every]
+    beside = {rival: alone - _taken(evidence, gram, every, k) for rival, k in names.items()}
+    found = []
+    for key, at in places.items():
+        seen_sd = _detectability(alone[at])
+        rivals = [
+            other
+            for other, left in beside.items()
+            if other != key and seen_sd >= TOLD_APART_sd and _detectability(left[at]) < TOLD_APART_sd
+        ]
+        found.append(Nameable(key, round(seen_sd, 2), tuple(rivals), needed_sd=NAMEABLE_sd))
+    return tuple(found)
+
+
+def _taken(evidence: Evidence, gram: Array, columns: Array, rival: int) -> Array:
+    """What a rival takes at most of G's diagonal at `columns`: all that the root mean square of what is left needs."""
+    at, one = evidence.places[rival], evidence.terms[rival]
+    sd = np.full(len(at), RIVAL_LEVEL)
+    sd[one.laws : one.laws + one.departures] *= RIVAL_DEPARTURE
+    across = sd[:, None] * gram[np.ix_(at, columns)]
+    inner = np.eye(len(at)) + sd[:, None] * gram[np.ix_(at, at)] * sd
+    return np.asarray(np.einsum("ij,ij->j", across, np.linalg.solve(inner, across)))
+
+
+def _detectability(seen: Array) -> float:
+    """Root mean square over the coefficients' directions, each of usual size, in standard deviations."""
+    return math.sqrt(max(0.0, float(np.mean(seen))))

@@ -14,13 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array
-from calib.gap.signals.angles import motor_ahead
-from calib.gap.signals.body import Load
-from calib.gap.signals.friction import sampled_friction_Nm
-from calib.gap.signals.parts import sorted_terms
+from calib.gap.signals.body import Load, sorted_terms
 from calib.gap.signals.physics import Physics, Prediction
 from calib.gap.signals.recording import EvenRun, Flags, RunSet, UnusableLogError
-from calib.gap.signals.terms import Law
+from calib.gap.signals.terms import Law, motor_ahead, sampled_friction_Nm
 from control.model.effect_laws import SMOOTH_rad_s
 
 SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that

@@ -1,26 +1,77 @@
-"""What stands beside every row: the joints' angles, speeds, loads and currents, so that laws and blocks are functions of them."""
+"""What stands beside every row, so that laws and blocks are functions of it; and the model around which a fit is linearised."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
 from calib.arrays import Array
+from calib.gap.posterior.term import Key
 from calib.gap.residuals.rows import ChannelRows, ResidualRows
 from calib.gap.residuals.whitening import RowOrder
-from calib.gap.signals.body import Load
-from calib.gap.signals.friction import sampled_friction_Nm
-from calib.gap.signals.parts import sorted_terms
+from calib.gap.signals.body import Load, sorted_terms
+from calib.gap.signals.filters import Filters
 from calib.gap.signals.physics import Physics
-from calib.gap.signals.recording import EvenRun
-from calib.gap.signals.terms import Law
-from calib.gap.signals.wiener import without_noise
+from calib.gap.signals.recording import EvenRun, RunSet
+from calib.gap.signals.terms import Law, sampled_friction_Nm
 from control.model.effect_laws import direction
+
+# Signals without their measurement noise, for the columns of what may be missing.
+#
+# Measured accelerations stand in every residual with their noise. A column with the same noise is drawn to minus one times it,
+# and other columns then make up for what that takes off the motion. What a column is made of must therefore not have that noise
+# (instrumental variables: Janot, Vandanjon, Gautier, IEEE Trans. Control Systems Technology 22 (2014) 132): a Wiener filter
+# leaves of each frequency the share that is surely motion (or, of currents, current).
+SMOOTHED_Hz = 2.0  # of the spectrum
+NOISE_FROM = 0.7  # of the highest frequency: no arm moves there, and what is there is the sensor's noise
+SURELY = 3.0  # times the noise: what is less may be noise
+
+
+def without_noise(recording: RunSet) -> RunSet:
+    """The same with motions, currents and voltages as far as they are surely no noise."""
+    return replace(recording, runs=tuple(_smooth(run, recording.filters) for run in recording.runs))
+
+
+def _smooth(run: EvenRun, filters: Filters) -> EvenRun:
+    beside = (len(filters.state[0]) - 1) // 2  # samples at the end that the filter knows half
+    of_angle, of_current = (_shares(own, filters.rate_Hz) for own in (run.q_raw, run.current_raw_A))
+    speed, acceleration = (_passed(own, of_angle, beside) for own in (run.speed, run.acceleration))
+    current, slope = (_passed(own, of_current, beside) for own in (run.current_A, run.current_slope))
+    voltage = _passed(run.voltage_V, of_angle, beside)  # the controller answers to the angles' noise, too
+    return replace(
+        run, speed=speed, acceleration=acceleration, current_A=current, current_slope=slope, voltage_V=voltage
+    )
+
+
+def _passed(values: Array, shares: Array, beside: int) -> Array:
+    """Values (m, n) with shares (frequencies, n) of what they consist of."""
+    count = len(values)
+    held = values.copy()
+    held[count - beside :] = values[count - beside - 1]
+    doubled = np.concatenate((held, held[::-1]))  # no step at the ends
+    at = np.linspace(0.0, len(shares) - 1.0, count + 1)
+    own = np.stack([np.interp(at, np.arange(len(shares)), one) for one in shares.T], axis=1)
+    return np.asarray(np.fft.irfft(np.fft.rfft(doubled, axis=0) * own, 2 * count, axis=0)[:count])
+
+
+def _shares(measured: Array, rate_Hz: float) -> Array:
+    """What of each frequency is no noise, (frequencies, n)."""
+    count = len(measured)
+    ramp = np.linspace(0.0, 1.0, count)[:, None]
+    level = measured - measured[0] - ramp * (measured[-1] - measured[0])
+    power = np.abs(np.fft.rfft(level * np.hanning(count)[:, None], axis=0)) ** 2
+    width = max(1, round(SMOOTHED_Hz * count / rate_Hz))
+    kernel = np.ones(2 * width + 1) / (2 * width + 1)
+    smooth = [np.convolve(np.pad(own, width, mode="edge"), kernel, "valid") for own in power.T]
+    # the median of an exponential distribution is ln 2 of its mean
+    noise = np.median(power[int(NOISE_FROM * len(power)) :], axis=0) / np.log(2.0)
+    return np.asarray(np.clip(1.0 - SURELY * noise / np.maximum(np.stack(smooth, axis=1), 1e-300), 0.0, 1.0))
+
 
 Response = Mapping[int, Array]  # of each cell (number) that something changes: (its rows, columns)
 TIP_ROW_s = 0.03  # frames within it are one row of the evidence: joints move at up to some 7 Hz
@@ -268,3 +319,37 @@ def _since_turn(q: Array, speed: Array) -> Array:
     turned = np.vstack([np.ones((1, sign.shape[1]), dtype=bool), sign[1:] != sign[:-1]])
     last = np.maximum.accumulate(np.where(turned, np.arange(len(sign))[:, None], 0), axis=0)
     return np.asarray(np.abs(q - np.take_along_axis(q, last, axis=0)))
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingPoint:
+    """The model of a linearisation: known laws, and laws found so far by key.
+
+    `residual`: its rows; `smooth`: what it would have left if motions and currents had been measured without noise.
+    """
+
+    scene: SeriesScene
+    known: tuple[Law, ...]
+    found: dict[Key, Law]
+    residual: Array
+    smooth: Array
+
+    @classmethod
+    def of(cls, scene: SeriesScene, known: Sequence[Law], found: Mapping[Key, Law]) -> OperatingPoint:
+        """With what it leaves."""
+        model = (*known, *found.values())
+        return cls(
+            scene, tuple(known), dict(found), scene.rows.residual(model), scene.columns.residual(model)
+        )
+
+    @property
+    def model(self) -> tuple[Law, ...]:
+        """All of it."""
+        return (*self.known, *self.found.values())
+
+    def without(self, key: Key) -> tuple[tuple[Law, ...], Array]:
+        """The model without a law, and its rows as columns are reckoned from them."""
+        if key not in self.found:
+            return self.model, self.smooth
+        rest = (*self.known, *(law for own, law in self.found.items() if own != key))
+        return rest, self.scene.columns.residual(rest)

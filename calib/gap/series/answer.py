@@ -11,18 +11,16 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.effects.catalogue import parameters
-from calib.gap.effects.electrical import SAMPLING
+from calib.gap.effects.motor import SAMPLING
 from calib.gap.finding import EffectName, Nameable, NamedEffect, Remainder, Unknown
 from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, REMAINS, SILENT_MOST
-from calib.gap.posterior.decide import left_with
+from calib.gap.posterior.decide import left_with, nameable
 from calib.gap.posterior.evidence import Evidence
-from calib.gap.posterior.nameable import nameable
 from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.blocks import CAMERA
 from calib.gap.series.file import Identified, identified
-from calib.gap.series.fit import SeriesFit, left
-from calib.gap.series.linear import only
+from calib.gap.series.linear import SeriesFit, left, only
 from calib.gap.series.outcome import gap, in_si
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.series.validation import Member, bends, dominant_names, grown, members, with_only

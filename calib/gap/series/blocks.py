@@ -11,11 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.friction import COULOMB
+from calib.gap.effects.motor import COULOMB
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import Block, smooth
-from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.scene import Response, RowConditions, SeriesScene
+from calib.gap.residuals.scene import OperatingPoint, Response, RowConditions, SeriesScene
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import typical
 

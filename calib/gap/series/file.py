@@ -20,7 +20,7 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws, other_forms
 from calib.gap.finding import EffectName
 from calib.gap.residuals.rows import ResidualRows
-from calib.gap.series.fit import SeriesFit
+from calib.gap.series.linear import SeriesFit
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.series.validation import Member
 from calib.gap.signals.terms import Law

@@ -11,8 +11,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws, role_of
-from calib.gap.effects.cogging import ORDERS
-from calib.gap.effects.frame import FRAME
+from calib.gap.effects.links import FRAME
+from calib.gap.effects.motor import ORDERS
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, OpenQuestion, Unknown
 from calib.gap.log import Log
 from calib.gap.model_update import as_totals, updated_arm
@@ -27,10 +27,19 @@ from calib.gap.series.answer import (
     seen_by_sensors,
     what_is_left,
 )
-from calib.gap.series.drawing.laws import drawn_laws
 from calib.gap.series.file import in_best_forms, laws_of, read_back
 from calib.gap.series.iterations import fitted
-from calib.gap.series.outcome import DynamicOutcome, doubts, floors_si, gap, grown, in_rad, in_si, left_out
+from calib.gap.series.outcome import (
+    DynamicOutcome,
+    doubts,
+    drawn_laws,
+    floors_si,
+    gap,
+    grown,
+    in_rad,
+    in_si,
+    left_out,
+)
 from calib.gap.series.plausible import plausible
 from calib.gap.series.split import RowSplit, split
 from calib.gap.series.validation import validated

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.effects.catalogue import comes_round, is_gear, series_of, series_terms, usual
-from calib.gap.effects.departures import departures
+from calib.gap.effects.columns import departures
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import (
     DEPARTURES,
@@ -26,13 +26,11 @@ from calib.gap.posterior.constants import (
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.search import Search, Weighed
 from calib.gap.posterior.term import Block, Key
-from calib.gap.residuals.operating_point import OperatingPoint
-from calib.gap.residuals.scene import SeriesScene
+from calib.gap.residuals.scene import OperatingPoint, SeriesScene
 from calib.gap.residuals.term import SeriesTerm, scaled
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.blocks import blocks_of
-from calib.gap.series.fit import SeriesFit, weighed
-from calib.gap.series.linear import SeriesLinear, cross_validated, marginalised, noises_of
+from calib.gap.series.linear import SeriesFit, SeriesLinear, cross_validated, marginalised, noises_of, weighed
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
 from calib.settling import Settling

@@ -12,11 +12,11 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import series_of
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import GROWS, LAW_MOST, REMAINS, SPEAKS, SURE_sd
-from calib.gap.posterior.parameters import is_exact
+from calib.gap.posterior.decide import is_exact
 from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.blocks import CAMERA
-from calib.gap.series.fit import SeriesFit, left
+from calib.gap.series.linear import SeriesFit, left
 from calib.gap.series.outcome import gap
 from calib.gap.series.split import Picked
 

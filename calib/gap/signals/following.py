@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.body import BodyTorques, Load
-from calib.gap.signals.parts import ActingTerms, sorted_terms
+from calib.gap.signals.body import ActingTerms, BodyTorques, Load, sorted_terms
 from calib.gap.signals.play import LinkDrive, LinkPlay, elastics, looses
 from calib.gap.signals.recording import Flags, RunSet
 from calib.gap.signals.terms import Law

@@ -18,14 +18,19 @@ import numpy as np
 from calib.arm_problem.frames import seen_less_far_m
 from calib.arm_problem.link_bending import bending_m
 from calib.arrays import Array
-from calib.gap.signals.angles import STILL, MotorAhead, angle_error, joint_ahead, place
-from calib.gap.signals.body import BodyTorques
+from calib.gap.signals.body import ActingTerms, BodyTorques, is_seen_alone, sorted_terms
 from calib.gap.signals.following import YieldingJoints
-from calib.gap.signals.friction import sampled_friction_Nm
-from calib.gap.signals.parts import ActingTerms, is_seen_alone, sorted_terms
 from calib.gap.signals.recording import EvenRun, RunSet
 from calib.gap.signals.staircase import Staircase, settled_shares
-from calib.gap.signals.terms import Law
+from calib.gap.signals.terms import (
+    STILL,
+    Law,
+    MotorAhead,
+    angle_error,
+    joint_ahead,
+    place,
+    sampled_friction_Nm,
+)
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 

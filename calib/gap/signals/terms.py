@@ -1,17 +1,18 @@
-"""Terms of a model of time series: an effect in one of its forms, with its values."""
+"""Terms of a model of time series: effects in their forms with their values; frictions and errors of angles along a motion."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Final, Literal, Protocol
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
 from control.model.effect_laws import Torque
+from control.model.effects import followed_joint, moved_joint
 
 PLAIN_STEP = 1e-3  # of finite differences of what rows follow in a straight line
 MEANT_FOR_Nm = 30.0  # largest torque of the drives that the sizes of torques are meant for
@@ -124,3 +125,122 @@ def typical(given_Nm: Array, form: Form, joint: int) -> float:
 def _of_drive(given_Nm: Array, form: Form, joint: int) -> float:
     """A joint's torque over that of the drives that the sizes of torques are meant for; 1 for what is no torque."""
     return float(given_Nm[joint]) / MEANT_FOR_Nm if form.is_torque and joint >= 0 else 1.0
+
+
+FAST, FASTEST = 0.3, 0.4  # of a turn of cogging's phase a sample: from here on it fades, and is gone
+
+
+class Moving(Protocol):
+    """Angles, speeds and accelerations (m, n) at times (m,)."""
+
+    @property
+    def q(self) -> Array:
+        """Angles."""
+
+    @property
+    def speed(self) -> Array:
+        """Speeds."""
+
+    @property
+    def acceleration(self) -> Array:
+        """Accelerations."""
+
+    @property
+    def t_s(self) -> Array:
+        """Times."""
+
+
+def sampled_friction_Nm(
+    term: Law, run: Moving, j: int, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
+) -> Array:
+    """`friction_Nm` along a run of equal samples, without what these cannot carry.
+
+    Cogging that passes faster than the samples can follow would come back as a slow torque that never was.
+    """
+    torque = friction_Nm(term, run, j, link_Nm, gear_ratio, ahead_rad)
+    if not term.form.is_of_motor:
+        return torque
+    period_s = float(run.t_s[1] - run.t_s[0])
+    turns = np.abs(term.order * gear_ratio * run.speed[:, j]) * period_s / (2.0 * np.pi)  # a sample
+    return np.asarray(torque * np.clip((FASTEST - turns) / (FASTEST - FAST), 0.0, 1.0))
+
+
+def friction_Nm(
+    term: Law, run: Moving, j: int, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
+) -> Array:
+    """Torque (m,) that the motor has to add for this term; `ahead_rad` (m,): its angle beyond what its encoder says."""
+    if term.form.torque is None:
+        raise ValueError(f"{term.form} is no torque at a motor")
+    angle = (run.q[:, j] + ahead_rad) * gear_ratio if term.form.is_of_motor else run.q[:, j]
+    return np.asarray(term.form.torque(term.values, term.order)(angle, run.speed[:, j], link_Nm))
+
+
+# Joints that are elsewhere than their encoders say: what link and motor then really do.
+#
+# An encoder that errs against its motor misstates the motor's speed too, which the back-EMF shows, and its angle, by which
+# cogging comes round: a milliradian at a joint is a tenth of a radian at a motor with a gear of 100. Where the error sits between
+# motor and link (`behind`), the motor is where its encoder says. What the camera alone sees (`seen`) moves no mass: a tip that
+# drifts behind the last link.
+@dataclass(frozen=True, slots=True)
+class MotorAhead:
+    """What the motor's angle, speed and acceleration have beyond what its encoder says, (m, n) or 0."""
+
+    angle_rad: Array | float
+    speed_rad_s: Array | float
+    acceleration_rad_s2: Array | float
+
+
+STILL: Final = MotorAhead(0.0, 0.0, 0.0)
+
+
+def joint_ahead(terms: Sequence[Law], q: Array, t_s: Array) -> Array:
+    """How much further than their encoders say the joints have turned, (m, n)."""
+    ahead = np.zeros_like(q)
+    for term in terms:
+        j, by = place(term)
+        ahead[:, j] += _turned(term, q[:, by], t_s)[0]
+    return ahead
+
+
+def motor_ahead(terms: Sequence[Law], q: Array, t_s: Array) -> Array:
+    """How much further than their encoders say the motors have turned, in joint angles, (m, n)."""
+    return joint_ahead([term for term in terms if _is_of_motor(term)], q, t_s)
+
+
+def _is_of_motor(term: Law) -> bool:
+    return term.form.where == "encoder" and not term.form.is_by_time
+
+
+def angle_error(terms: Sequence[Law], run: Moving) -> tuple[MotorAhead, tuple[Array, Array, Array]]:
+    """What the motors do beyond their encoders, and the links' angles, speeds and accelerations."""
+    q, speed, acceleration = np.array(run.q), np.array(run.speed), np.array(run.acceleration)
+    motor = np.zeros((3, *q.shape))
+    for term in terms:
+        if term.form.where == "seen":
+            continue
+        j, by = place(term)
+        v, a = run.speed[:, by], run.acceleration[:, by]
+        turned, slope, bend = _turned(term, run.q[:, by], run.t_s)
+        is_by_time = term.form.is_by_time
+        faster = np.asarray(slope if is_by_time else slope * v)
+        pushed = np.asarray(bend if is_by_time else slope * a + bend * v * v)
+        q[:, j] += turned
+        speed[:, j] += faster
+        acceleration[:, j] += pushed
+        if _is_of_motor(term):
+            motor[:, :, j] += turned, faster, pushed
+    return MotorAhead(*motor), (q, speed, acceleration)
+
+
+def place(term: Law) -> tuple[int, int]:
+    """The joint (0-based) that is elsewhere, and the one whose angle says how far."""
+    name = term.name
+    moved, followed = moved_joint(name.effect, name.joint), followed_joint(name.effect, name.joint)
+    return (moved or 0) - 1, (followed or 0) - 1
+
+
+def _turned(term: Law, q: Array, t_s: Array) -> tuple[Array, Array, Array]:
+    """The error and its first and second derivative by the angle, by time for a drift."""
+    if term.form.angle is None:
+        raise ValueError(f"{term.form} is no error of an angle")
+    return term.form.angle(term.values, q, t_s)

@@ -9,13 +9,11 @@ import pytest
 
 from calib.arrays import Array
 from calib.gap.effects.catalogue import RECORDS, known_laws, parameters
-from calib.gap.effects.electrical import SAMPLING
+from calib.gap.effects.motor import SAMPLING
 from calib.gap.residuals.rows import ResidualRows
-from calib.gap.signals.angles import angle_error
-from calib.gap.signals.friction import friction_Nm
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
-from calib.gap.signals.terms import Form, Law
+from calib.gap.signals.terms import Form, Law, angle_error, friction_Nm
 from control.dynamics.feedforward import torque_model
 from control.model.arm import Arm, Effect
 from control.model.description import load_arm

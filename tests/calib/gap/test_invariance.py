@@ -22,13 +22,12 @@ import pytest
 
 from benchmarks.gap.static.cases import Design, Hidden, designed
 from calib.gap.finding import EffectName, GapFinding
-from calib.gap.log import Log
+from calib.gap.log import Log, amperes_per
 from calib.gap.poses.find import find
 from calib.gap.poses.floor import noise_floor
-from calib.gap.poses.measured import Left
+from calib.gap.poses.linear import Left
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import parts, split
-from calib.gap.units import amperes_per
 from calib.gap.workflow import find_gap, read_recordings
 from calib.points.points import Points
 from calib.points.writer import write_points

@@ -12,11 +12,9 @@ import pytest
 
 from benchmarks.gap.static.cases import ARM, case
 from calib.gap.effects.catalogue import RECORDS
-from calib.gap.effects.departures import by_angle
-from calib.gap.effects.friction import friction, torque_of
-from calib.gap.effects.pose_columns import harmonics, term_on_joint
-from calib.gap.effects.pose_scene import PoseScene
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries
+from calib.gap.effects.columns import by_angle
+from calib.gap.effects.motor import friction, torque_of
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, harmonics, term_on_joint
 from calib.gap.finding import EffectName
 from calib.gap.model_update import updated_arm
 from calib.gap.poses.find import find as find_in_poses

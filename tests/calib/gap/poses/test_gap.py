@@ -7,7 +7,7 @@ from benchmarks.gap.static.cases import ARM, DESIGNS, Design, FRICTION_Nm, Hidde
 from calib.arm_problem.joint_effects import resting_points
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
-from calib.gap.poses.measured import rms
+from calib.gap.poses.linear import rms
 from control.dynamics.dynamics import Dynamics
 from tests.thirds import third_of
 

@@ -10,7 +10,7 @@ from benchmarks.gap.static.rough_cases import case
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.find import find
-from calib.gap.poses.measured import Fit
+from calib.gap.poses.linear import Fit
 from control.dynamics.static_pose import gravity_Nm, torque_per_A
 from tests.thirds import third_of
 

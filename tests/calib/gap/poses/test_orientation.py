@@ -13,7 +13,7 @@ from calib.gap.finding import EffectName
 from calib.gap.poses.cautions import UNKNOWN_TURNS, about_orientations
 from calib.gap.poses.find import find
 from calib.gap.poses.floor import Floor, noise_floor
-from calib.gap.poses.measured import Fit, Left, by_joints
+from calib.gap.poses.linear import Fit, Left, by_joints
 from calib.gap.posterior.term import Block, Term, on_joint
 from calib.gap.words import in_words
 from control.model.arm import Arm, Camera

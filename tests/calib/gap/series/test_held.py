@@ -9,7 +9,7 @@ import pytest
 
 from calib.arrays import Array
 from calib.gap.log import Log, LoggedRun
-from calib.gap.signals.held import not_held
+from calib.gap.series.plausible import not_held
 from calib.gap.signals.recording import prepare
 from tests.calib.gap.series.prescribed import arm_with_friction
 

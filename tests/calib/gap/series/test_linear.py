@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from calib.gap.finding import EffectName
-from calib.gap.residuals.operating_point import OperatingPoint
 from calib.gap.residuals.rows import ChannelRows
-from calib.gap.residuals.scene import Thin
+from calib.gap.residuals.scene import OperatingPoint, Thin
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.linear import SeriesLinear
 from calib.gap.signals.terms import Law

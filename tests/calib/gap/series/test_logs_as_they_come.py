@@ -10,7 +10,15 @@ import pytest
 
 from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws
-from calib.gap.log import Log, LoggedRun
+from calib.gap.log import (
+    UNITS,
+    Log,
+    LoggedRun,
+    amperes_per,
+    log_in_amperes,
+    with_ideal_drives,
+    without_voltages,
+)
 from calib.gap.residuals.rows import ResidualRows, without_motion
 from calib.gap.series.plausible import plausible
 from calib.gap.signals.body import BodyTorques, Load
@@ -19,7 +27,6 @@ from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import RunSet, UnusableLogError, part_of, prepare
 from calib.gap.signals.sampling import period_of
 from calib.gap.signals.terms import Law
-from calib.gap.units import UNITS, amperes_per, log_in_amperes, with_ideal_drives, without_voltages
 from control.model.description import load_arm
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 

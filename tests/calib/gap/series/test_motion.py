@@ -12,8 +12,7 @@ from calib.gap.effects.catalogue import RECORDS, known_laws
 from calib.gap.finding import EffectName
 from calib.gap.log import Log
 from calib.gap.series.find import find
-from calib.gap.signals.forward import Forward, ForwardState
-from calib.gap.signals.motion import CLOSED, OPEN, motion_gaps
+from calib.gap.signals.motion import CLOSED, OPEN, Forward, ForwardState, motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
 from calib.gap.signals.terms import Law

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.log import Log
+from calib.gap.residuals.scene import without_noise
 from calib.gap.signals.recording import RunSet, prepare
-from calib.gap.signals.wiener import without_noise
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 ARM = arm_with_friction()

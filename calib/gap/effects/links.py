@@ -1,4 +1,4 @@
-"""The frame that the camera and the table call base, where it is not the arm's, and links of another geometry.
+"""Links of another geometry, links that bend under weight, and the frame that is called base and is not the arm's.
 
 What the first link's d and theta do (and in the modified convention its L and alpha) is the same as a move of that frame along
 and about the first axis: no pose can tell it, and it counts as geometry. The rest is rigid in the world, and no joint's doing.
@@ -6,21 +6,91 @@ and about the first axis: no pose can tell it, and it counts as geometry. The re
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 
+from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import BASE_FRAME, Choice, base_frame_of
 from calib.arm_problem.frames import rotation_of, rotation_vector, seen_less_far_m
+from calib.arm_problem.link_bending import Bending, beams, bending, link_frames
 from calib.arrays import Array
 from calib.gap.effects.columns import straight
-from calib.gap.effects.pose_scene import PoseScene
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, in_poses, stated_kg
 from calib.gap.finding import GEOMETRY, LINK_KEYS, EffectName, Parameters
-from calib.gap.posterior.coefficients import ToParameters, sized
-from calib.gap.posterior.term import Term
+from calib.gap.posterior.term import Term, ToParameters, parameters_of, sized
 from calib.gap.signals.terms import Form, Law
+from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.model.arm import Arm
+
+
+def _flexure(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
+    """A cantilever; its own weight in its centre of mass, or spread along it."""
+    arm, size = with_link_inertia(scene.arm), in_poses(record).size
+    if not any(link.mass_kg for link in arm.links):
+        return
+    q, hung = scene.joint_rad, stated_kg(scene.points) + own_payload_kg(arm)
+    for link in beams(arm):
+        bare = _both(bending(arm, arm.dh, q, np.zeros(len(q)), link))
+        payload = _both(bending(arm, arm.dh, q, hung, link)) - bare
+        alone = dataclasses.replace(
+            arm, links=tuple(dataclasses.replace(one, mass_kg=one.mass_kg if k == link else 0.0)
+                             for k, one in enumerate(arm.links, start=1)),
+        )  # fmt: skip
+        own = (
+            _both(bending(alone, arm.dh, q, np.zeros(len(q)), link))
+            if alone.links[link - 1].mass_kg
+            else 0.0 * bare
+        )
+        for variant, weight in enumerate((own, _both(_spread(arm, q, link))) if own.any() else (own,)):
+            parts = [weight, bare - own, payload]
+            total = np.asarray(sum(parts))
+            if np.ptp(total, axis=0).max() == 0.0:
+                continue
+            departs = [part for part in parts if np.ptp(part, axis=0).max() > 0.0]
+            columns = size * np.array([total, *departs])
+            yield Term(
+                EffectName(record.effect, link), "", 1, len(departs), size, slope_m=columns[..., :3], turn_rad=columns[..., 3:],
+                variant=float(variant), is_positive=True, parameters=parameters_of(record.effect), variable="load",
+                traits=record.traits,
+            )  # fmt: skip
+
+
+def _both(bent: Bending) -> Array:
+    """Displacements and turns side by side, (m, 6)."""
+    return np.hstack(bent)
+
+
+def _spread(arm: Arm, q_rad: Array, link: int) -> Bending:
+    """What happens per 1 / EI when a link's own weight is spread evenly along it (q l^4 / 8, q l^3 / 6)."""
+    frames = link_frames(ArmModel(arm), arm.dh, q_rad)
+    before = 0 if arm.dh_convention == "modified" else 1
+    following = next(
+        (k for k, one in enumerate(arm.links, start=1) if k > link and one.joint == "revolute"), None
+    )
+    begin = frames.origin_m[:, link - before]
+    end = frames.tip_m if following is None else frames.origin_m[:, following - before]
+    length = np.linalg.norm(end - begin, axis=1, keepdims=True)
+    along = (end - begin) / length
+    mass = sum(
+        one.mass_kg or 0.0
+        for k, one in enumerate(arm.links, start=1)
+        if k >= link and (following is None or k < following)
+    )
+    force = np.broadcast_to(mass * np.asarray(arm.gravity_m_s2), begin.shape)
+    across = force - np.sum(force * along, axis=1, keepdims=True) * along
+    turn = np.cross(along, across) * length**2 / 6.0
+    return Bending(across * length**3 / 8.0 + np.cross(turn, frames.tip_m - end), turn)
+
+
+def _links(arm: Arm) -> tuple[int, ...]:
+    """The beams of an arm whose masses are known."""
+    return beams(arm) if all(link.mass_kg for link in arm.links if link.joint == "revolute") else ()
+
+
+FORM = Form("link_flexure", "beam", 1 / 3000.0, steps=(1e-4,), lower=(1e-6,), upper=(1.0,))
+
 
 FRAME = "base_frame"
 SHIFT_m, TURN_rad = 0.002, 0.005
@@ -91,6 +161,13 @@ def _geometry(arm: Arm, law: Law, covariance: Array) -> Parameters:
 
 
 RECORDS = (
+    EffectRecord(
+        "link_flexure", role="angle",
+        poses=InPoses(
+            1.0 / 400.0, _flexure, "markers at both ends of that link, with and without a known payload"
+        ),
+        series=InSeries((FORM,), straight, "tip", places=_links, least=lambda arm, law: 0.0),
+    ),
     EffectRecord(
         FRAME,
         poses=InPoses(1.0, _frame, "markers on the arm's base, or the board seated anew", is_total=False),
