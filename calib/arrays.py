@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -14,6 +16,11 @@ def frozen(values: npt.ArrayLike) -> Array:
     copy = np.array(values, dtype=np.float64)
     copy.flags.writeable = False
     return copy
+
+
+def rms(values: Array) -> float:
+    """Root mean square; NaN of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 def norms(vectors: Array) -> Array:

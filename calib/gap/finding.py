@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from calib.arrays import Array
 from control.files import write_whole
 from control.model.effects import moved_joint, place_of
 from control.model.maps import CorrectionMap
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
 
@@ -35,10 +40,6 @@ class EffectName:
         """The joint or link that it moves."""
         return moved_joint(self.effect, self.joint)
 
-    def content(self) -> dict[str, object]:
-        """For gap.json."""
-        return {"effect": self.effect, "joint": self.joint}
-
 
 @dataclass(frozen=True, slots=True)
 class NamedEffect:
@@ -58,6 +59,22 @@ class NamedEffect:
     departure: float = math.nan
     variable: str = ""
     is_nothing: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnLaw:
+    """What the data show of an effect at k poses or rows, its law, and the law with its departure.
+
+    `at` (k,) with the label `variable`; data, law, whole (k,) in `unit`: mrad of the joint, mm of the tip, mA of a motor.
+    """
+
+    name: EffectName
+    variable: str
+    unit: str
+    at: Array
+    data: Array
+    law: Array
+    whole: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,86 +189,77 @@ def write_gap_json(path: Path, found: GapFinding) -> None:
 
 def gap_content(found: GapFinding) -> dict[str, object]:
     """What stands in gap.json."""
-    return {
+    whole = {
         "format": "gap/2",
         "arm": found.arm,
-        "data": list(found.data),
-        "noise_floor": _numbers(found.noise_floor),
+        "data": found.data,
+        "noise_floor": found.noise_floor,
         "gap": {
-            "before": _number(found.gap_before),
-            "after": _number(found.gap_after),
-            "explained": _number(found.gap_explained),
-            "before_si": _numbers(found.before_si),
-            "after_si": _numbers(found.after_si),
+            "before": found.gap_before,
+            "after": found.gap_after,
+            "explained": found.gap_explained,
+            "before_si": found.before_si,
+            "after_si": found.after_si,
         },
-        "effects": [_named(effect) for effect in found.effects],
-        "ambiguous": [[name.content() for name in names] for names in found.ambiguous],
-        "unknown": None if found.unknown is None else _unknown(found.unknown),
+        "effects": [
+            {
+                **_fields(one.name),
+                "parameters": {
+                    key: {"value": value, "sd": sd} for key, (value, sd) in one.parameters.items()
+                },
+                "is_nothing": one.is_nothing,
+                "gap_after": one.gap_after,
+                "probability": one.probability,
+                "share": one.share,
+                "law_departure": None
+                if math.isnan(one.departure)
+                else {"fraction": one.departure, "variable": one.variable},
+                "evidence": one.evidence,
+            }
+            for one in found.effects
+        ],
+        "ambiguous": found.ambiguous,
+        "unknown": found.unknown,
         "nameable": [
             {
-                **one.name.content(),
-                "detectability": _number(one.detectability),
-                "confusable_with": [name.content() for name in one.confusable_with],
+                **_fields(one.name),
+                "detectability": one.detectability,
+                "confusable_with": one.confusable_with,
                 "is_nameable": one.is_nameable,
             }
             for one in found.nameable
         ],
         "next_experiment": found.next_experiment,
-        "remainder": [
-            {"where": one.where, "share": _number(one.share), "size_si": _numbers(one.size_si)}
-            for one in found.remainder
-        ],
-        "open_questions": [
-            {"question": one.question, "next_experiment": one.next_experiment} for one in found.open_questions
-        ],
-        "maps": None if found.maps is None else _maps(found.maps),
-    }
-
-
-def _named(effect: NamedEffect) -> dict[str, object]:
-    return {
-        **effect.name.content(),
-        "parameters": {
-            name: {"value": value, "sd": _number(sd)} for name, (value, sd) in effect.parameters.items()
+        "remainder": found.remainder,
+        "open_questions": found.open_questions,
+        "maps": found.maps
+        and {
+            "tables": [_table(one) for one in found.maps.maps],
+            "checked": [
+                {"channel": one.channel, "joint": one.joint, "before_si": one.before, "after_si": one.after}
+                for one in found.maps.checks
+            ],
         },
-        "is_nothing": effect.is_nothing,
-        "gap_after": _number(effect.gap_after),
-        "probability": _number(effect.probability),
-        "share": _number(effect.share),
-        "law_departure": None
-        if math.isnan(effect.departure)
-        else {"fraction": effect.departure, "variable": effect.variable},
-        "evidence": _numbers(effect.evidence),
     }
+    return {key: _plain(value) for key, value in whole.items()}
 
 
-def _maps(found: MeasuredMaps) -> dict[str, object]:
-    return {
-        "tables": [
-            {
-                "joint": one.joint,
-                "corrects": one.corrects,
-                "over": one.over,
-                "largest": max(map(abs, one.values)),
-                "largest_by_direction": max(map(abs, one.by_direction), default=0.0),
-            }
-            for one in found.maps
-        ],
-        "checked": [
-            {"channel": one.channel, "joint": one.joint, "before_si": one.before, "after_si": one.after}
-            for one in found.checks
-        ],
-    }
+def _table(one: CorrectionMap) -> dict[str, object]:
+    largest, directed = (max(map(abs, own), default=0.0) for own in (one.values, one.by_direction))
+    where = {"joint": one.joint, "corrects": one.corrects, "over": one.over}
+    return {**where, "largest": largest, "largest_by_direction": directed}
 
 
-def _unknown(unknown: Unknown) -> dict[str, object]:
-    nearest = None if unknown.nearest is None else unknown.nearest.content()
-    return {"where": unknown.where, "nearest": nearest, "explained": _number(unknown.explained)}
+def _fields(one: DataclassInstance) -> dict[str, object]:
+    return {field.name: getattr(one, field.name) for field in fields(one)}
 
 
-def _numbers(values: Mapping[str, float]) -> dict[str, float | None]:
-    return {name: _number(value) for name, value in values.items()}
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _plain(value: object) -> object:
+    """For JSON: records by the names of their fields, and null for a number that is not known."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(_fields(value))
+    if isinstance(value, Mapping):
+        return {key: _plain(own) for key, own in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(own) for own in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,25 +5,30 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.gap.drawn_law import law_picture
-from calib.gap.finding import GapFinding, NamedEffect
+from calib.arrays import rms
+from calib.gap.effects.catalogue import comes_round
+from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.maps.choose import MapsFound
-from calib.gap.maps.pictures import map_sections
+from calib.gap.pictures import (
+    channels_picture,
+    joint_picture,
+    ladder_picture,
+    law_picture,
+    map_picture,
+    motion_picture,
+    places_picture,
+    recordings_picture,
+    spectrum_picture,
+    time_picture,
+)
 from calib.gap.poses.outcome import StaticGap
-from calib.gap.poses.pictures import joint_picture, places_picture, recordings_picture
-from calib.gap.series.drawing.pictures import dynamic_sections
+from calib.gap.residuals.rows import ChannelRows
 from calib.gap.series.outcome import DynamicOutcome
-from calib.gap.words import in_words, listed
-from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
+from calib.gap.words import in_words, listed, unit_of
 from calib.report.page import Section, bullets, page, paragraph, table, tiles, verdict
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 MOST_PARAMETERS = 12  # rows of one effect; the geometry has more
 
@@ -69,8 +74,7 @@ def gap_parts(report: GapReport) -> Iterator[Section | str]:
 
 def _tiles(found: GapFinding) -> Iterator[tuple[str, str, str]]:
     yield "before", f"{found.gap_before:.2f}", f"times the noise before, on {found.judged_on}"
-    after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "–"
-    yield "after", after, "times the noise that the new arm.toml leaves"
+    yield "after", _number(found.gap_after, ".2f"), "times the noise that the new arm.toml leaves"
     names = [one for one in found.effects if one.name.effect != "link_geometry"]
     yield "", str(len(names)), f"effect{'s' if len(names) != 1 else ''} named, apart from the geometry"
     yield "", "yes" if found.unknown is not None else "no", "a residual that no known effect explains"
@@ -80,7 +84,10 @@ def _ladders(report: GapReport) -> Iterator[Section]:
     """One per level: their channels differ in kind."""
     for level, name in ((report.static, "Static poses"), (report.dynamic, "Time series")):
         if level is not None:
-            yield Section(f"{name}: the gap after each step", ladder(level.finding))
+            steps = steps_of(level.finding)
+            drawn = ladder_picture(steps, level.finding.judged_on) if steps else ""
+            said = drawn or paragraph("The gap could not be determined.")
+            yield Section(f"{name}: the gap after each step", said + channels_table(level.finding))
 
 
 def _effects(found: GapFinding) -> Section:
@@ -99,27 +106,22 @@ def _parameter_rows(effect: NamedEffect) -> Iterator[tuple[tuple[str, str] | str
         :MOST_PARAMETERS
     ]
     shown = [(name, value) for name, value in effect.parameters.items() if (name, value) in largest]
+    figures = (
+        _number(effect.probability, ".3f"), _number(100.0 * effect.share, ".1f"), _number(100.0 * effect.departure, ".1f"),
+        _number(effect.gap_after, ".3f"),
+    )  # fmt: skip
     for k, (name, (value, sd)) in enumerate(shown):
         first = k == 0
         yield (
             ("text", str(effect.name) if first else ""),
             ("text", name),
             f"{value:.4g}",
-            f"{sd:.2g}" if sd == sd else "–",
-            *(_numbers(effect) if first else ("",) * 4),
+            _number(sd, ".2g"),
+            *(figures if first else ("",) * 4),
         )
     more = len(effect.parameters) - len(shown)
     if more:
         yield ("text", ""), ("text", f"and {more} more, in gap.json"), *("",) * 6
-
-
-def _numbers(effect: NamedEffect) -> tuple[str, ...]:
-    return (
-        _number(effect.probability, ".3f"),
-        _number(100.0 * effect.share, ".1f"),
-        _number(100.0 * effect.departure, ".1f"),
-        _number(effect.gap_after, ".3f"),
-    )
 
 
 def _number(value: float, form: str) -> str:
@@ -181,14 +183,11 @@ def _joints(gap: StaticGap) -> Sequence[int]:
 def _nameable(found: GapFinding) -> Section:
     rows = [
         (
-            str(one.name),
-            f"{one.detectability:.1f}",
-            f"{one.needed_sd:.1f}",
-            ("text", listed(one.confusable_with) if one.confusable_with else ""),
-            ("text", "yes" if one.is_nameable else "no"),
+            str(one.name), f"{one.detectability:.1f}", f"{one.needed_sd:.1f}",
+            ("text", listed(one.confusable_with) if one.confusable_with else ""), ("text", "yes" if one.is_nameable else "no"),
         )
         for one in sorted(found.nameable, key=lambda one: (one.name.effect, one.name.joint or 0))
-    ]
+    ]  # fmt: skip
     header = (
         "effect",
         "detectability [sd]",
@@ -206,14 +205,6 @@ def _nameable(found: GapFinding) -> Section:
     )
 
 
-# The gap as a waterfall from the nominal model to the noise, one step an effect, and in the channels' own units.
-
-UNITS = {
-    "tip_m": ("mm", 1e3), "current_A": ("mA", 1e3), "voltage_V": ("mV", 1e3), "q_rad": ("mrad", 1e3),
-    "q_loop_rad": ("mrad", 1e3), "turn_rad": ("mrad", 1e3),
-}  # fmt: skip
-
-
 def steps_of(found: GapFinding) -> list[tuple[str, float]]:
     """The nominal model, then with one effect more at a time, last with maps of what sets share; the gap after each, where there
     is one.
@@ -224,57 +215,91 @@ def steps_of(found: GapFinding) -> list[tuple[str, float]]:
     return [(name, gap) for name, gap in steps if math.isfinite(gap) and gap > 0.0]
 
 
-def ladder_picture(found: GapFinding) -> str:
-    """What each step takes off the gap, and what the last one leaves above the noise."""
-    steps = steps_of(found)
-    return svg((10.4, 0.9 + 0.36 * (len(steps) + 1)), lambda figure: _draw(figure, steps, found.judged_on))
-
-
 def channels_table(found: GapFinding) -> str:
     """Noise, gap before and after of every channel in its own unit."""
     rows = []
     for channel, floor in found.noise_floor.items():
-        unit, factor = UNITS.get(channel, (channel.rpartition("_")[2], 1.0))
-        name = channel.rpartition("_")[0] or channel
+        unit, factor = unit_of(channel)
         values = (floor, found.before_si.get(channel, math.nan), found.after_si.get(channel, math.nan))
+        name = channel.rpartition("_")[0] or channel
         rows.append((f"{name} [{unit}]", *(_number(factor * value, ".3g") for value in values)))
     return table(("channel, root mean square", "noise", ("before", "before"), ("after", "after")), rows)
 
 
 def in_units(size_si: Mapping[str, float]) -> str:
     """Sizes by channel as `0.12 mm`."""
-    texts = []
-    for channel, value in size_si.items():
-        unit, factor = UNITS.get(channel, (channel.rpartition("_")[2], 1.0))
-        texts.append(f"{_number(factor * value, '.3g')} {unit}")
-    return ", ".join(texts)
+    seen = ((value, *unit_of(channel)) for channel, value in size_si.items())
+    return ", ".join(f"{_number(factor * value, '.3g')} {unit}" for value, unit, factor in seen)
 
 
-def _draw(figure: Figure, steps: Sequence[tuple[str, float]], judged_on: str) -> None:
-    axes = figure.subplots()
-    count = len(steps) + 1
-    figure.subplots_adjust(left=0.26, right=0.95, top=0.98, bottom=0.5 / (0.9 + 0.36 * count))
-    gaps = [gap for _, gap in steps]
-    least, most = min(0.5, 0.8 * min(gaps)), max(2.0, 1.5 * max(gaps))
-    begins, ends = [least, *gaps[1:], min(1.0, gaps[-1])], [gaps[0], *gaps[:-1], max(1.0, gaps[-1])]
-    colours = [BEFORE, *([AFTER] * (len(steps) - 1)), PLANNED]
-    for at, (begin, end, colour) in enumerate(zip(begins, ends, colours, strict=True)):
-        axes.barh(at, end - begin, left=begin, color=colour, height=0.62)
-        axes.text(max(begin, end) * 1.04, at, f"{([*gaps, gaps[-1]])[at]:.2f}", va="center", size=8)
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.axvline(1.0, color=PLANNED, lw=1.2, ls="--")
-    axes.set_xlim(least, most)
-    names = [name if k == 0 else f"+ {name}" for k, (name, _) in enumerate(steps)]
-    axes.set_yticks(list(range(count)), [*names, "left, beside the noise"])
-    axes.invert_yaxis()
-    axes.set_xlabel(
-        f"gap over noise on {judged_on} (dashed: 1, noise only); a bar is the reduction by its step"
+CELLS_MOST = 4  # drawn in time
+ROWS_LEAST = 60  # of a cell that is drawn
+
+
+def dynamic_sections(outcome: DynamicOutcome) -> Iterator[Section]:
+    """The gap by channel, which run and channel show most, and what is left along what was named."""
+    found, before, table_ = outcome.finding, outcome.before, outcome.rows
+    kept = ", ".join(name for name in outcome.run_names if name in outcome.split.report_runs)
+    about = paragraph(
+        f"The noise floor comes from {table_.floor_source}; runs {kept} were held out for the report."
     )
+    said = bullets(outcome.warnings) if outcome.warnings else ""
+    if math.isfinite(found.gap_before):
+        drawn = channels_picture(outcome)
+    else:
+        drawn = paragraph("No row of the held-out runs counts: there is no gap to draw.")
+    yield Section("Time series: the gap by channel", about + said + drawn)
+    # the cells with most before
+    cells = sorted((c for c in table_.cells if before[c.rows].size), key=lambda c: -rms(before[c.rows]))
+    if cells:
+        run_of, worst = table_.run[cells[0].rows], before[cells[0].rows]
+        run = max((int(k) for k in np.unique(run_of)), key=lambda k: rms(worst[run_of == k]))
+        text = paragraph("The run with the largest residual; rows beside reversals and gaps are not used.")
+        title = f"Time series: residuals in time, run {outcome.run_names[run]}"
+        yield Section(title, text + time_picture(outcome, run, cells[:CELLS_MOST]))
+    for law in outcome.laws:
+        yield Section(f"Time series: {law.name}: data, law and departure", law_picture(law))
+    for effect in found.effects:
+        if (cell := _cell_of(outcome, effect.name)) is not None:
+            is_wave = comes_round(effect.name.effect)
+            drawn = (
+                spectrum_picture(outcome, cell, effect)
+                if is_wave
+                else motion_picture(outcome, cell, str(effect.name))
+            )
+            yield Section(f"Time series: along {effect.name}", drawn)
+    if not found.effects and found.unknown is not None and cells:
+        yield Section(f"Time series: residual in {cells[0]}", motion_picture(outcome, cells[0], "residual"))
 
 
-def ladder(found: GapFinding) -> str:
-    """Picture and table; a sentence where there is nothing to draw."""
-    if not steps_of(found):
-        return paragraph("The gap could not be determined.") + channels_table(found)
-    return ladder_picture(found) + channels_table(found)
+def _cell_of(outcome: DynamicOutcome, name: EffectName) -> ChannelRows | None:
+    """Where an effect took most: its own joint's cells first."""
+    taken = [
+        (float(np.sum(outcome.before[cell.rows] ** 2) - np.sum(outcome.after[cell.rows] ** 2)), cell)
+        for cell in outcome.rows.cells
+        if outcome.before[cell.rows].size >= ROWS_LEAST
+    ]
+    own = [one for one in taken if name.joint is None or one[1].joint in (name.joint - 1, -1)]
+    most, found = max(own or taken, key=lambda one: one[0], default=(0.0, None))
+    return found if most > 0.0 else None
+
+
+def map_sections(found: MapsFound) -> Iterator[Section]:
+    """What measured maps are good for, and each table beside what was measured; none where no map helped: a note says that."""
+    if not found.drawn:
+        return
+    header = (
+        ("text", "on recordings that were not fitted"),
+        ("before", "without maps"),
+        ("after", "with maps"),
+    )
+    rows: list[tuple[str | tuple[str, str], ...]] = []
+    for one in found.checks:
+        unit, factor = unit_of(one.channel)
+        what = "tip" if one.joint is None else f"torque of joint {one.joint}"
+        values = (f"{factor * size:.3g}" for size in (one.before, one.after))
+        rows.append((("text", f"{what}, root mean square [{unit}]"), *values))
+    about = "What departs from its law or has no name, as it was measured. A map corrects; it explains nothing and names nothing."
+    yield Section("Measured maps", paragraph(about) + table(header, rows))
+    for drawn in found.drawn:
+        yield Section(f"Measured map: {drawn.map}", map_picture(drawn))

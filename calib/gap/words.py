@@ -14,6 +14,15 @@ BEYOND = 1.05  # times what is left beside departures: arm.toml leaves more
 AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
 
 
+_UNITS = {"m": ("mm", 1e3), "A": ("mA", 1e3), "V": ("mV", 1e3), "rad": ("mrad", 1e3), "Nm": ("N m", 1.0)}
+
+
+def unit_of(channel: str) -> tuple[str, float]:
+    """The unit in which a reader sees a channel, and its factor: `tip_m` in mm."""
+    unit = channel.rpartition("_")[2]
+    return _UNITS.get(unit, (unit, 1.0))
+
+
 def in_words(found: GapFinding) -> tuple[str, ...]:
     """Sentences that can be read alone."""
     return tuple(_sentences(found))
@@ -83,9 +92,8 @@ def _maps(found: GapFinding) -> Iterator[str]:
         return
     yield f"Measured as maps, which correct without a cause: {', '.join(map(str, found.maps.maps))}."
     for one in found.maps.checks:
-        unit, factor = (
-            ("mm at the tip", 1e3) if one.channel == "tip_m" else (f"N m on joint {one.joint}", 1.0)
-        )
+        unit, factor = unit_of(one.channel)
+        unit += " at the tip" if one.joint is None else f" on joint {one.joint}"
         yield (
             f"On recordings that were not fitted, arm.toml leaves {factor * one.before:.3g} {unit} without its maps and"
             f" {factor * one.after:.3g} with them."

@@ -11,7 +11,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects import encoder, gear, links, loads, motor
 from calib.gap.effects.columns import known_law, unlisted
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, Role
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, Role, Sought
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import Block, Key, Term, parameters_of
@@ -129,7 +129,7 @@ def series_terms(
         if before and key not in around.found and not is_other:
             yield from (one for one in before if one.key == own)
         elif record.series is not None:
-            terms = record.series.terms(around, record, key)
+            terms = record.series.terms(Sought(around, record, key))
             yield from terms if is_listed else map(unlisted, terms)
 
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.record import EffectRecord, InSeries, Shape
+from calib.gap.effects.record import EffectRecord, Shape, Sought
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import SPEAKS_FOR
 from calib.gap.posterior.term import Block
-from calib.gap.residuals.scene import OperatingPoint, Response, RowConditions, SeriesScene
+from calib.gap.residuals.scene import Response, RowConditions, SeriesScene
 from calib.gap.residuals.term import Curve, SeriesTerm, departed, scaled, size_of, stacked
-from calib.gap.signals.terms import Form, Law, typical
+from calib.gap.signals.terms import Form, Law
 from control.model.effects import followed_joint, linear_values
 
 
@@ -86,53 +86,28 @@ def departures(
     return (stacked(parts) if parts else {}), alike
 
 
-def in_series(record: EffectRecord) -> InSeries:
-    """What a record has of time series."""
-    if record.series is None:
-        raise ValueError(f"{record.effect} is not looked for in time series")
-    return record.series
-
-
-def size_of_law(around: OperatingPoint, record: EffectRecord, form: Form, key: EffectName) -> float:
-    """The usual size of a law on its joint or link."""
-    return in_series(record).usual * typical(around.scene.given_Nm, form, (key.joint or 0) - 1)
-
-
-def made(
-    around: OperatingPoint,
-    record: EffectRecord,
-    key: EffectName,
+def filled(
+    sought: Sought,
+    term: SeriesTerm,
     laws: Response,
-    size: float,
-    law: Callable[[Array], Law],
     nuisances: Sequence[Response] = (),
-    variant: float = 0.0,
-    is_positive: bool = False,
-    now: Array | None = None,
     more: Response | None = None,
-    is_common: bool = False,
-    reach: tuple[float, float] = (0.0, math.inf),
     towards: tuple[float, float] | None = None,
 ) -> Iterator[SeriesTerm]:
-    """The term of a law's response per usual size; `more`: departures beside those of its variable.
+    """A term with its columns, from its law's response per usual size; `more`: departures beside those of its variable.
 
     `towards`: the law's first value at which its response is a secant, and that at which the first nuisance has it.
     """
     if not laws:
         return
-    series, joint = in_series(record), (followed_joint(key.effect, key.joint) or 1) - 1
-    bent, alike = departures(around.scene, series.departs, joint, laws)
+    series, joint = sought.series, (followed_joint(sought.key.effect, sought.key.joint) or 1) - 1
+    bent, alike = departures(sought.around.scene, series.departs, joint, laws)
     departs = [own for own in (bent, more or {}) if own]
-    parts = [laws, *departs, *nuisances]
-    response = stacked(parts)
-    count = next(iter(laws.values())).shape[1]
-    width = next(iter(response.values())).shape[1]
-    bends = sum(next(iter(own.values())).shape[1] for own in departs)
-    curve = None if towards is None else Curve(count + bends, *towards, size)
-    yield SeriesTerm(
-        key, str(key), count, bends, size, variant=variant, is_positive=is_positive, variable=series.variable,
-        traits=record.traits, response=response, width=width, law=law, now=now, is_common=is_common, least=reach[0],
-        most=reach[1], alike=alike, curve=curve,
+    count, bends = (sum(next(iter(own.values())).shape[1] for own in some) for some in ([laws], departs))
+    yield dataclasses.replace(
+        term, words=str(term.key), laws=count, departures=bends, variable=series.variable, traits=sought.record.traits,
+        response=stacked([laws, *departs, *nuisances]), alike=alike,
+        curve=None if towards is None else Curve(count + bends, *towards, term.size),
     )  # fmt: skip
 
 
@@ -158,46 +133,33 @@ def known_law(record: EffectRecord, name: EffectName, given: Mapping[str, float]
     return Law(name, series.form, (*values, *nought), given.get("order", 0.0))
 
 
-def straight(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
+def straight(sought: Sought) -> Iterator[SeriesTerm]:
     """Every form of a law that the rows follow in a straight line, or nearly so; later, the form that was found."""
-    own = around.found.get(key)
-    for form in in_series(record).forms:
-        if own is None or own.form is form:
-            yield from _straight(around, record, key, form)
+    for form in sought.forms:
+        yield from _straight(sought, form)
 
 
-def _straight(
-    around: OperatingPoint, record: EffectRecord, key: EffectName, form: Form
-) -> Iterator[SeriesTerm]:
+def _straight(sought: Sought, form: Form) -> Iterator[SeriesTerm]:
+    around, key, own, size = sought.around, sought.key, sought.own, sought.size(form)
     count = form.count or 4 * len(around.scene.arm.links)
     law = Law(key, form, (0.0,) * count)
-    size = size_of_law(around, record, form, key)
     base, at = around.without(key)
-    own = around.found.get(key)
     start = law.values if own is None else own.values
     if count == 1 and start[0]:  # a secant from nought to what was found
-        column = (around.scene.columns.residual((*base, law.at((start[0],)))) - at) / start[0]
-        response: Response = around.scene.split(column[:, None])
+        moved, steps = [law.at((start[0],))], [start[0]]
     else:
-        response = _per_value(around, law, base, at, [0.3 * size] * count)
-    least = in_series(record).least(around.scene.arm, law)
-    yield from made(
-        around, record, key, scaled(response, size), size,
-        lambda c: law.at(tuple((c[:count] * size).tolist())), is_positive=math.isfinite(least),
-        reach=(max(least, -1e6) / size, math.inf), now=None if own is None else np.array(start) / size,
+        steps = [0.3 * size] * count
+        moved = [law.at((*law.values[:k], step, *law.values[k + 1 :])) for k, step in enumerate(steps)]
+    columns = [
+        (around.scene.columns.residual((*base, there)) - at) / step
+        for there, step in zip(moved, steps, strict=True)
+    ]
+    least = sought.series.least(around.scene.arm, law)
+    term = SeriesTerm(
+        key, size=size, law=lambda c: law.at(tuple((c[:count] * size).tolist())), is_positive=math.isfinite(least),
+        least=max(least, -1e6) / size, now=None if own is None else np.array(start) / size,
     )  # fmt: skip
-
-
-def _per_value(
-    around: OperatingPoint, law: Law, base: tuple[Law, ...], at: Array, steps: Sequence[float]
-) -> Response:
-    """How rows follow each value of a law around those that it has."""
-    columns = []
-    for place, step in enumerate(steps):
-        values = list(law.values)
-        values[place] += step
-        columns.append((around.scene.columns.residual((*base, law.at(tuple(values)))) - at) / step)
-    return around.scene.split(np.stack(columns, axis=1))
+    yield from filled(sought, term, scaled(around.scene.split(np.stack(columns, axis=1)), size))
 
 
 FINER = (1.0, 1.2)  # times what was found, the next time: the second says how the first bends
@@ -220,13 +182,10 @@ def _stepped(values: tuple[float, ...], steps: Sequence[float]) -> list[tuple[fl
     return [values, *one_more]
 
 
-def secants(
-    around: OperatingPoint, record: EffectRecord, key: EffectName, bent: Bent
-) -> Iterator[SeriesTerm]:
+def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
     """The secant from nought to each start, how the next start's differs from it, and what the other values' steps do."""
-    rows = around.scene.columns
-    base, at = around.without(key)
-    own = around.found.get(key)
+    around, own, form = sought.around, sought.own, sought.series.form
+    rows, (base, at) = around.scene.columns, around.without(sought.key)
     first = bent.starts if own is None else tuple(own.values[0] * k for k in FINER)
     others = bent.others if own is None else own.values[1:]
     steps = tuple(
@@ -234,9 +193,8 @@ def secants(
         for value, step, upper in zip(others, bent.steps, bent.upper, strict=True)
     )
     asked = [_stepped((v, *others), steps) for v in first]
-    law = Law(key, in_series(record).form, asked[0][0])
-    size = size_of_law(around, record, law.form, key)
-    if law.form.is_gear:
+    law, size = Law(sought.key, form, asked[0][0]), sought.size(form)
+    if form.is_gear:
         rows.physics.following.foresee(base, [law.at(values) for some in asked for values in some])
     moved = [[rows.residual((*base, law.at(values))) for values in some] for some in asked]
     secants = [(some[0] - at) * (size / v) for some, v in zip(moved, first, strict=True)]
@@ -246,15 +204,34 @@ def secants(
         columns = [secants[k], bends * value / size, *(one - moved[k][0] for one in moved[k][1:])]
         parts = [around.scene.split(column[:, None]) for column in columns]
         parts[1:] = [one or scaled(parts[0], 0.0) for one in parts[1:]]
+        reach = SPEAKS_FOR[0] * value, min(SPEAKS_FOR[1] * value, bent.most)
 
-        def law_of(c: Array, value: float = value) -> Law:
-            found = float(np.clip(c[0] * size, SPEAKS_FOR[0] * value, min(SPEAKS_FOR[1] * value, bent.most)))
+        def law_of(c: Array, reach: tuple[float, float] = reach) -> Law:
             more = np.array(others) + np.array(steps) * c[len(c) - len(steps) :]
-            return law.at((found, *np.clip(more, 0.0, bent.upper).tolist()))
+            return law.at((float(np.clip(c[0] * size, *reach)), *np.clip(more, 0.0, bent.upper).tolist()))
 
-        now = np.array([value / size]) if own is not None and math.isclose(own.values[0], value) else None
-        reach = SPEAKS_FOR[0] * value / size, min(SPEAKS_FOR[1] * value, bent.most) / size
-        yield from made(
-            around, record, key, parts[0], size, law_of, parts[1:], value, is_positive=True, now=now, reach=reach,
-            towards=(value, first[near]),
+        term = SeriesTerm(
+            sought.key, size=size, law=law_of, variant=value, is_positive=True, least=reach[0] / size, most=reach[1] / size,
+            now=np.array([value / size]) if own is not None and math.isclose(own.values[0], value) else None,
         )  # fmt: skip
+        yield from filled(sought, term, parts[0], parts[1:], towards=(value, first[near]))
+
+
+def with_own(
+    sought: Sought, form: Form, value: float, within: float, columns: tuple[Response, Response]
+) -> Iterator[SeriesTerm]:
+    """A law of a size and one other value, from its response there and how that changes as this value grows by a share `within`.
+
+    The share is followed between 0.6 and 1.6 of the value.
+    """
+    key, own, size, is_positive = sought.key, sought.own, sought.size(form), form.lower[0] == 0.0
+
+    def law_of(c: Array) -> Law:
+        own_size = max(float(c[0]), 0.0) if is_positive else float(c[0])
+        share = within * float(c[-1]) / own_size if own_size else 0.0
+        return Law(key, form, (float(c[0]) * size, value * float(np.clip(1.0 + share, 0.6, 1.6))))
+
+    is_there = own is not None and abs(value / own.values[1] - 1.0) < 1e-9
+    now = np.array([own.values[0] / size]) if own is not None and is_there else None
+    term = SeriesTerm(key, size=size, law=law_of, variant=value, is_positive=is_positive, now=now)
+    yield from filled(sought, term, columns[0], [columns[1]])

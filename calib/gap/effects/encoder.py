@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.columns import FINER, by_angle, in_series, made, size_of_law, straight
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, harmonics, term_on_joint
+from calib.gap.effects.columns import FINER, by_angle, straight, with_own
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, Sought, harmonics
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.term import Term, ToParameters, Traits, like
-from calib.gap.residuals.scene import OperatingPoint, Response
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import AngleLaw, Form, Law, Values
 from control.model.arm import Arm
@@ -20,26 +21,19 @@ from control.model.effects import COUPLED, COUPLED_TO, EFFECTS
 
 
 def _scale(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
-    q = scene.points.q_rad
-    for j in range(scene.points.joint_count):
-        departs = like(q[:, j], harmonics(q[:, j], 1, 2))
-        columns = np.array([q[:, j], *departs])
-        yield term_on_joint(scene, record, j + 1, columns, departures=len(departs), variable=f"q{j + 1}")
+    for j, q in enumerate(scene.points.q_rad.T):
+        yield record.on_joint(scene, j + 1, q, like(q, harmonics(q, 1, 2)))
 
 
 def _eccentricity(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
-    q = scene.points.q_rad
-    for j in range(scene.points.joint_count):
-        columns = np.array(harmonics(q[:, j], 1, 2, 3))
-        yield term_on_joint(scene, record, j + 1, columns, laws=2, departures=4, variable=f"q{j + 1}")
+    for j, q in enumerate(scene.points.q_rad.T):
+        yield record.on_joint(scene, j + 1, np.array(harmonics(q, 1)), harmonics(q, 2, 3))
 
 
 def _coupling(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     if scene.points.joint_count >= COUPLED:
         angle = scene.points.q_rad[:, COUPLED_TO - 1]
-        departs = like(angle, harmonics(angle, 1, 2))
-        columns = np.array([angle, *departs])
-        yield term_on_joint(scene, record, None, columns, departures=len(departs), variable=f"q{COUPLED_TO}")
+        yield record.on_joint(scene, None, angle, like(angle, harmonics(angle, 1, 2)))
 
 
 def _in_proportion(values: Values, q: Array, t_s: Array) -> tuple[Array, Array, Array]:
@@ -81,10 +75,8 @@ def _in_poses(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
             law = 1.0 - np.exp(-elapsed / constant)
             others = [1.0 - np.exp(-elapsed / (constant * f)) for f in (OTHER_TIMES, 1.0 / OTHER_TIMES)]
             departs = like(law, [other - law * (other @ law) / (law @ law) for other in others])
-            yield term_on_joint(
-                scene, record, j + 1, np.array([law, *departs]), departures=len(departs), variant=constant,
-                parameters=_final(constant), variable="time",
-            )  # fmt: skip
+            term = record.on_joint(scene, j + 1, law, departs)
+            yield dataclasses.replace(term, variant=constant, parameters=_final(constant))
 
 
 def _final(constant_s: float) -> ToParameters:
@@ -95,32 +87,19 @@ def _final(constant_s: float) -> ToParameters:
     return made
 
 
-def _in_series(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
-    own = around.found.get(key)
+def _in_series(sought: Sought) -> Iterator[SeriesTerm]:
+    """Over a milliradian at each time constant; how that changes with it is what the next one has more."""
+    own, scene = sought.own, sought.around.scene
     times = WARMING_s if own is None else tuple(own.values[1] * k for k in FINER)
-    base, at = around.without(key)
-    for form in in_series(record).forms if own is None else (own.form,):
-        laws = [Law(key, form, (0.0, time_s)) for time_s in times]
-        size = size_of_law(around, record, form, key)
-        columns = [_step(around, law.at((1e-3, law.values[1])), base, at, size / 1e-3) for law in laws]
-        for k, law in enumerate(laws[:-1]):
-            time_s, ratio = times[k], times[k + 1] / times[k] - 1.0
-            slope = {cell: columns[k + 1].get(cell, 0.0) - here for cell, here in columns[k].items()}
-
-            def law_of(
-                c: Array, law: Law = law, time_s: float = time_s, ratio: float = ratio, size: float = size
-            ) -> Law:
-                share = ratio * float(c[-1] / c[0]) if c[0] else 0.0
-                return law.at((float(c[0]) * size, time_s * float(np.clip(1.0 + share, 0.6, 1.6))))
-
-            now = None
-            if own is not None and abs(time_s / own.values[1] - 1.0) < 1e-9:
-                now = np.array([own.values[0] / size])
-            yield from made(around, record, key, columns[k], size, law_of, [slope], time_s, now=now)
-
-
-def _step(around: OperatingPoint, law: Law, base: tuple[Law, ...], at: Array, factor: float) -> Response:
-    return around.scene.split(((around.scene.columns.residual((*base, law)) - at) * factor)[:, None])
+    base, at = sought.around.without(sought.key)
+    for form in sought.forms:
+        size, columns = sought.size(form), []
+        for time_s in times:
+            moved = scene.columns.residual((*base, Law(sought.key, form, (1e-3, time_s)))) - at
+            columns.append(scene.split((moved * (size / 1e-3))[:, None]))
+        for (time_s, here), (later_s, there) in itertools.pairwise(zip(times, columns, strict=True)):
+            slope = {cell: there.get(cell, 0.0) - own_rows for cell, own_rows in here.items()}
+            yield from with_own(sought, form, time_s, later_s / time_s - 1.0, (here, slope))
 
 
 def _warmed(values: Values, q: Array, t_s: Array) -> tuple[Array, Array, Array]:
@@ -151,7 +130,7 @@ def _parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
 RECORDS = (
     EffectRecord(
         "encoder_scale", role="angle", traits=Traits(blocks="q{j}"),
-        poses=InPoses(0.005, _scale, "poses over the whole travel of that joint"),
+        poses=InPoses(0.005, _scale, "poses over the whole travel of that joint", variable="q{j}"),
         series=InSeries(
             forms_of("encoder_scale", 5e-4, _in_proportion), straight, "tip", departs=(by_angle,), variable="angle",
             blocks=("tip angle", "tip ripple"), over="angle",
@@ -159,7 +138,7 @@ RECORDS = (
     ),
     EffectRecord(
         "encoder_eccentricity", role="angle", traits=Traits(blocks="q{j}"),
-        poses=InPoses(0.003, _eccentricity, "poses over more than 120 degrees of that joint"),
+        poses=InPoses(0.003, _eccentricity, "poses over more than 120 degrees of that joint", variable="q{j}"),
         series=InSeries(
             forms_of("encoder_eccentricity", 3e-4, _once_a_turn, 2), straight, "tip", departs=(by_angle,), variable="angle",
             blocks=("tip angle", "tip ripple"), over="angle",
@@ -168,7 +147,7 @@ RECORDS = (
     EffectRecord(
         "belt_coupling", role="angle", traits=Traits(blocks="other angles"),
         poses=InPoses(
-            0.01, _coupling, f"poses in which joint {COUPLED_TO} moves while joint {COUPLED} stands"
+            0.01, _coupling, f"poses in which joint {COUPLED_TO} moves while joint {COUPLED} stands", variable=f"q{COUPLED_TO}"
         ),
         series=InSeries(
             forms_of("belt_coupling", 5e-4, _in_proportion), straight, "tip", departs=(by_angle,),
@@ -178,7 +157,7 @@ RECORDS = (
     EffectRecord(
         "thermal_drift", role="angle", traits=Traits(blocks="time"),
         poses=InPoses(
-            0.003, _in_poses, "the same reference pose every few minutes, the others in shuffled order"
+            0.003, _in_poses, "the same reference pose every few minutes, the others in shuffled order", variable="time"
         ),
         series=InSeries(
             (_form("thermal_drift", "behind"), _form("thermal_drift seen", "seen")), _in_series, "tip", blocks=("tip time",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -16,13 +17,10 @@ from calib.gap.effects.record import (
     NO_TORQUE_Nm,
     PoseScene,
     harmonics,
-    term_on_joint,
 )
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import WOUND_SHARE
 from calib.gap.posterior.term import Term, Traits, like, parameters_of, smooth
-from calib.gap.residuals.scene import OperatingPoint
-from calib.gap.residuals.term import SeriesTerm
 from calib.gap.signals.terms import Form, Law
 from control.dynamics.static_pose import (
     CURRENT_NOISE_A,
@@ -56,10 +54,8 @@ def _play(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
         for share, flank, doubt in _flanks(scene.pose, j, noise[j]):
             law = backlash_rad(flank, 1.0)
             departs = like(law, [law * way for way in ways])
-            yield term_on_joint(
-                scene, record, j + 1, np.array([law, *departs]), departures=len(departs), variant=share, is_positive=True,
-                doubt=0.25 * doubt, variable=f"q{j + 1} and load",
-            )  # fmt: skip
+            term = record.on_joint(scene, j + 1, law, departs)
+            yield dataclasses.replace(term, variant=share, doubt=0.25 * doubt)
 
 
 def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Array]]:
@@ -114,10 +110,8 @@ def _compliance(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
         bent = [*harder, np.abs(law)]  # or one way
         departs = like(law, [*bent, compliance_rad(unstated[:, j], 1.0)])
         for more in _wound(held):
-            yield term_on_joint(
-                scene, record, j + 1, np.array([law, *departs, *more]), departures=len(departs), is_positive=True,
-                variable="load", variant=float(len(more)),
-            )  # fmt: skip
+            term = record.on_joint(scene, j + 1, law, departs, more)
+            yield dataclasses.replace(term, variant=float(len(more)))
 
 
 def tip_mass_Nm(scene: PoseScene) -> Array:
@@ -153,14 +147,6 @@ LOOSE = Form(
 DAMPED_sd = 2.0  # of a damping, from which on it is worth writing
 
 
-def _soft(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
-    yield from secants(around, record, key, COMPLIANCE)
-
-
-def _loose(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
-    yield from secants(around, record, key, BACKLASH)
-
-
 def _known_spring(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
     return Law(name, series.form, (1.0 / given["stiffness_Nm_rad"], given.get("damping_Nm_s_rad", 0.0), 0.0))
 
@@ -175,17 +161,22 @@ RECORDS = (
     EffectRecord(
         "backlash", role="angle", traits=Traits("direction", is_on_every_joint=True, alternative="gear"),
         poses=InPoses(
-            0.005, _play, "the same poses from both approaches, some where gravity on that joint changes its sign"
+            0.005, _play, "the same poses from both approaches, some where gravity on that joint changes its sign",
+            variable="q{j} and load", is_positive=True,
         ),
         series=InSeries(
-            (LOOSE,), _loose, "angle", departs=(by_angle,), variable="angle", blocks=("tip direction", *GEAR_BLOCKS)
+            (LOOSE,), lambda sought: secants(sought, BACKLASH), "angle",
+            departs=(by_angle,), variable="angle", blocks=("tip direction", *GEAR_BLOCKS)
         ),
     ),
     EffectRecord(
         "joint_compliance", role="angle", traits=Traits("load", is_on_every_joint=True, alternative="gear"),
-        poses=InPoses(1.0 / 800.0, _compliance, "the same poses with and without a known payload"),
+        poses=InPoses(
+            1.0 / 800.0, _compliance, "the same poses with and without a known payload", variable="load", is_positive=True
+        ),
         series=InSeries(
-            (SPRING,), _soft, "angle", departs=(by_load,), variable="load", blocks=("tip load", *GEAR_BLOCKS),
+            (SPRING,), lambda sought: secants(sought, COMPLIANCE), "angle",
+            departs=(by_load,), variable="load", blocks=("tip load", *GEAR_BLOCKS),
             known=_known_spring, parameters=_spring_parameters,
         ),
     ),

@@ -15,13 +15,12 @@ from calib.gap.effects.columns import (
     by_direction,
     by_load,
     by_speed,
-    in_series,
-    made,
+    filled,
     secants,
-    size_of_law,
     straight,
+    with_own,
 )
-from calib.gap.effects.record import EffectRecord, InSeries
+from calib.gap.effects.record import EffectRecord, InSeries, Sought
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.term import Traits, parameters_of, values_of
 from calib.gap.residuals.scene import OperatingPoint, Response
@@ -33,10 +32,8 @@ from control.model.effect_laws import Torque, direction
 from control.model.effects import EFFECTS
 
 STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)
-SLOWEST_STRIBECK_rad_s, FASTEST_STRIBECK_rad_s = (
-    0.004,
-    0.35,
-)  # a fall over all speeds is Coulomb friction and something else
+# a fall over all speeds is Coulomb friction and something else
+SLOWEST_STRIBECK_rad_s, FASTEST_STRIBECK_rad_s = 0.004, 0.35
 NOUGHT = (0.0,)
 
 
@@ -59,53 +56,30 @@ def rubbed(around: OperatingPoint, law: Law) -> Response:
     return around.scene.split(around.scene.columns.friction_slope(law)[:, None])
 
 
-def friction(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
+def friction(sought: Sought) -> Iterator[SeriesTerm]:
     """A friction with one value; every gear has those that the file says nothing of."""
-    series = in_series(record)
-    law = Law(key, series.form, (1.0,))
-    size = size_of_law(around, record, series.form, key)
-    is_common = series.is_common and not any(
-        one.form.shared and one.name.joint == key.joint for one in around.known
+    around, own, form = sought.around, sought.own, sought.series.form
+    law, size = Law(sought.key, form, (1.0,)), sought.size(form)
+    is_common = sought.series.is_common and not any(
+        one.form.shared and one.name.joint == sought.key.joint for one in around.known
     )
-    own = around.found.get(key)
-    yield from made(
-        around, record, key, scaled(rubbed(around, law), size), size, lambda c: law.at((float(c[0]) * size,)),
-        is_positive=series.form.lower == NOUGHT or is_common,
+    term = SeriesTerm(
+        sought.key, size=size, law=lambda c: law.at((float(c[0]) * size,)), is_positive=form.lower == NOUGHT or is_common,
         now=None if own is None else np.array(own.values[:1]) / size, is_common=is_common,
     )  # fmt: skip
+    yield from filled(sought, term, scaled(rubbed(around, law), size))
 
 
-def _stribeck(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
-    series = in_series(record)
-    size = size_of_law(around, record, series.form, key)
-    own = around.found.get(key)
-    speeds = STRIBECK_rad_s if own is None else (own.values[1],)
-    for form in series.forms if own is None else (own.form,):
-        for speed in speeds:
-            law = Law(key, form, (1.0, speed))
-            here = rubbed(around, law)
-            there = rubbed(around, law.at((1.0, 1.1 * speed)))
-            slope = {cell: 2.0 * (there[cell] - here[cell]) * size for cell in here if cell in there}
-
-            def law_of(c: Array, law: Law = law, speed: float = speed) -> Law:
-                share = 0.2 * float(c[-1] / c[0]) if c[0] > 0.0 else 0.0
-                return law.at((float(c[0]) * size, speed * float(np.clip(1.0 + share, 0.6, 1.6))))
-
-            now = None
-            if own is not None and abs(speed / own.values[1] - 1.0) < 1e-9:
-                now = np.array([own.values[0] / size])
-            yield from made(
-                around,
-                record,
-                key,
-                scaled(here, size),
-                size,
-                law_of,
-                [slope],
-                speed,
-                is_positive=True,
-                now=now,
+def _stribeck(sought: Sought) -> Iterator[SeriesTerm]:
+    own, size = sought.own, sought.size(sought.series.form)
+    for form in sought.forms:
+        for speed in STRIBECK_rad_s if own is None else (own.values[1],):
+            here, there = (
+                rubbed(sought.around, Law(sought.key, form, (1.0, own_speed)))
+                for own_speed in (speed, 1.1 * speed)
             )
+            slope = {cell: 2.0 * (there[cell] - here[cell]) * size for cell in here if cell in there}
+            yield from with_own(sought, form, speed, 0.2, (scaled(here, size), slope))
 
 
 def _known_stribeck(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
@@ -138,27 +112,27 @@ WAVES_LEAST = 4.0  # a turn of the joint: fewer are gravity's, or a bent shaft's
 ORDERS_WEIGHED = 6  # of a joint's cogging: the others stand out less
 
 
-def _cogging(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
+def _cogging(sought: Sought) -> Iterator[SeriesTerm]:
     """The orders that stand out of what is left, each beside its double; later, the one that was found."""
-    own, form = around.found.get(key), in_series(record).form
-    size = size_of_law(around, record, form, key)
+    around, own, form = sought.around, sought.own, sought.series.form
+    key, size = sought.key, sought.size(form)
     waves: dict[float, Response] = {}
 
     def wave(order: float) -> Response:
         if order not in waves:
-            waves[order] = scaled(_wave(around, Law(key, form, (0.0, 0.0), order)), size)
+            law, columns = Law(key, form, (0.0, 0.0), order), around.scene.columns
+            slopes = [columns.friction_slope(law.at(own), around.model) for own in ((1.0, 0.0), (0.0, 1.0))]
+            waves[order] = scaled(around.scene.split(np.stack(slopes, axis=1)), size)
         return waves[order]
 
     for order in sorted(_standing_out(around, key)) if own is None else (own.order,):
-        one = Law(key, form, (0.0, 0.0), order)
 
-        def law_of(c: Array, one: Law = one) -> Law:
-            return one.at((float(c[0]) * size, float(c[1]) * size))
+        def law_of(c: Array, order: float = order) -> Law:
+            return Law(key, form, (float(c[0]) * size, float(c[1]) * size), order)
 
-        yield from made(
-            around, record, key, wave(order), size, law_of, variant=order,
-            now=None if own is None else np.array(own.values) / size, more=wave(2.0 * order),
-        )  # fmt: skip
+        now = None if own is None else np.array(own.values) / size
+        term = SeriesTerm(key, size=size, law=law_of, variant=order, now=now)
+        yield from filled(sought, term, wave(order), more=wave(2.0 * order))
 
 
 def _standing_out(around: OperatingPoint, key: EffectName) -> list[float]:
@@ -185,13 +159,6 @@ def _standing_out(around: OperatingPoint, key: EffectName) -> list[float]:
     return sorted(orders, key=lambda order: -taken(order))[:ORDERS_WEIGHED]
 
 
-def _wave(around: OperatingPoint, law: Law) -> Response:
-    """Sine and cosine of cogging."""
-    columns, model = around.scene.columns, around.model
-    slopes = [columns.friction_slope(law.at(values), model) for values in ((1.0, 0.0), (0.0, 1.0))]
-    return around.scene.split(np.stack(slopes, axis=1))
-
-
 def _parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     wave = parameters_of("cogging")(np.array(law.values), covariance)
     return {**wave, "order": (law.order, 0.0)}
@@ -215,15 +182,9 @@ LATEST_s = 0.02  # of a sample after the voltage that it follows
 LATE = Traits(alternative="late")  # a command is late, or what is read of it is
 
 
-def _delay(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
-    yield from secants(around, record, key, Bent(DELAYS_s))
-
-
-def _sampling(around: OperatingPoint, record: EffectRecord, key: EffectName) -> Iterator[SeriesTerm]:
-    period_s = 1.0 / around.scene.recording.filters.rate_Hz
-    yield from secants(
-        around, record, key, Bent(tuple(share * period_s for share in READ_SHARES), most=period_s)
-    )
+def _sampling(sought: Sought) -> Iterator[SeriesTerm]:
+    period_s = 1.0 / sought.around.scene.recording.filters.rate_Hz
+    return secants(sought, Bent(tuple(share * period_s for share in READ_SHARES), most=period_s))
 
 
 def _by_duty(voltage: Array, current: Array, supply: Array) -> Array:
@@ -285,7 +246,8 @@ RECORDS = (
     EffectRecord(
         "command_delay", traits=LATE, needs_drives=True,
         series=InSeries(
-            (Form("command_delay", "delay", 2e-4, steps=(2e-5,), lower=(0.0,), upper=(math.inf,)),), _delay, "electrical",
+            (Form("command_delay", "delay", 2e-4, steps=(2e-5,), lower=(0.0,), upper=(math.inf,)),),
+            lambda sought: secants(sought, Bent(DELAYS_s)), "electrical",
             over="current",
         ),
     ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,10 +12,10 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import USUAL
-from calib.gap.posterior.term import NO_TRAITS, Term, ToParameters, Traits, on_joint, parameters_of
+from calib.gap.posterior.term import NO_TRAITS, Term, Traits, on_joint, parameters_of
 from calib.gap.residuals.scene import OperatingPoint, RowConditions
 from calib.gap.residuals.term import SeriesTerm
-from calib.gap.signals.terms import Form, Law
+from calib.gap.signals.terms import Form, Law, typical
 from calib.points.points import Points
 from control.dynamics.static_pose import RestingPose, gravity_Nm, resting
 from control.errors import MissingModel
@@ -65,6 +65,7 @@ def load_of(arm: Arm, points: Points, joint_rad: Array | None = None) -> Array |
         return None
 
 
+NO_TORQUE_Nm = 1e-6  # rounding: below it a joint carries nothing
 Shape = Callable[[RowConditions, int], Array]  # (c, rows), from what stands beside and the joint
 Role = Literal["", "angle", "torque"]
 Needs = Literal["motor", "angle", "tip", "electrical"]
@@ -80,6 +81,8 @@ class InPoses:
     told_apart_by: str  # the recording that would settle whether it is there
     is_load: bool = False  # holding currents alone show it
     is_total: bool = True  # what the file has of it is left out of the model and looked for as a whole
+    variable: str = ""  # by which a part departs from the law ("{j}": its joint)
+    is_positive: bool = False  # there is no less than none of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +90,7 @@ class InSeries:
     """How an effect is looked for in time series."""
 
     forms: tuple[Form, ...]  # that it may have; the first is that of arm.toml
-    terms: Callable[[OperatingPoint, EffectRecord, EffectName], Iterator[SeriesTerm]]  # on one joint or link
+    terms: Callable[[Sought], Iterator[SeriesTerm]]  # on one joint or link, in every variant
     needs: Needs  # currents or voltages; these or the tip; the tip; both currents and voltages
     usual: float = USUAL  # size, in smallest sizes worth a name
     departs: tuple[Shape, ...] = ()  # functions that a real part's law is multiplied by
@@ -119,8 +122,26 @@ class EffectRecord:
     traits: Traits = NO_TRAITS
     needs_drives: bool = False  # no answer without the drives' electrical values
 
-
-NO_TORQUE_Nm = 1e-6  # rounding: below it a joint carries nothing
+    def on_joint(
+        self,
+        scene: PoseScene,
+        joint: int | None,
+        law: Array,
+        departs: Sequence[Array] = (),
+        nuisances: Sequence[Array] = (),
+    ) -> Term:
+        """The term of poses on the joint that the effect moves, from courses (m,) per unit of the coefficient: of the law, (m,)
+        or (l, m), of how parts depart from it, and of what comes along.
+        """
+        poses, moved = in_poses(self), moved_joint(self.effect, joint) or 1
+        laws, name = np.atleast_2d(law), EffectName(self.effect, joint)
+        columns = poses.size * on_joint(
+            np.array([*laws, *departs, *nuisances]), moved - 1, scene.points.joint_count
+        )
+        return Term(
+            name, "", len(laws), len(departs), poses.size, slope_rad=columns, is_positive=poses.is_positive,
+            parameters=parameters_of(self.effect), variable=poses.variable.format(j=joint), traits=self.traits,
+        )  # fmt: skip
 
 
 def in_poses(record: EffectRecord) -> InPoses:
@@ -130,28 +151,34 @@ def in_poses(record: EffectRecord) -> InPoses:
     return record.poses
 
 
-def term_on_joint(
-    scene: PoseScene,
-    record: EffectRecord,
-    joint: int | None,
-    columns: Array,
-    *,
-    laws: int = 1,
-    departures: int = 0,
-    variable: str = "",
-    variant: float = 0.0,
-    is_positive: bool = False,
-    parameters: ToParameters | None = None,
-    doubt: Array | None = None,
-) -> Term:
-    """A term on the joint that the effect moves: columns (c, m) per unit of the coefficient, `laws` and `departures` first."""
-    size, moved = in_poses(record).size, moved_joint(record.effect, joint) or 1
-    slope = size * on_joint(columns, moved - 1, scene.points.joint_count)
-    return Term(
-        EffectName(record.effect, joint), "", laws, departures, size, slope_rad=slope, variant=variant,
-        is_positive=is_positive, parameters=parameters or parameters_of(record.effect), variable=variable, doubt=doubt,
-        traits=record.traits,
-    )  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class Sought:
+    """An effect on one joint or link as time series look for it: around a model, which may have it already (`own`)."""
+
+    around: OperatingPoint
+    record: EffectRecord
+    key: EffectName
+
+    @property
+    def series(self) -> InSeries:
+        """What its record has of time series."""
+        if self.record.series is None:
+            raise ValueError(f"{self.record.effect} is not looked for in time series")
+        return self.record.series
+
+    @property
+    def own(self) -> Law | None:
+        """The law as it was found before."""
+        return self.around.found.get(self.key)
+
+    @property
+    def forms(self) -> tuple[Form, ...]:
+        """Those that are open: all of them, or that of the law that was found."""
+        return self.series.forms if self.own is None else (self.own.form,)
+
+    def size(self, form: Form) -> float:
+        """The usual size of a law on its joint or link."""
+        return self.series.usual * typical(self.around.scene.given_Nm, form, (self.key.joint or 0) - 1)
 
 
 def harmonics(angle: Array, *orders: int) -> list[Array]:

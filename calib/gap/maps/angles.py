@@ -11,7 +11,7 @@ import numpy as np
 from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.measured_maps import along
 from calib.arm_problem.problem import ArmProblem
-from calib.arrays import Array
+from calib.arrays import Array, rms
 from calib.calibration.outcome import with_base_frame
 from calib.gap.effects.record import load_of
 from calib.gap.finding import MapCheck
@@ -25,9 +25,8 @@ from calib.gap.maps.choose import (
     maps_of,
     over_angle,
     over_load,
-    rms,
 )
-from calib.gap.poses.linear import FREE_PRECISION, Fit, by_joints
+from calib.gap.poses.linear import FREE_PRECISION, Fit, along_joint, by_joints
 from calib.gap.poses.outcome import StaticGap
 from calib.identify.objective import LeastSquares
 from calib.identify.solver import minimise
@@ -88,9 +87,9 @@ class _Poses:
 
     def drawn(self, one: CorrectionMap, left_m: Array) -> DrawnMap:
         """A map over its own variable, beside what it and the tips' residuals (m, 3) say of the joint."""
-        at, lever = self.place(one.joint, one.over), self.by_joint[:, :, one.joint - 1]
+        at = self.place(one.joint, one.over)
         table = along(one, at, self.direction(one.joint))
-        own = np.einsum("mi,mi->m", lever, left_m) / np.maximum(np.einsum("mi,mi->m", lever, lever), 1e-12)
+        own = along_joint(self.by_joint[:, :, one.joint - 1], left_m)
         return DrawnMap(one, at, table + own, table)
 
 

@@ -163,11 +163,6 @@ class MapsFound:
         )
 
 
-def rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(values**2)))
-
-
 PAYS = 0.05  # of the mean square of recordings that were not fitted: a correction that gains less is not worth it
 LARGE = 0.25  # of it: such a gain needs no counting; it may stand in the few pieces that are fast, or heavily loaded
 # Standard deviations by which the gain of all pieces, or the count of those that gain, has to stand out of nothing: of some sixty

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from calib.arm_problem.measured_maps import along
-from calib.arrays import Array, Mask
+from calib.arrays import Array, Mask, rms
 from calib.gap.finding import MapCheck
 from calib.gap.maps.choose import (
     Candidate,
@@ -29,7 +29,6 @@ from calib.gap.maps.choose import (
     over_load,
     over_speed,
     over_turn,
-    rms,
 )
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.body import sorted_terms

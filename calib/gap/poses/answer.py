@@ -36,7 +36,7 @@ from calib.gap.poses.remainder import next_experiment, open_questions, remainder
 from calib.gap.poses.state import Around
 from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, CHANGED_sd
 from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
-from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
 from calib.points.points import Points
 from control.model.arm import Arm, Effect

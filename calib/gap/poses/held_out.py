@@ -13,7 +13,7 @@ from calib.gap.finding import EffectName
 from calib.gap.poses.recordings import in_turn, parts
 from calib.gap.poses.state import Around
 from calib.gap.posterior.constants import FOLDS
-from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
 
 

@@ -7,7 +7,6 @@ orientation: all rows have the noise of a tip. How the measured target sits on t
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,7 +15,7 @@ import numpy.typing as npt
 
 from calib.arm_problem.posed import PosedProblem
 from calib.arm_problem.problem import ArmProblem
-from calib.arrays import Array, Mask
+from calib.arrays import Array, Mask, rms
 from calib.gap.posterior.evidence import Gram
 from calib.gap.posterior.term import Term
 from calib.identify.objective import LeastSquares
@@ -42,11 +41,6 @@ class Left:
         turned = self.turn_rad[rows]
         seen = turned[np.isfinite(turned)]
         return {"tip_m": rms(self.tip_m[rows])} | ({"turn_rad": rms(seen)} if len(seen) else {})
-
-
-def rms(values: Array) -> float:
-    """Root mean square; NaN of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,3 +271,9 @@ def _beside(known: Array, fit: Array, held: Array) -> Array:
     left = held[:, len(known) :] - base @ fit
     taken = np.linalg.solve(np.linalg.cholesky(known + base.T @ base), base.T @ left)
     return np.asarray(left.T @ left - taken.T @ taken)
+
+
+def along_joint(lever_m: Array, residual_m: Array) -> Array:
+    """The turn of a joint that would explain most of each residual (m, 3); lever_m (m, 3): how tips follow the joint; (m,)."""
+    square = np.einsum("mi,mi->m", lever_m, lever_m)
+    return np.asarray(np.einsum("mi,mi->m", lever_m, residual_m) / np.maximum(square, 1e-12))

@@ -10,15 +10,14 @@ import numpy as np
 
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, Mask
-from calib.gap.drawn_law import DrawnLaw
 from calib.gap.effects.links import FRAME
 from calib.gap.effects.record import NO_TORQUE_Nm
-from calib.gap.finding import EffectName, GapFinding
+from calib.gap.finding import DrawnLaw, EffectName, GapFinding
 from calib.gap.poses.floor import Floor
-from calib.gap.poses.linear import by_joints
+from calib.gap.poses.linear import Fit, along_joint, by_joints
 from calib.gap.poses.recordings import Split
 from calib.gap.poses.state import Around
-from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Term
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -54,42 +53,37 @@ class StaticGap:
         others = [one for one in self.arm.effects if one.effect != FRAME or not frame]
         return dataclasses.replace(self.file, effects=(*others, *frame), maps=())
 
-
-MILLI = 1e3
+    @property
+    def by_joint(self) -> Array:
+        """How the tips follow each joint, (m, 3, n)."""
+        return by_joints(Fit(self.problem, self.x, None))[0]
 
 
 def drawn_laws(
     around: Around, best: Weighed, names: Sequence[EffectName], residual_m: Array
 ) -> tuple[DrawnLaw, ...]:
-    """Of the names that move joints, or the tip along one line; residual_m (m, 3): what the whole set leaves."""
-    size, _ = around.evidence.estimate(best.members, best.kappa)
-    found, first = {}, 0
-    by_joint, _ = by_joints(around.state.posed())
-    for number, _ in best.members:
-        one = around.terms[number]
-        own = size[first : first + one.count]
-        first += one.count
-        if one.key in names and one.variable and (one.slope_rad is not None or one.slope_m is not None):
-            found[one.key] = _drawn(around, one, own, by_joint, residual_m)
+    """Each of the names over its own variable, of those that move joints, or the tip along one line; residual_m (m, 3): what the
+    whole set leaves.
+    """
+    found, (by_joint, _) = {}, by_joints(around.state.posed())
+    for number, size in around.evidence.sizes(best).items():
+        one, laws = around.terms[number], size * (np.arange(len(size)) < around.terms[number].laws)
+        if one.key not in names or not isinstance(one.key, EffectName) or not one.variable:
+            continue
+        if one.slope_rad is not None:
+            joint = int(np.argmax(np.abs(one.slope_rad).sum(axis=(0, 1))))
+            law, whole = (one.slope_rad[:, :, joint].T @ own for own in (laws, size))
+            lever, unit = by_joint[:, :, joint], "mrad"
+        elif one.slope_m is not None:
+            law_m, whole_m = (np.einsum("c,cmi->mi", own, one.slope_m) for own in (laws, size))
+            lever = law_m / np.maximum(np.linalg.norm(law_m, axis=1, keepdims=True), 1e-12)
+            law, whole, unit = np.linalg.norm(law_m, axis=1), np.einsum("mi,mi->m", whole_m, lever), "mm"
+        else:
+            continue
+        at, label = _variable(around, one)
+        data = whole + along_joint(lever, residual_m)
+        found[one.key] = DrawnLaw(one.key, label, unit, at, 1e3 * data, 1e3 * law, 1e3 * whole)
     return tuple(found[name] for name in names if name in found)
-
-
-def _drawn(around: Around, one: Term, size: Array, by_joint: Array, residual_m: Array) -> DrawnLaw:
-    laws = size * (np.arange(one.count) < one.laws)
-    name = one.key
-    assert isinstance(name, EffectName)
-    at, label = _variable(around, one)
-    if one.slope_rad is not None:
-        joint = int(np.argmax(np.abs(one.slope_rad).sum(axis=(0, 1))))
-        law, whole = (one.slope_rad[:, :, joint].T @ own for own in (laws, size))
-        lever, unit = by_joint[:, :, joint], "mrad"
-    else:
-        assert one.slope_m is not None
-        law_m, whole_m = (np.einsum("c,cmi->mi", own, one.slope_m) for own in (laws, size))
-        lever = law_m / np.maximum(np.linalg.norm(law_m, axis=1, keepdims=True), 1e-12)
-        law, whole, unit = np.linalg.norm(law_m, axis=1), np.einsum("mi,mi->m", whole_m, lever), "mm"
-    shown = np.einsum("mi,mi->m", lever, residual_m) / np.maximum(np.einsum("mi,mi->m", lever, lever), 1e-12)
-    return DrawnLaw(name, label, unit, at, MILLI * (whole + shown), MILLI * law, MILLI * whole)
 
 
 def _variable(around: Around, one: Term) -> tuple[Array, str]:

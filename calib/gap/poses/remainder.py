@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+from calib.arrays import rms
 from calib.gap.effects.catalogue import told_apart_by
 from calib.gap.finding import EffectName, Nameable, OpenQuestion, Remainder, Unknown
-from calib.gap.poses.linear import rms
 from calib.gap.poses.state import Around
 from calib.gap.posterior.decide import Decision, left_with, share_of
 from calib.gap.posterior.term import Block
+from calib.gap.words import listed
 
 
 def remainders(
@@ -92,7 +93,7 @@ def next_experiment(
     hidden = [one for one in could if not one.is_nameable]
     if not hidden:
         return None
-    names = _listed([str(one.name) for one in hidden[:4]]) + (" and others" if len(hidden) > 4 else "")
+    names = listed([one.name for one in hidden[:4]]) + (" and others" if len(hidden) > 4 else "")
     free = "" if has_free else "a dozen or more free poses away from the table, seen by the camera; "
     wanted = told_apart_by([one.name.effect for one in hidden])
     return f"To name {names}, record {free}{'; '.join(wanted[:3])}."
@@ -102,11 +103,7 @@ def open_questions(
     ambiguous: Sequence[Sequence[EffectName]], remainder: Sequence[Remainder]
 ) -> tuple[OpenQuestion, ...]:
     """Each set that is ambiguous, and each remainder, with the recording that would settle it."""
-    sets = [
-        OpenQuestion(f"{_listed([str(name) for name in names])}?", _apart(names))
-        for names in ambiguous
-        if names
-    ]
+    sets = [OpenQuestion(f"{listed(names)}?", _apart(names)) for names in ambiguous if names]
     known = {" or ".join(map(str, names)) for names in ambiguous}
     left = [OpenQuestion(f"{one.where}: what is it?", AGAIN) for one in remainder if one.where not in known]
     return (*sets, *left)
@@ -114,8 +111,4 @@ def open_questions(
 
 def _apart(names: Sequence[EffectName]) -> str:
     wanted = told_apart_by([name.effect for name in names])
-    return f"To tell {_listed([str(name) for name in names])} apart, record {'; '.join(wanted)}."
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"To tell {listed(names)} apart, record {'; '.join(wanted)}."

@@ -19,8 +19,7 @@ from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.floor import flank_covariance
 from calib.gap.poses.linear import Fit, Left, Linear, by_joints
 from calib.gap.poses.nameless import blocks_of
-from calib.gap.posterior.evidence import Evidence
-from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -152,11 +151,8 @@ class Around:
         return bool(moved.tip_m.any() or np.nan_to_num(moved.turn_rad).any())
 
     def _moved(self, found: Weighed, numbers: Sequence[int]) -> Left:
-        size, _ = self.evidence.estimate(found.members, found.kappa)
-        moved, first = np.zeros(len(self.linear.y)), 0
-        for number, _ in found.members:
-            own = size[first : first + self.terms[number].count]
-            first += len(own)
+        moved = np.zeros(len(self.linear.y))
+        for number, own in self.evidence.sizes(found).items():
             if number in numbers:
                 moved += self.columns([number]) @ own
         return self.linear.measured.left(moved)
@@ -171,14 +167,11 @@ class Around:
         `follows`: as of a state of the same set before, near enough; else it is found anew, where laws follow the geometry.
         """
         linear = self.linear
-        size, _ = self.evidence.estimate(found.members, found.kappa)
         fit, _ = self._solved(found)
-        beyond, extra, first = np.zeros_like(self.state.moved), np.zeros_like(linear.weight), 0
+        beyond, extra = np.zeros_like(self.state.moved), np.zeros_like(linear.weight)
         acting, loads = [], []
-        for number, _ in found.members:
+        for number, own in self.evidence.sizes(found).items():
             one = self.terms[number]
-            own = size[first : first + one.count]
-            first += one.count
             acting.append((one, own))
             extra += flank_covariance(linear.measured, one, float(own[0]) / self.noise_m)
             if one.key == EffectName(FRAME):

@@ -24,8 +24,7 @@ from calib.gap.posterior.constants import (
     CHANGED_sd,
     MOSTLY_sd,
 )
-from calib.gap.posterior.evidence import Evidence
-from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.term import Block, Key, Term
 
 
@@ -152,13 +151,9 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
 
 def _moves(evidence: Evidence, best: Weighed) -> dict[Key, float]:
     """How far each member of a set moves its joints, root mean square."""
-    size, _ = evidence.estimate(best.members, best.kappa)
     found: dict[Key, float] = {}
-    first = 0
-    for number, _ in best.members:
+    for number, own in evidence.sizes(best).items():
         one = evidence.terms[number]
-        own = size[first : first + one.count]
-        first += one.count
         if one.slope_rad is not None:
             found[one.key] = float(np.sqrt(np.mean(np.einsum("c,cmn->mn", own, one.slope_rad) ** 2)))
     return found

@@ -25,6 +25,19 @@ Member = tuple[int, int]  # number of the term, number of its scales
 
 
 @dataclass(frozen=True, slots=True)
+class Weighed:
+    """A set with its best variants and scales, its noise over the floor, and its log posterior up to a constant.
+
+    `gains`: what each member adds to the log posterior beside the others.
+    """
+
+    members: tuple[Member, ...]
+    kappa: float
+    log: float
+    gains: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Gram:
     """What evidence needs of any number of measurements: G (p, p) and h (p,) of tips and of currents, in standard deviations;
     y'My of the tips, and their degrees of freedom.
@@ -175,6 +188,13 @@ class Evidence:
         return np.asarray(
             covariance @ (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
         ), covariance
+
+    def sizes(self, found: Weighed) -> dict[int, Array]:
+        """Coefficients (c,) of each term of a set by number, in usual sizes."""
+        size, _ = self.estimate(found.members, found.kappa)
+        ends = np.cumsum([self.terms[k].count for k, _ in found.members])[:-1]
+        numbers = (k for k, _ in found.members)
+        return dict(zip(numbers, np.split(size, ends), strict=False))
 
     def inflation(self, members: Sequence[Member], kappa: float) -> float:
         """The tips' noise over the floor that a set asks for; not below what the floor's own doubt allows.

@@ -5,13 +5,12 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from calib.gap.finding import EffectName
-from calib.gap.posterior.evidence import NEVER, Evidence, Member
+from calib.gap.posterior.evidence import NEVER, Evidence, Member, Weighed
 from calib.gap.posterior.term import Key, Traits
 
 GROWTH = 2  # terms that are tried beside a set that still grows
@@ -26,19 +25,6 @@ REGROWTH = 6
 POLISHES = 3
 MERGES = 3  # times that two members make room for one other
 BESIDE = 2  # terms that are tried in the place of two
-
-
-@dataclass(frozen=True, slots=True)
-class Weighed:
-    """A set with its best variants and scales, its noise over the floor, and its log posterior up to a constant.
-
-    `gains`: what each member adds to the log posterior beside the others.
-    """
-
-    members: tuple[Member, ...]
-    kappa: float
-    log: float
-    gains: tuple[float, ...] = ()
 
 
 class Search:

@@ -62,10 +62,10 @@ class Term:
     """
 
     key: Key
-    words: str
-    laws: int
-    departures: int
-    size: float
+    words: str = ""
+    laws: int = 1
+    departures: int = 0
+    size: float = 1.0
     slope_rad: Array | None = None
     slope_m: Array | None = None
     turn_rad: Array | None = None

@@ -26,7 +26,6 @@ class SeriesTerm(Term):
     """
 
     response: Response = field(default_factory=dict)
-    width: int = 0
     law: Callable[[Array], Law] | None = None
     now: Array | None = None  # coefficients at which the model of this linearisation has it
     is_common: bool = False  # every gear has it, and the file says nothing of it
@@ -38,7 +37,7 @@ class SeriesTerm(Term):
     @property
     def count(self) -> int:
         """How many columns."""
-        return self.width
+        return next((own.shape[1] for own in self.response.values()), 0)
 
     def departed_by(self, size: Array) -> float:
         """What the departures do together, with coefficients of all columns (c,), over what the law does, in all rows.

@@ -50,7 +50,7 @@ def _block(joint: int, variable: str, words: str, response: Response) -> Iterato
     if not response:
         return
     width = next(iter(response.values())).shape[1]
-    yield SeriesTerm(Block(joint, variable), words, width, 0, 1.0, response=response, width=width)
+    yield SeriesTerm(Block(joint, variable), words, width, response=response)
 
 
 def _torques(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
@@ -240,7 +240,7 @@ def _clocks(around: OperatingPoint) -> Iterator[SeriesTerm]:
         moved = sum(scene.lever_m(j) * speeds[:, j] for j in range(scene.arm.joint_count))
         size = USUAL * CAMERA_s
         columns = size / scene.cells[number].floor * np.asarray(moved)[:, None]
-        yield SeriesTerm(Block(0, "camera time"), CAMERA, 1, 0, size, response={number: columns}, width=1)
+        yield SeriesTerm(Block(0, "camera time"), CAMERA, size=size, response={number: columns})
 
 
 CAMERA = "the tip, in proportion to its speed: the camera's times are offset"

@@ -23,8 +23,8 @@ from calib.gap.posterior.constants import (
     UNTOLD,
     SETTLED_sd,
 )
-from calib.gap.posterior.evidence import Evidence
-from calib.gap.posterior.search import Search, Weighed
+from calib.gap.posterior.evidence import Evidence, Weighed
+from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.scene import OperatingPoint, SeriesScene
 from calib.gap.residuals.term import SeriesTerm, scaled
@@ -317,4 +317,4 @@ def _departing(around: OperatingPoint, law: Law) -> Iterator[SeriesTerm]:
 
 
 def _nuisance(words: str, response: dict[int, np.ndarray], width: int) -> SeriesTerm:
-    return SeriesTerm(NUISANCES, words, width, 0, 1.0, response=response, width=width)
+    return SeriesTerm(NUISANCES, words, width, response=response)

@@ -13,8 +13,8 @@ from scipy.linalg import solve_triangular
 from calib.arrays import Array
 from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, NUISANCE_MOST
 from calib.gap.posterior.decide import Decision, decide
-from calib.gap.posterior.evidence import Evidence, Gram
-from calib.gap.posterior.search import MergingSearch, Weighed
+from calib.gap.posterior.evidence import Evidence, Gram, Weighed
+from calib.gap.posterior.search import MergingSearch
 from calib.gap.posterior.term import Key
 from calib.gap.residuals.scene import OperatingPoint, SeriesScene
 from calib.gap.residuals.term import SeriesTerm
@@ -213,13 +213,11 @@ class SeriesFit:
 
     def laws(self, names: Collection[Key] | None = None) -> dict[Key, Law]:
         """The physics' terms of the best set's effects, at its estimates."""
-        size, _ = self.evidence.estimate(self.best.members, self.best.kappa)
-        found, first = {}, 0
-        for number in self.numbers:
+        found = {}
+        for number, own in self.evidence.sizes(self.best).items():
             one = self.linear.terms[number]
             if one.law is not None and (names is None or one.key in names):
-                found[one.key] = one.law(size[first : first + one.count]).bounded()
-            first += one.count
+                found[one.key] = one.law(own).bounded()
         return found
 
 
@@ -253,11 +251,9 @@ def _bent_too_far(
     Every gear has friction: what departs from Coulomb's or the viscous law is that friction all the same. How far a law departs
     that the rows follow in no straight line is known around itself alone: elsewhere its departures stand for its bend, too.
     """
-    size, first, found = evidence.estimate(best.members, best.kappa)[0], 0, set()
-    for number, _ in best.members:
+    found = set()
+    for number, own in evidence.sizes(best).items():
         one = linear.terms[number]
-        own = size[first : first + one.count]
-        first += one.count
         is_known = one.curve is None or one.key in around.found
         if one.is_name and not one.is_common and is_known and one.departed_by(own) > LAW_MOST:
             found.add(one.key)

@@ -8,18 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.drawn_law import DrawnLaw
 from calib.gap.effects.catalogue import series_of
-from calib.gap.finding import EffectName, GapFinding
+from calib.gap.finding import DrawnLaw, EffectName, GapFinding
 from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.residuals.rows import ChannelRows, RowTable
-from calib.gap.residuals.scene import RowConditions
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.linear import SeriesFit, left
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.motion import MotionGap
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.terms import Law
+from calib.gap.words import unit_of
 from control.model.arm import Arm
 from control.model.effects import followed_joint
 
@@ -42,11 +41,6 @@ class DynamicOutcome:
     physics: Physics
     model: tuple[Law, ...]
     laws: tuple[DrawnLaw, ...] = ()
-
-    @property
-    def gear_ratios(self) -> tuple[float, ...]:
-        """Motor turns a joint turn."""
-        return self.physics.gear_ratios
 
 
 def gap(residual: Array, table: RowTable, picked: Picked) -> float:
@@ -126,49 +120,34 @@ def grown(finding: GapFinding) -> Iterator[str]:
         )
 
 
-UNITS = {"current_A": ("mA", 1e3), "voltage_as_A": ("mA", 1e3), "tip_m": ("mm", 1e3)}
-ROWS_LEAST = 60
+ROWS_LEAST = 60  # of a cell in which a law is drawn
 
 
 def drawn_laws(fit: SeriesFit, names: Collection[EffectName]) -> tuple[DrawnLaw, ...]:
-    """Of the names, each in the channel where it does most."""
-    size, _ = fit.evidence.estimate(fit.best.members, fit.best.kappa)
-    rest, found, first = left(fit, fit.numbers), {}, 0
-    for number in fit.numbers:
-        one = fit.linear.terms[number]
-        own = size[first : first + one.count]
-        first += one.count
-        if isinstance(one.key, EffectName) and one.key in names and one.response:
-            drawn = _drawn(fit, one, one.key, own, rest)
-            if drawn is not None:
-                found[one.key] = drawn
+    """Each of the names over its own variable, in the channel where it does most."""
+    rest, found, scene = left(fit, fit.numbers), {}, fit.around.scene
+    for number, size in fit.evidence.sizes(fit.best).items():
+        one, laws = fit.linear.terms[number], size * (np.arange(len(size)) < fit.linear.terms[number].laws)
+        done = {k: columns @ laws for k, columns in one.response.items() if len(columns) >= ROWS_LEAST}
+        if one.key in names and isinstance(one.key, EffectName) and done:
+            k = max(done, key=lambda k: float(np.sum(done[k] ** 2)))
+            cell, whole = scene.cells[k], one.response[k] @ size
+            unit, factor = unit_of(cell.channel)
+            scale, (at, label) = factor * cell.floor, _variable(fit, one, one.key, k)
+            data = scale * (whole + rest[cell.rows])
+            found[one.key] = DrawnLaw(one.key, label, unit, at, data, scale * done[k], scale * whole)
     return tuple(found[name] for name in names if name in found)
 
 
-def _drawn(fit: SeriesFit, one: SeriesTerm, name: EffectName, size: Array, rest: Array) -> DrawnLaw | None:
-    laws = size * (np.arange(one.count) < one.laws)
+def _variable(fit: SeriesFit, one: SeriesTerm, name: EffectName, k: int) -> tuple[Array, str]:
+    """The law's own variable at the rows of a cell, and its label."""
     scene = fit.around.scene
-    done = {k: columns @ laws for k, columns in one.response.items() if len(columns) >= ROWS_LEAST}
-    if not done:
-        return None
-    k = max(done, key=lambda k: float(np.sum(done[k] ** 2)))
-    cell, whole = scene.cells[k], one.response[k] @ size
-    unit, factor = UNITS[cell.channel]
-    scale = factor * cell.floor
-    at, label = _variable(fit, one, name, cell.joint, scene.beside[k])
-    return DrawnLaw(name, label, unit, at, scale * (whole + rest[cell.rows]), scale * done[k], scale * whole)
-
-
-def _variable(
-    fit: SeriesFit, one: SeriesTerm, name: EffectName, j: int, at: RowConditions
-) -> tuple[Array, str]:
-    """The law's own variable at the rows of a cell, and its label; j: the cell's joint (0-based), -1 for the tip."""
-    joint = followed_joint(name.effect, name.joint) or max(j, 0) + 1
+    at, joint = scene.beside[k], followed_joint(name.effect, name.joint) or max(scene.cells[k].joint, 0) + 1
     own = min(joint, at.q.shape[1]) - 1
     series = series_of(name.effect)
     match series.over if series is not None else "load":
         case "motor":
-            turn = one.variant * fit.around.scene.rows.physics.gear_ratios[own] * at.q[:, own]
+            turn = one.variant * scene.rows.physics.gear_ratios[own] * at.q[:, own]
             return np.degrees(turn % (2.0 * np.pi)), f"{one.variant:g} times the motor's angle [deg]"
         case "speed":
             return at.speed[:, own], f"speed of joint {own + 1} [rad/s]"

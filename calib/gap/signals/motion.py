@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calib.arrays import Array
+from calib.arrays import Array, rms
 from calib.gap.signals.body import sorted_terms
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Flags
@@ -239,7 +239,7 @@ class Windows:
         """With the model as it was and as it is."""
         after = self.errors(model)
         before = after if tuple(known) == tuple(model) else self.errors(known)
-        return MotionGap(self._floor(after), _rms(before), _rms(after))
+        return MotionGap(self._floor(after), rms(before), rms(after))
 
     def errors(self, model: Sequence[Law]) -> Array:
         """Simulated less measured angles, (length, W, n)."""
@@ -306,7 +306,7 @@ class Loop:
             common = min(len(a), len(b))
             differences.append(_apart(a[:common], b[:common]))
         floor = _floor(self._physics, differences, 1.0)
-        return MotionGap(floor, _rms(np.concatenate(before)), _rms(np.concatenate(after)))
+        return MotionGap(floor, rms(np.concatenate(before)), rms(np.concatenate(after)))
 
     def errors(self, model: Sequence[Law]) -> list[Array]:
         """Simulated less measured angles, (samples, n) of each run."""
@@ -377,9 +377,5 @@ def _floor(physics: Physics, differences: Sequence[Array], grown: float) -> floa
     steps = [2.0 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in physics.arm.drives]
     by_steps = grown * float(np.sqrt(np.mean(np.square(steps)) / 12.0))
     found = [part for part in differences if part.size and np.isfinite(part).all()]
-    repeated = _rms(np.concatenate(found)) / float(np.sqrt(2.0)) if found else 0.0
+    repeated = rms(np.concatenate(found)) / float(np.sqrt(2.0)) if found else 0.0
     return float(np.hypot(repeated, by_steps))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

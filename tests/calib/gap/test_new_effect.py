@@ -14,7 +14,7 @@ from benchmarks.gap.static.cases import ARM, case
 from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.columns import by_angle
 from calib.gap.effects.motor import friction, torque_of
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, harmonics, term_on_joint
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, harmonics
 from calib.gap.finding import EffectName
 from calib.gap.model_update import updated_arm
 from calib.gap.poses.find import find as find_in_poses
@@ -39,10 +39,8 @@ def drag(p: Mapping[str, float], f: Functions = math) -> Torque:
 
 def twice_a_turn(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     """An encoder disc that is no circle."""
-    q = scene.points.q_rad
-    for j in range(scene.points.joint_count):
-        columns = np.array(harmonics(q[:, j], 2))
-        yield term_on_joint(scene, record, j + 1, columns, laws=2, variable=f"q{j + 1}")
+    for j, q in enumerate(scene.points.q_rad.T):
+        yield record.on_joint(scene, j + 1, np.array(harmonics(q, 2)))
 
 
 @pytest.fixture
@@ -60,7 +58,7 @@ def _drag(monkeypatch: pytest.MonkeyPatch) -> None:
 def _ellipse(monkeypatch: pytest.MonkeyPatch) -> None:
     kind = EffectKind("joint", ("amplitude_rad", "phase_rad"), linear=wave("amplitude_rad"))
     monkeypatch.setitem(EFFECTS, ELLIPSE, kind)  # type: ignore[arg-type]
-    poses = InPoses(0.003, twice_a_turn, "poses over half a turn of that joint")
+    poses = InPoses(0.003, twice_a_turn, "poses over half a turn of that joint", variable="q{j}")
     monkeypatch.setitem(RECORDS, ELLIPSE, EffectRecord(ELLIPSE, poses=poses, role="angle"))
 
 

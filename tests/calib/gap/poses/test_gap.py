@@ -5,9 +5,9 @@ import pytest
 
 from benchmarks.gap.static.cases import ARM, DESIGNS, Design, FRICTION_Nm, Hidden, case, designed, gravity_Nm
 from calib.arm_problem.joint_effects import resting_points
+from calib.arrays import rms
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
-from calib.gap.poses.linear import rms
 from control.dynamics.dynamics import Dynamics
 from tests.thirds import third_of
 

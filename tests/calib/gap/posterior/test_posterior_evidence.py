@@ -7,8 +7,8 @@ import pytest
 
 from calib.gap.finding import EffectName
 from calib.gap.posterior.decide import decide
-from calib.gap.posterior.evidence import Evidence, Gram
-from calib.gap.posterior.search import MergingSearch, Search, Weighed
+from calib.gap.posterior.evidence import Evidence, Gram, Weighed
+from calib.gap.posterior.search import MergingSearch, Search
 from calib.gap.posterior.term import Block, Term, Traits
 
 ROWS = 240

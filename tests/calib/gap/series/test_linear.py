@@ -29,7 +29,7 @@ def around(found: dict[Any, Law]) -> OperatingPoint:
 
 def term() -> SeriesTerm:
     response = {0: np.ones((ROWS, 1))}
-    return SeriesTerm(COULOMB, "", 1, 0, 1.0, response=response, width=1, now=np.array([3.0]))
+    return SeriesTerm(COULOMB, response=response, now=np.array([3.0]))
 
 
 def test_only_what_the_model_has_is_added_to_what_it_leaves() -> None:
@@ -57,7 +57,7 @@ def test_departures_count_by_what_they_do_together_beside_the_law_where_it_shows
     near = bend + 0.05 * law
     columns = np.column_stack((law, bend, near / np.linalg.norm(near), 0.0 * law))
     faint = np.column_stack((0.02 * law, 0.0 * law, 0.0 * law, 0.02 * bend))
-    term = SeriesTerm(COULOMB, "", 1, 3, 1.0, response={0: 30.0 * columns, 1: 30.0 * faint}, width=4)
+    term = SeriesTerm(COULOMB, departures=3, response={0: 30.0 * columns, 1: 30.0 * faint})
     assert term.departed_by(np.array([2.0, 0.8, -0.8, 0.0])) < 0.05  # they take each other's place
     assert term.departed_by(np.array([2.0, 0.4, 0.4, 0.0])) == pytest.approx(0.4, rel=0.01)
     assert term.departed_by(np.array([-2.0, 0.8, 0.0, 0.0])) == pytest.approx(0.4, rel=0.01)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from calib.gap.finding import EffectName
-from calib.gap.posterior.search import Weighed
+from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block
 from calib.gap.series.iterations import rivals
 
