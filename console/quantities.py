@@ -35,14 +35,14 @@ def quantity(text: str, unit: str, what: str) -> float:
     return value
 
 
-def tolerance_m(text: str | None) -> float | None:
-    """The length of --tolerance, None if it was not given; ArmError if it is not above 0."""
+def length_m(text: str | None, option: str) -> float | None:
+    """The length that an option gives, None if it was not given; ArmError if it is not above 0."""
     if text is None:
         return None
-    length_m = quantity(text, "m", "--tolerance")
-    if length_m <= 0.0:
-        raise ArmError(f"--tolerance: expected a length above 0, got {text}")
-    return length_m
+    found_m = quantity(text, "m", option)
+    if found_m <= 0.0:
+        raise ArmError(f"{option}: expected a length above 0, got {text}")
+    return found_m
 
 
 def orientation_noise_rad(text: str | None) -> float | None:

@@ -122,9 +122,8 @@ RECORDING = (
             ),
             option(
                 "--noise",
-                type=finite,
-                metavar="M",
-                help="standard deviation of a measured coordinate in m (default: the camera's)",
+                metavar="LENGTH",
+                help="standard deviation of a measured coordinate, e.g. 0.2mm (default: the camera's)",
             ),
             option(
                 "--view",

@@ -15,7 +15,6 @@ from calib.identify.objective import objective_named
 from calib.inputs import input_file
 from console.commands.calibration.options import bounds_of, names_in
 from console.commands.progress import Bar
-from console.quantities import quantity
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -84,9 +83,6 @@ def _choose(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts
     """Print the contacts that say most about both arms."""
     if given.choose < 1:
         raise CalibrationError(f"--choose: expected a number of contacts from 1 on, got {given.choose}")
-    noise_m = quantity(given.noise, "m", "--noise") if given.noise else NOISE_m
-    if noise_m <= 0.0:
-        raise CalibrationError(f"--noise: expected a length above 0, got {given.noise}")
-    rows = choose_contacts(arms, contacts, plan, given.choose, noise_m)
+    rows = choose_contacts(arms, contacts, plan, given.choose, length_m(given.noise, "--noise") or NOISE_m)
     sys.stdout.write("".join(f"{contacts.name[row]}\n" for row in rows))
     return 0

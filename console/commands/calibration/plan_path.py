@@ -22,7 +22,7 @@ from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
 from console.commands.calibration.options import board_frames
 from console.commands.progress import Bar
-from console.quantities import tolerance_m
+from console.quantities import length_m
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
 from procedures.folders import require_new
@@ -35,7 +35,7 @@ def run(given: argparse.Namespace) -> int:
     """Read, plan, write. Nothing is written before all input has been read and checked; nothing moves."""
     arm, out = load_arm(given.arm), Path(given.out)
     require_new(out, RESULTS)
-    freedom, wanted_m = _freedom(given), tolerance_m(given.tolerance)
+    freedom, wanted_m = _freedom(given), length_m(given.tolerance, "--tolerance")
     waypoints = read_waypoints(given.file)
     points, warnings = base_points_for(
         arm, [Path(name) for name in given.points], "plan-path", given.as_given

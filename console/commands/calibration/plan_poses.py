@@ -13,7 +13,7 @@ from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
 from console.commands.calibration.options import board_frames
-from console.quantities import orientation_noise_rad
+from console.quantities import length_m, orientation_noise_rad
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
@@ -53,7 +53,7 @@ def request_of(given: argparse.Namespace) -> Request:
         setups=_setups(given.setups),
         only=given.only,
         criterion=given.criterion,
-        noise_m=given.noise,
+        noise_m=length_m(given.noise, "--noise"),
         turn_noise_rad=orientation_noise_rad(given.orientation_noise),
         view=_view(given.view),
     )

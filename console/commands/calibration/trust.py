@@ -20,7 +20,7 @@ from calib.trust.trust import MapRequest, Trust, trust_in
 from console.commands.calibration import trust_design
 from console.commands.calibration.options import board_frames
 from console.commands.progress import Bar
-from console.quantities import tolerance_m
+from console.quantities import length_m
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
@@ -67,7 +67,7 @@ def _require_points(given: argparse.Namespace) -> None:
 
 
 def _request(given: argparse.Namespace) -> MapRequest:
-    wanted_m = tolerance_m(given.tolerance)
+    wanted_m = length_m(given.tolerance, "--tolerance")
     if given.task and wanted_m is None:
         raise CalibrationError("--task: give the --tolerance that the path shall keep, such as 0.5mm")
     payloads_kg = tuple(given.payload or (0.0,))

@@ -18,7 +18,7 @@ from calib.tolerances.report import tolerances_report
 from calib.tolerances.result import Made, as_text, made_json, made_of, warnings_about, write_json, write_map
 from calib.tolerances.study import StudyDesign, design_of, require_near, study_task
 from console.commands.progress import Bar
-from console.quantities import tolerance_m
+from console.quantities import length_m
 from control.model.arm import Arm
 from control.model.description import arm_text, load_arm
 from procedures.folders import require_new
@@ -40,7 +40,7 @@ def study_design(given: argparse.Namespace) -> int:
     arm, out = load_arm(given.design), Path(given.out)
     require_new(out, RESULTS)
     text = tolerances_text(given.tolerances)
-    wanted_m = tolerance_m(given.tolerance)
+    wanted_m = length_m(given.tolerance, "--tolerance")
     design = _design(given, arm, text)
     require_near(design, given.tolerances)
     warnings = warnings_about(design)

@@ -160,7 +160,7 @@ def test_an_option_that_a_command_does_not_have_shows_the_usage_of_that_command(
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("gap", "--minutes", "nan"), ("gap", "--payload", "inf"), ("plan-poses", "--noise", "nan"), ("plot", "--from", "nan"),
+        ("gap", "--minutes", "nan"), ("gap", "--payload", "inf"), ("plot", "--from", "nan"),
         ("view", "--fps", "nan"), ("serve", "--rate", "nan"), ("jog", "--by", "-inf"),
     ],
 )  # fmt: skip

@@ -16,7 +16,7 @@ from control.model.description import load_arm
 POINTS = (
     "calibrate --points {} --out OUT", "gap --points {} --out OUT", "trust --points {} --out OUT",
     "verify --against ARM --points {} --out OUT",
-    "plan-path --points {} way.csv --out OUT", "plan-poses --points {} --noise 0.001",
+    "plan-path --points {} way.csv --out OUT", "plan-poses --points {} --noise 1mm",
     "check-up --points {} --recorded right.csv --out OUT", "check-up --points right.csv --recorded {} --out OUT",
 )  # fmt: skip
 OTHERS = ("iso9283 --points {} --out OUT", "calibrate-distances --points {} --out OUT")
