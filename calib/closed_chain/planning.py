@@ -22,6 +22,7 @@ from calib.design.candidates import (
     is_above_floor,
     joint_box,
     postures,
+    scaled_height_m,
     spread_poses,
 )
 from calib.errors import CalibrationError
@@ -31,6 +32,7 @@ from calib.points.writer import write_points
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
+from control.motion.joint_limits import reach_m
 
 # Places where the tips of two arms of a cell can meet: both reach them, clear of each other, of themselves and of the floor.
 
@@ -82,7 +84,7 @@ def contact_candidates(
     way = rng.normal(size=tips.shape)
     way /= np.linalg.norm(way, axis=1)[:, None]
     goal = (tips + apart[:, None] * way - base.origin_m) @ base.rotation
-    near = np.linalg.norm(goal, axis=1) < _reach_m(two.arm)
+    near = np.linalg.norm(goal, axis=1) < reach_m(two.arm)
     first, apart, goal = first[near], apart[near], goal[near]
     box = joint_box(two.arm)
     second, which = postures(ArmModel(two.arm), goal, spread_poses(box, STARTS), box)
@@ -123,16 +125,11 @@ def _is_fit(arm: Arm, q_rad: Array) -> Mask:
     """Poses of which no part is near the floor and the tip well above it, away from where the tip cannot be moved one way."""
     model = ArmModel(arm)
     by_q = model.slopes(model.nominal_dh, q_rad).by_dh[:, :, list(model.theta_places)]
-    can_move = np.linalg.svd(by_q, compute_uv=False)[:, -1] >= LEVER * _reach_m(arm)
+    can_move = np.linalg.svd(by_q, compute_uv=False)[:, -1] >= LEVER * reach_m(arm)
     points = body_points(arm, q_rad)
-    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + FREE_HEIGHT_M
+    height_m = scaled_height_m(arm, FREE_HEIGHT_M)
+    lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + height_m
     return np.asarray(can_move & is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m))
-
-
-def _reach_m(arm: Arm) -> float:
-    """More than the arm reaches from its base."""
-    lengths = np.abs(arm.dh[:, [0, 2]]).sum()
-    return float(lengths + np.linalg.norm(arm.tool.position_m))
 
 
 NOISE_m = 2e-4  # of a contact, to compare what contacts say with what is known of the arms

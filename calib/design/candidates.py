@@ -22,6 +22,7 @@ from calib.points.points import Points, make_points
 from control.kinematics.chain import link_transforms
 from control.model.arm import Arm, Table
 from control.model.table import SETUPS, board_cavities, board_rotation
+from control.motion.joint_limits import reach_m
 
 # Reachable poses of an arm: within its limits, clear of floor and board, with the tip at a given position.
 
@@ -289,6 +290,7 @@ EDGE_SHARE = 0.4
 APART_RAD = 0.15  # smallest difference between candidate free poses
 FREE_HEIGHT_M = 0.10  # of a free pose's tip above floor and board: an uncalibrated arm may be 4 cm off
 WORKSPACE_HEIGHT_M = 0.03  # of the tip in workspace poses
+SMALL_ARM_m = 0.4  # an arm of less reach is off by less, and would have no pose that high
 STARTS_COUNT = 12  # number of starts for postures; four times as many with more than three joints
 POSTURES_LIMIT = 24  # per cavity; with more than three joints there are infinitely many
 TAKEN_RAD = 0.3  # a cavity in a posture closer than this to a recorded one counts as recorded
@@ -347,6 +349,11 @@ def _apart(q: Array) -> Rows:
     return np.array(rows, dtype=np.intp)
 
 
+def scaled_height_m(arm: Arm, height_m: float) -> float:
+    """A height above floor and boards, in proportion to the reach of a small arm."""
+    return height_m * min(1.0, reach_m(arm) / SMALL_ARM_m)
+
+
 def workspace_poses(
     arm: Arm,
     boards: Iterable[PlacedBoard],
@@ -357,6 +364,7 @@ def workspace_poses(
     """Collision-free poses (m, n), m <= count, spread over the joints' ranges, with this tip height above floor and boards."""
     q = spread_poses(joint_box(arm), count, edge_share)
     points = body_points(arm, q)
+    height_m = scaled_height_m(arm, height_m)
     lowest_m = arm.limits.floor_z_m + arm.limits.floor_clearance_m + height_m
     clear = is_above_floor(arm, points).all(axis=1) & (points[:, -1, 2] >= lowest_m)
     for board in boards:

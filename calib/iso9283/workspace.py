@@ -14,6 +14,7 @@ from control.kinematics.inverse import BRANCHES, InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.checks import LEAST_SINGULAR_M_RAD
+from control.motion.joint_limits import reach_m
 
 CLEARANCE_m = 0.08  # of the cube above the floor: an uncalibrated arm is some 3 cm off
 LIMIT_MARGIN_rad = 0.05  # to the joint limits, for overshooting runs
@@ -88,12 +89,6 @@ def _require_volume(arm: Arm) -> None:
             f"arm {arm.name}: its tip moves on a surface, as with two joints or axes that are all parallel; the test cube of"
             " ISO 9283 needs three directions"
         )
-
-
-def reach_m(arm: Arm) -> float:
-    """Upper bound of the tip's distance from the base."""
-    dh = np.abs(arm.dh)
-    return float(np.hypot(dh[:, 0], dh[:, 2]).sum() + np.linalg.norm(arm.tool.position_m))
 
 
 def _grown(arm: Arm, solver: Solver, reach: float) -> TestCube | None:

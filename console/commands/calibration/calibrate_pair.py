@@ -15,6 +15,7 @@ from calib.identify.objective import objective_named
 from calib.inputs import input_file
 from console.commands.calibration.options import bounds_of, names_in
 from console.commands.progress import Bar
+from console.quantities import length_m
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
