@@ -31,6 +31,7 @@ class JointWiring:
     counts_per_turn: int  # true counts of the encoder
     said_counts_per_turn: int  # reported by its boards
     counts_per_rad: float  # of joint angle
+    motor_counts_per_rad: float  # of joint angle, of what the motor board counts; 0: nothing
     phase_count: float  # phase between two edges at joint angle zero
     index_rad: float  # joint angle of one of its index pulses
     switch_rad: float  # joint angle where the home switch changes
@@ -41,9 +42,9 @@ class JointWiring:
         """Edges counted by the encoder, without wrap; direction as wired."""
         return math.floor(self.encoder_direction * encoder_rad * self.counts_per_rad + self.phase_count)
 
-    def motor_count(self, encoder_rad: float) -> int:
+    def motor_count(self, motor_rad: float) -> int:
         """The count at the motor board: a positive voltage counts up."""
-        return math.floor(self.motor_direction * encoder_rad * self.counts_per_rad + self.phase_count)
+        return math.floor(self.motor_direction * motor_rad * self.motor_counts_per_rad + self.phase_count)
 
     def is_at_switch(self, joint_rad: float) -> bool:
         """Whether the home switch is active; a missing one never is."""
@@ -75,6 +76,10 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
                 counts = int(fault.value or counts)
     error_rad = scenario.encoder_board.index_error_rad
     home = drive.home
+    is_on_motor = drive.encoder_on == "motor"
+    counts_per_rad = (
+        (drive.gear_ratio if is_on_motor else 1.0) * drive.encoder_ratio * counts / (2.0 * math.pi)
+    )
     return JointWiring(
         encoder_board=drive.encoder_board,
         encoder_channel=drive.encoder_channel,
@@ -84,7 +89,8 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
         motor_serial_number=drive.motor_serial_number or MOTOR_BOARD_SERIAL + drive.motor_node,
         counts_per_turn=counts,
         said_counts_per_turn=reported,
-        counts_per_rad=drive.gear_ratio * counts / (2.0 * math.pi),
+        counts_per_rad=counts_per_rad,
+        motor_counts_per_rad=counts_per_rad if is_on_motor or drive.board else 0.0,
         phase_count=source.random(),
         index_rad=(home.index_rad if home else 0.0) + source.uniform(-error_rad, error_rad),
         switch_rad=home.switch_rad if home else math.nan,

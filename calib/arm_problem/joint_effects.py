@@ -106,6 +106,7 @@ def _known(arm: Arm, at: RestingPoints, wanted: Sequence[str]) -> Array:
         if effect.effect in LAWS
         and effect.effect != FLEXURE
         and (effect.effect, effect.joint) not in left_out
+        and arm.is_behind_encoder(effect.effect, effect.joint)
         if effect.joint is not None or effect.effect == COUPLING
     ]
     shift = np.zeros(points.q_rad.shape)
@@ -197,11 +198,21 @@ def effect_key(text: str, arm: Arm) -> Key:
                 f'effect: expected {COUPLING} without a joint, on an arm of three joints or more, got "{text}" for'
                 f" {arm.joint_count}"
             )
-        return name, None
+        return _shown(name, None, arm)
     place, most = place_of(name), len(arm.links) if place_of(name) == "link" else arm.joint_count
     if not number.isdecimal() or not 1 <= int(number) <= most:
         raise CalibrationError(f'effect: expected a {place} from 1 to {most}, as in {name}:1, got "{text}"')
-    return name, int(number)
+    return _shown(name, int(number), arm)
+
+
+def _shown(name: str, joint: int | None, arm: Arm) -> Key:
+    """CalibrationError where the transmission does nothing to the encoder's angle."""
+    if not arm.is_behind_encoder(name, joint):
+        raise CalibrationError(
+            f'effect: {name} of joint {moved_joint(name, joint)}: expected an encoder on the motor, got encoder_on = "joint":'
+            " poses show nothing of what is between motor and joint"
+        )
+    return name, joint
 
 
 def _choices() -> str:

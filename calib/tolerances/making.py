@@ -140,6 +140,7 @@ class Tolerances(msgspec.Struct, frozen=True):
     noise_m: float
 
 
+OF_TRANSMISSION = ("gear_eccentricity_rad", "backlash_rad", "stiffness_Nm_rad")
 NOT_NEGATIVE = ("encoder_eccentricity_rad", "gear_eccentricity_rad", "backlash_rad")
 POSITIVE = ("stiffness_Nm_rad", "EI_Nm2")
 RANGE = "such as { from = ..., to = ... }"
@@ -427,6 +428,8 @@ class MadeArms:
         laws = {key: (kind, is_inverse) for key, kind, is_inverse, *_ in LAWS}
         for number, table in enumerate(tolerances.joints, 1):
             for key, spread in spreads(table):
+                if key in OF_TRANSMISSION and not self.arm.is_behind_encoder("backlash", number):
+                    continue  # its encoder, on the joint, sees what the gear does
                 name = f"joint {number}: {_words(key)}"
                 if key == "encoder_zero_rad":
                     yield Factor(name, spread, (thetas[number - 1],), is_deviation=True)

@@ -152,7 +152,7 @@ def encoder_steps_rad(arm: Arm) -> Array:
     """One count of each encoder at its joint (n,); 0 of a joint without a drive."""
     steps = np.zeros(arm.joint_count)
     for drive in arm.drives:
-        steps[drive.joint - 1] = 2.0 * math.pi / abs(drive.encoder_counts_per_rev * drive.gear_ratio)
+        steps[drive.joint - 1] = 2.0 * math.pi / drive.counts_per_joint_turn
     return steps
 
 

@@ -22,10 +22,26 @@ from procedures.new_arm.writing import commented_text
 
 NAME: Final = re.compile(r'^name = ".*?"', re.MULTILINE)
 PORT: Final = re.compile(r'^port = "(.*?)"', re.MULTILINE)
+ANSWERS: Final = (
+    "joints",
+    "axes",
+    "lengths",
+    "boards",
+    "gears",
+    "counts",
+    "encoders",
+    "ports",
+    "can",
+    "home",
+)
 NOT_LIKE: Final = (
-    "joints", "axes", "lengths", "boards", "gears", "counts", "can", "home", "from_urdf", "from_mjcf", "base", "tip", "as_given",
-)  # fmt: skip
-ANSWERS: Final = ("joints", "axes", "lengths", "boards", "gears", "counts", "ports", "can", "home")
+    *(answer for answer in ANSWERS if answer != "ports"),
+    "from_urdf",
+    "from_mjcf",
+    "base",
+    "tip",
+    "as_given",
+)
 
 
 class Terminal:

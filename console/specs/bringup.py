@@ -46,7 +46,12 @@ BRINGUP = (
                 "--counts",
                 metavar="C",
                 nargs="+",
-                help="encoder counts per motor turn: one for all or one each",
+                help="counts per turn of the encoder: one for all or one each",
+            ),
+            option(
+                "--encoders",
+                metavar="motor|joint",
+                help="the side of the gears on which the encoders are (default: motor)",
             ),
             option("--home", metavar="yes|no", help="whether every joint has a home switch and an index"),
             option(

@@ -2,7 +2,7 @@
 
     joint = rigid(encoder) - offset,    offset = flank width / 2 + transmitted torque / stiffness - map(load, direction)
 
-`rigid` is control.kinematics.encoder_chain. Encoders are on the motors; the offset is motor minus joint angle.
+`rigid` is control.kinematics.encoder_chain. The offset is motor minus joint angle; there is none of an encoder on the joint.
 It is computed from set-point and model, never from measurements (`Gear`). The transmitted torque
 is that of the links without the rotors, plus the link-side share of the dry friction, which is an assumption.
 """
@@ -226,9 +226,9 @@ class JointSide:
 
 def has_joint_side(arm: Arm) -> bool:
     """Whether the arm has effects or measured maps between encoders and joints."""
-    return any(effect.effect in SIDE_EFFECTS for effect in arm.effects) or any(
-        one.corrects == "angle_rad" for one in arm.maps
-    )
+    return any(
+        one.effect in SIDE_EFFECTS and arm.is_behind_encoder(one.effect, one.joint) for one in arm.effects
+    ) or any(one.corrects == "angle_rad" for one in arm.maps)
 
 
 def link_torque(arm: Arm) -> LinkTorque:
@@ -252,7 +252,11 @@ def gear_laws(arm: Arm) -> dict[int, GearLaw]:
     """The gears with backlash, compliance, or a map over load or direction, by joint (1-based)."""
     found = {}
     measured = measured_lags(arm)
-    geared = {e.joint for e in arm.effects if e.effect in GEAR_EFFECTS and e.joint is not None}
+    geared = {
+        e.joint
+        for e in arm.effects
+        if e.effect in GEAR_EFFECTS and e.joint is not None and arm.is_behind_encoder(e.effect, e.joint)
+    }
     for joint in sorted(geared | measured.keys()):
         drive = arm.drive(joint)
         stiffness = _sum(arm, joint, "joint_compliance", "stiffness_Nm_rad")
@@ -289,7 +293,12 @@ def torque_limit_Nm(arm: Arm, joint: int) -> float:
 
 
 def _sum(arm: Arm, joint: int, effect: str, parameter: str) -> float:
-    return sum(e.parameters[parameter] for e in arm.effects if e.effect == effect and e.joint == joint)
+    """Of the effects between the joint and its encoder, and of torques."""
+    return sum(
+        e.parameters[parameter]
+        for e in arm.effects
+        if e.effect == effect and e.joint == joint and arm.is_behind_encoder(effect, joint)
+    )
 
 
 def usable_range_rad(arm: Arm) -> tuple[tuple[float, float], ...]:

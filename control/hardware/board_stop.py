@@ -54,7 +54,12 @@ class BoardStop(NamedTuple):
 
 def can_hold(drive: Drive) -> bool:
     """Whether the motor board may control the joint by its own encoder; else it brakes where it would hold."""
-    return drive.board_holds or drive.pid.mode == "position"
+    return (drive.board_holds and knows_motor(drive)) or drive.pid.mode == "position"
+
+
+def knows_motor(drive: Drive) -> bool:
+    """Whether the motor board reads an encoder on the motor; a bought board knows its own."""
+    return drive.encoder_on == "motor" or bool(drive.board)
 
 
 def stop_after_s(period_s: float) -> float:

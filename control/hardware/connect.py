@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
-from control.hardware.board_stop import board_stop
+from control.hardware.board_stop import board_stop, knows_motor
 from control.hardware.boards import NO_END, BoardHardware
 from control.hardware.gripper_board import GripperBoard, GripperHardware
 from control.hardware.gripper_on_board import gripper_of
@@ -218,7 +218,7 @@ def _encoder(port: EncoderBoardPort, arm: Arm, clock: Clock, opened: Opened) -> 
                     f" {drive.encoder_channel}"
                 )
             counts = identity.counts_per_turn[drive.encoder_channel]
-            _compare(board.where, "counts per motor turn", drive.joint, drive.encoder_counts_per_rev, counts)
+            _compare(board.where, "counts per turn", drive.joint, drive.encoder_counts_per_rev, counts)
             _compare(board.where, "counter bits", drive.joint, drive.encoder_bits, identity.encoder_bits)
     except LinkError as error:
         opened.failures.append(error)
@@ -244,10 +244,15 @@ def _motors(
             with collect(opened.failures):
                 board = MotorBoard(bus, drive.motor_node, f"joint {drive.joint}", problems)
                 identity = board.identify(drive.motor_serial_number)
-                counts = identity.encoder_counts_per_turn
-                _compare(
-                    board.where, "counts per motor turn", drive.joint, drive.encoder_counts_per_rev, counts
-                )
+                if knows_motor(drive):
+                    counts = identity.encoder_counts_per_turn
+                    _compare(
+                        board.where,
+                        "counts per turn",
+                        drive.joint,
+                        drive.encoder_counts_per_rev,
+                        counts,
+                    )
                 board.find_state()
                 motors.append((bus, board))
     return motors

@@ -2,7 +2,8 @@
 
     joint_j = (1 + scale_j) e_j + a_j sin e_j + b_j cos e_j + map_j(e_j)  [+ ratio joint_2 for joint 3]
 
-with a, b = amplitude cos(phase), amplitude sin(phase). Plain floats: both ways run every cycle.
+with a, b = amplitude cos(phase), amplitude sin(phase). The belt counts where the encoder is on the motor. Plain floats: both
+ways run every cycle.
 """
 
 from collections.abc import Sequence
@@ -33,6 +34,8 @@ class EncoderChain:
             if one.corrects == one.over == "angle_rad":
                 self._table[one.joint - 1] = SmoothTable.of(one)
         for effect in arm.effects:
+            if not arm.is_behind_encoder(effect.effect, effect.joint):
+                continue
             p, j = effect.parameters, (effect.joint or 0) - 1
             match effect.effect:
                 case "encoder_scale":

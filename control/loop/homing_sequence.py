@@ -29,7 +29,7 @@ DITHER_counts = 2  # a held joint without friction hunts by one count, which sti
 SETTLE_S = 0.1
 SLOW_FRACTION = 0.3  # of the seeking speed, at the edge and the index that give the zero
 TURN_TOLERANCE = (
-    0.35  # of a motor turn, between the index and its position in arm.toml; half a turn is ambiguous
+    0.35  # of the encoder's turn, between the index and its position in arm.toml; half a turn is ambiguous
 )
 
 
@@ -67,7 +67,8 @@ class JointHome:
     travel_rad: float
     switch_rad: float
     index_rad: float
-    turn_rad: float
+    edge_rad: float  # by which the switch may move
+    turn_rad: float  # from one index to the next
     index_count: int
 
 
@@ -163,11 +164,16 @@ class JointHoming:
     def _way_rad(self) -> float:
         """The longest way to release or find the switch: once it was found, it is near."""
         home = self._home
-        return home.travel_rad if self._edge_rad is None else home.backoff_rad + 2.0 * home.turn_rad
+        return home.travel_rad if self._edge_rad is None else home.backoff_rad + self._two_turns_rad
+
+    @property
+    def _two_turns_rad(self) -> float:
+        """Within which there is an index, as far as the joint turns."""
+        return min(2.0 * self._home.turn_rad, self._home.travel_rad)
 
     def _check_edge(self, off_rad: float) -> None:
-        """Check that the switch became active in the same motor turn twice, at most so far apart."""
-        most_rad = TURN_TOLERANCE * self._home.turn_rad
+        """Check that the switch became active at one place twice."""
+        most_rad = self._home.edge_rad
         if off_rad > most_rad:
             raise HomingFailed(
                 self._home.name,
@@ -181,7 +187,9 @@ class JointHoming:
             self._check_turn()
             self._enter(Phase.SETTLE)
         self._check(
-            2.0 * self._home.turn_rad, "no index pulse within two motor turns", "check the encoder's Z wire"
+            self._two_turns_rad,
+            "no index pulse within two turns of the encoder",
+            "check the encoder's Z wire",
         )
         return step
 
@@ -198,14 +206,14 @@ class JointHoming:
         return step
 
     def _check_turn(self) -> None:
-        """Check that the latch is in the motor turn of arm.toml, clear of the two adjacent turns."""
+        """Check that the latch is in the encoder's turn of arm.toml, clear of the two adjacent turns."""
         expected_rad = self._home.index_rad - self._home.switch_rad
         off = abs(self._travelled_rad - expected_rad) / self._home.turn_rad
         if off > TURN_TOLERANCE:
             raise HomingFailed(
                 self._home.name,
                 f"its index was {self._travelled_rad:.4f} rad after its home switch, expected {expected_rad:.4f} rad"
-                f" (tolerance {TURN_TOLERANCE * self._home.turn_rad:.4f} rad): the motor turn is ambiguous",
+                f" (tolerance {TURN_TOLERANCE * self._home.turn_rad:.4f} rad): the encoder's turn is ambiguous",
                 "the switch has moved: adjust it, or correct [drive.home] in arm.toml",
             )
 

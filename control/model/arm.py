@@ -22,6 +22,7 @@ from control.model.drive import Drive as Drive
 from control.model.drive import DrivePid as DrivePid
 from control.model.drive import Home as Home
 from control.model.drive import NonNegative, Positive
+from control.model.effects import EFFECTS, moved_joint
 from control.model.end_effector import NO_TOOL, Digital, Gripper
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
@@ -266,6 +267,16 @@ class Arm:
             f"arm {self.name}: joint {joint} has no [[drive]] (joints with a drive: {has}); add one"
         )
 
+    def is_behind_encoder(self, effect: str, joint: int | None) -> bool:
+        """Return whether an effect, by the key `joint` of its [[effect]], is between an encoder and its joint, or beyond.
+
+        What the transmission does is not where the encoder is on the joint: it moves the motor there.
+        """
+        if not EFFECTS[effect].is_of_transmission:
+            return True
+        moved = moved_joint(effect, joint)
+        return not any(drive.joint == moved and drive.encoder_on == "joint" for drive in self.drives)
+
     def board(self, drive: Drive) -> Board | None:
         """Return the [[board]] of a drive, None if it is on a reference motor board."""
         return next((board for board in self.boards if board.name == drive.board), None)
@@ -303,7 +314,7 @@ class Arm:
             return math.inf
         board = self.board(drive)
         turns = 1.0 if self.kind_of(drive).is_absolute else board.absolute_turns if board else None
-        return 2.0 * math.pi * (drive.gear_ratio if turns is None else turns) / drive.gear_ratio
+        return drive.encoder_turn_rad * (drive.encoder_turns if turns is None else turns)
 
     @property
     def can_home(self) -> bool:

@@ -103,7 +103,7 @@ def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
 def _check_home_count(drive: Drive, home: Home, path: tuple[str | int, ...]) -> None:
     """Homing sets the counter to what it is at the index pulse, and takes the counter at its word from there on."""
     count, half = JointMap(drive).count(home.index_rad), 1 << (drive.encoder_bits - 1)
-    settled = 2 * drive.encoder_counts_per_rev  # the joint comes to rest within two turns of the motor
+    settled = 2 * drive.encoder_counts_per_rev  # the joint comes to rest within two turns of the encoder
     if abs(count) + settled > half:
         expected = f"a counter that holds {count} +- {settled} counts, of the index pulse at index_rad"
         remedy = "set zero_count so that the joint's count at index_rad is small"
@@ -246,8 +246,9 @@ def _check_unique_turn(arm: Arm, drive: Drive, kind: BoardKind, path: tuple[str 
         expected = f"a range below {turn_rad:.4g} rad: the encoder knows its place within one turn, {turn_rad:.4g} rad here"
         got = f"{lower:g} to {upper:g} rad"
         remedy = "narrow joint_lower_rad and joint_upper_rad"
-        if drive.gear_ratio != 1.0:
-            remedy += f"; gear_ratio = {drive.gear_ratio:g} is of gears between that encoder and the joint"
+        if drive.encoder_turns != 1.0:
+            turns = f"{drive.encoder_turns:g} turns per turn of the joint"
+            remedy += f"; its gear_ratio, encoder_on and encoder_ratio say that the encoder makes {turns}"
         raise Rejected((*path, "joint_upper_rad"), expected, got, remedy)
     if kind.first_count is None:
         return

@@ -60,10 +60,15 @@ class Drive:
 
     joint: Annotated[int, ONE_OR_MORE, "from 1 at the base"]
     gear_ratio: Annotated[Positive, "motor turns per joint turn, belts included"]
-    encoder_counts_per_rev: Annotated[int, ONE_OR_MORE, "per motor turn, after quadrature decoding"]
+    encoder_counts_per_rev: Annotated[int, ONE_OR_MORE, "per turn of the encoder, after quadrature decoding"]
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
     resistance_ohm: Annotated[Positive, "of the winding, between terminals"]
     supply_V: Annotated[Positive, "of the motor board"]
+    encoder_on: Annotated[
+        Literal["motor", "joint"],
+        "the side of gear and belts on which the encoder is: play and springs are behind it, or before it",
+    ] = "motor"
+    encoder_ratio: Annotated[Positive, "turns of the encoder per turn of that motor or joint"] = 1.0
     encoder_bits: Annotated[int, ENCODER_BITS, "width of the counter"] = 32
     inductance_H: Annotated[NonNegative, "of the winding"] = 0.0
     rotor_inertia_kg_m2: Annotated[NonNegative, "of the rotor; counts gear_ratio^2 times at the joint"] = 0.0
@@ -117,3 +122,18 @@ class Drive:
         ):
             if getattr(self, name) < 0:
                 object.__setattr__(self, name, default)
+
+    @property
+    def encoder_turns(self) -> float:
+        """Turns of the encoder per turn of the joint."""
+        return (self.gear_ratio if self.encoder_on == "motor" else 1.0) * self.encoder_ratio
+
+    @property
+    def counts_per_joint_turn(self) -> float:
+        """Counts of the encoder per turn of the joint, without sign."""
+        return self.encoder_counts_per_rev * self.encoder_turns
+
+    @property
+    def encoder_turn_rad(self) -> float:
+        """The joint's angle in one turn of the encoder: from one index pulse to the next."""
+        return 2.0 * math.pi / self.encoder_turns

@@ -90,6 +90,7 @@ class EffectKind:
     is_dry: bool = False  # friction that holds at rest, up to torque_Nm
     is_of_motor: bool = False  # its torque follows the motor's angle, which takes a [[drive]]
     corrected: Corrected = "not"
+    is_of_transmission: bool = False  # between motor and joint: an encoder on the joint sees what it does
     moves: int | None = (
         None  # the joint that it moves, and the one whose angle says how far, if not the key `joint`
     )
@@ -104,7 +105,12 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         "joint", ("amplitude_rad", "phase_rad"), linear=wave("amplitude_rad"), corrected="encoder"
     ),
     "backlash": EffectKind(
-        "joint", ("width_rad",), not_negative=("width_rad",), linear=width("width_rad"), corrected="gear"
+        "joint",
+        ("width_rad",),
+        not_negative=("width_rad",),
+        linear=width("width_rad"),
+        corrected="gear",
+        is_of_transmission=True,
     ),
     "joint_compliance": EffectKind(
         "joint",
@@ -114,10 +120,17 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         not_negative=("damping_Nm_s_rad",),
         linear=inverse("stiffness_Nm_rad"),
         corrected="gear",
+        is_of_transmission=True,
     ),
     "link_flexure": EffectKind("link", ("EI_Nm2",), positive=("EI_Nm2",), linear=inverse("EI_Nm2")),
     "belt_coupling": EffectKind(
-        "none", ("ratio",), linear=itself("ratio"), corrected="encoder", moves=COUPLED, follows=COUPLED_TO
+        "none",
+        ("ratio",),
+        linear=itself("ratio"),
+        corrected="encoder",
+        is_of_transmission=True,
+        moves=COUPLED,
+        follows=COUPLED_TO,
     ),
     "thermal_drift": EffectKind(
         "joint or none",

@@ -26,8 +26,8 @@ NOT_COMPARED: Final = frozenset(
         "drive.board_channel", "drive.servo", "drive.board_holds", "drive.home", "drive.pid.kp", "drive.pid.ki", "drive.pid.kd",
         "drive.pid.derivative_filter_s",
         "limits.stale_s", "limits.watchdog_s", "limits.following_error_rad", "limits.following_error_per_speed_s",
-        "limits.jog_silence_s", "limits.speed_contradiction_rad_s", "limits.unexplained_torque", "limits.supply_low",
-        "limits.supply_high", "limits.temperature_degC",
+        "limits.jog_silence_s", "limits.speed_contradiction_rad_s", "limits.transmission_slack_rad",
+        "limits.unexplained_torque", "limits.supply_low", "limits.supply_high", "limits.temperature_degC",
     }
 )  # fmt: skip
 """Keys of arm.toml: where things are connected, what only the loop uses, and what is for the record."""

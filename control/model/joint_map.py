@@ -1,4 +1,4 @@
-"""Conversion between counts of a motor's encoder and radians of its joint, with counter unwrapping."""
+"""Conversion between counts of an encoder and radians of its joint, with counter unwrapping."""
 
 import math
 
@@ -9,13 +9,14 @@ from control.model.arm import Drive
 class JointMap:
     """Counts to joint angle and back: ratio, counts per turn, direction, and the count at zero.
 
-    `angle = direction (count - zero_count) 2 pi / (counts_per_rev gear_ratio)`; counts are unwrapped ones.
+    `angle = direction (count - zero_count) 2 pi / (counts_per_rev turns)`; counts are unwrapped ones, `turns` those of the
+    encoder per turn of the joint: `gear_ratio` of one on the motor, 1 of one on the joint.
     """
 
     __slots__ = ("counts_per_radian", "radians_per_count", "zero_count")
 
     def __init__(self, drive: Drive) -> None:
-        counts_per_turn = drive.encoder_counts_per_rev * drive.gear_ratio * drive.encoder_direction
+        counts_per_turn = drive.counts_per_joint_turn * drive.encoder_direction
         self.counts_per_radian = counts_per_turn / (2.0 * math.pi)  # signed by the encoder's direction
         self.radians_per_count = (2.0 * math.pi) / counts_per_turn
         self.zero_count = drive.zero_count

@@ -55,6 +55,10 @@ class Limits:
     speed_contradiction_rad_s: Annotated[
         Positive, JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md)"
     ] = 0.02
+    transmission_slack_rad: Annotated[
+        NonNegative,
+        "play and springs between motor and joint: by so much they may differ, where an encoder is on the joint",
+    ] = 0.05
     unexplained_torque: Annotated[Positive, "share of the torque at the current limit (docs/safety.md)"] = 0.3
     supply_low: Annotated[float, SHARE_BELOW_1, "of the drive's supply_V"] = 0.75
     supply_high: Annotated[float, SHARE_ABOVE_1, "of the drive's supply_V"] = 1.4

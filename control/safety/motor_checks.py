@@ -24,16 +24,30 @@ class SpeedCheck:
     which measures when it is asked, or by itself, to the last one; the check keeps them.
     """
 
-    __slots__ = ("_K", "_R", "_allowed_V", "_base_V", "_before_V", "_is_newest", "_last_V", "_left_V")
+    __slots__ = (
+        "_K",
+        "_R",
+        "_allowed_V",
+        "_base_V",
+        "_before_V",
+        "_is_newest",
+        "_last_V",
+        "_lead_rad",
+        "_left_V",
+        "_slack_rad",
+    )
 
     def __init__(
         self, resistance_ohm: float, volts_per_rad_s: float, base_rad_s: float, current_step_A: float = 0.0,
-        is_newest: bool = False,
+        is_newest: bool = False, slack_rad: float = 0.0,
     ) -> None:  # fmt: skip
         """`base_rad_s`: allowed difference of the two speeds at rest and without current.
 
         `current_step_A`: to which the board rounds its current; `is_newest`: the current belongs to the last command.
+        `slack_rad`: by which the motor may turn while its encoder, on the joint, stands: the integral of what is beyond the
+        allowed difference must exceed it.
         """
+        self._slack_rad = slack_rad
         self._R, self._K, self._is_newest = resistance_ohm, volts_per_rad_s, is_newest
         self._base_V = base_rad_s * volts_per_rad_s + 0.5 * current_step_A * resistance_ohm
         self.forget()
@@ -41,7 +55,7 @@ class SpeedCheck:
     def forget(self) -> None:
         """Start anew: the voltage was not known."""
         self._before_V = self._last_V = math.nan
-        self._left_V = self._allowed_V = 0.0
+        self._left_V = self._allowed_V = self._lead_rad = 0.0
 
     def update(
         self, elapsed_s: float, sent_V: float, current_A: float, speed_rad_s: float, supply_off: float
@@ -58,7 +72,7 @@ class SpeedCheck:
         self._before_V, self._last_V = self._last_V, sent_V
         # Nor with the first command that is none: a board that is asked late measures what that one does.
         if not acted_V - acted_V == 0.0 == change_V - change_V or sent_V != sent_V:
-            self._left_V = self._allowed_V = 0.0
+            self._left_V = self._allowed_V = self._lead_rad = 0.0
             return True
         ohmic_V, emf_V = self._R * current_A, self._K * speed_rad_s
         # One cycle of misalignment costs as much as the voltage changes in one.
@@ -66,7 +80,13 @@ class SpeedCheck:
         gain = elapsed_s / (elapsed_s + SPEED_SMOOTHING_S)
         self._left_V += gain * (acted_V - ohmic_V - emf_V - self._left_V)
         self._allowed_V += gain * (allowed_V - self._allowed_V)
-        return abs(self._left_V) <= self._allowed_V + self._base_V
+        left_V = self._left_V
+        excess_V = abs(left_V) - self._allowed_V - self._base_V
+        if excess_V <= 0.0:
+            self._lead_rad = 0.0
+            return True
+        self._lead_rad += math.copysign(excess_V / self._K, left_V) * elapsed_s
+        return abs(self._lead_rad) <= self._slack_rad
 
     @property
     def excess_rad_s(self) -> float:

@@ -35,7 +35,6 @@ from control.loop.parts import Checks, Parts, Strain, ToolParts
 from control.loop.runtime import Runtime
 from control.loop.watch import MeasuredLimits, Watch, WatchLimits
 from control.model.arm import Arm, Drive
-from control.model.board_kinds import BoardKind
 from control.model.cell import Cell
 from control.model.joint_map import JointMap
 from control.motion.guard import Guard
@@ -223,10 +222,14 @@ def _indices(arm: Arm, measurement: Measurement, names: Sequence[str]) -> IndexW
 def _switch_place(drive: Drive) -> SwitchPlace | None:
     if (home := drive.home) is None:
         return None
-    turn_rad = 2.0 * math.pi / drive.gear_ratio
     sense = 1.0 if home.index_rad >= home.switch_rad else -1.0
-    tolerance_rad = TURN_TOLERANCE * turn_rad + SWITCH_SLACK_rad
+    tolerance_rad = _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
     return SwitchPlace(f"joint {drive.joint}", home.switch_rad, sense, tolerance_rad)
+
+
+def _edge_tolerance_rad(drive: Drive) -> float:
+    """How far a home switch may move: it tells turns of the motor apart, and is no worse beside an encoder on the joint."""
+    return TURN_TOLERANCE * min(drive.encoder_turn_rad, 2.0 * math.pi / drive.gear_ratio)
 
 
 def _cross_check_limits(arm: Arm) -> CrossCheckLimits:
@@ -253,17 +256,21 @@ def _servo(arm: Arm, loads: Loads, period_s: float) -> Servo:
 
 def _motors(arm: Arm) -> list[Motor]:
     constants = torque_constants_Nm_A(arm)
-    return [
-        _motor(drive, arm.kind_of(drive), constant)
-        for drive, constant in zip(arm.drives, constants, strict=True)
-    ]
+    return [_motor(arm, drive, constant) for drive, constant in zip(arm.drives, constants, strict=True)]
 
 
-def _motor(drive: Drive, kind: BoardKind, joint_constant: float) -> Motor:
+def _motor(arm: Arm, drive: Drive, joint_constant: float) -> Motor:
+    kind = arm.kind_of(drive)
     return Motor(
-        1.0 / joint_constant, drive.resistance_ohm, joint_constant, drive.supply_V, drive.current_limit_A,
-        kind.current_step_A, kind.current_is_newest,
-    )  # fmt: skip
+        amperes_per_Nm=1.0 / joint_constant,
+        resistance_ohm=drive.resistance_ohm,
+        volts_per_rad_s=joint_constant,
+        supply_V=drive.supply_V,
+        current_limit_A=drive.current_limit_A,
+        current_step_A=kind.current_step_A,
+        current_is_newest=kind.current_is_newest,
+        slack_rad=arm.limits.transmission_slack_rad if drive.encoder_on == "joint" else 0.0,
+    )
 
 
 def _unique_turns(arm: Arm) -> Iterator[UniqueTurn]:
@@ -332,7 +339,8 @@ def _homes(arm: Arm) -> list[tuple[int, JointHome]]:
                     travel_rad=HOMING_TRAVEL * range_rad,
                     switch_rad=drive.home.switch_rad,
                     index_rad=drive.home.index_rad,
-                    turn_rad=2.0 * 3.141592653589793 / drive.gear_ratio,
+                    edge_rad=_edge_tolerance_rad(drive),
+                    turn_rad=drive.encoder_turn_rad,
                     index_count=JointMap(drive).count(drive.home.index_rad),
                 ),
             )

@@ -63,6 +63,7 @@ class Motor:
     current_limit_A: float
     current_step_A: float = 0.0  # to which its board rounds the current
     current_is_newest: bool = False  # it belongs to the last command, not to the one before that
+    slack_rad: float = 0.0  # by which it may turn while the encoder stands
 
 
 class GainShares(Protocol):

@@ -42,6 +42,7 @@ class DriveParts:
     current_limit_A: float
     joint_lower_rad: float
     joint_upper_rad: float
+    is_encoder_on_joint: bool = False  # else on the motor, before play and springs
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,4 +132,5 @@ def _drive(drive: Drive) -> DriveParts:
         current_limit_A=drive.current_limit_A,
         joint_lower_rad=drive.joint_lower_rad,
         joint_upper_rad=drive.joint_upper_rad,
+        is_encoder_on_joint=drive.encoder_on == "joint",
     )

@@ -46,6 +46,10 @@ class Plant:
         self._model: Any = self._at.model
         self._shafts = tuple(Shaft(effect) for effect in effects.joints)
         self._shafts_are_true = all(shaft.is_true for shaft in self._shafts)
+        self._read_hinge = tuple(
+            self._at.link_hinge[j] if drive.is_encoder_on_joint else self._at.motor_hinge[j]
+            for j, drive in enumerate(arm.drives)
+        )
         self._pose(arm, start_rad)
         self._bend()
         self.bridges = Bridges(
@@ -123,15 +127,15 @@ class Plant:
         return self._q[self._at.motor_hinge[j]]
 
     def encoder_rad(self, j: int) -> float:
-        """Encoder angle of motor j in joint angles, before quantisation."""
-        shaft = self._shafts[j]
-        return self.motor_rad(j) if shaft.is_true else shaft.reading_rad(self.motor_rad(j), self.time_s)
+        """Encoder angle of joint j in joint angles, before quantisation: of its motor, or of the joint itself."""
+        shaft, read_rad = self._shafts[j], self._q[self._read_hinge[j]]
+        return read_rad if shaft.is_true else shaft.reading_rad(read_rad, self.time_s)
 
     def encoder_angles_rad(self) -> list[float]:
         """All encoder angles in joint angles."""
         q = self._q
         if self._shafts_are_true:
-            return [q[k] for k in self._at.motor_hinge]
+            return [q[k] for k in self._read_hinge]
         return [self.encoder_rad(j) for j in range(self.joints)]
 
     def joint_rad(self) -> tuple[float, ...]:
@@ -350,11 +354,11 @@ def step_together(plants: Sequence[Plant], steps: int) -> None:
         done = until
 
 
-# Errors between the motor's angle and its encoder's reading.
+# Errors between the angle of the motor or joint and its encoder's reading.
 
 
 class Shaft:
-    """Motor angle in joint radians -> encoder angle. With eccentricity and drift, the joint leads."""
+    """Angle of what the encoder is on, in joint radians -> encoder angle. With eccentricity and drift, the joint leads."""
 
     __slots__ = ("_amplitude_rad", "_drift_rad", "_phase_rad", "_scale", "_time_constant_s", "is_true")
 

@@ -12,7 +12,7 @@ from statistics import fmean, median
 from control.hardware.words import QUADRATURE_ERROR, SIGNAL_LOST
 from control.model.arm import Drive, Home
 from procedures.bringup.findings import Diagnosis
-from procedures.bringup.measuring import ODD_RATIO, JointMeasurements
+from procedures.bringup.measuring import ODD_RATIO, JointMeasurements, has_two_indices
 from procedures.bringup.wiring import MeasuredWiring
 
 READING_SD_RAD = 0.004  # of a protractor, including the reading error
@@ -38,12 +38,8 @@ def diagnose(draft: Drive, wiring: MeasuredWiring, found: JointMeasurements, boa
     offset_rad, slope = _line(result, found, is_slipping)
     if not is_slipping:
         _gear(result, slope, draft, len(found.readings))
-    scale = (
-        draft.encoder_counts_per_rev
-        * draft.gear_ratio
-        / (result.drive.encoder_counts_per_rev * result.drive.gear_ratio)
-    )
-    _motor(result, found, draft)
+    scale = draft.counts_per_joint_turn / result.drive.counts_per_joint_turn
+    _motor(result, found, scale * result.drive.gear_ratio)
     _friction(result, found, draft, scale)
     if not result.problems:
         offset_rad = place_home(result, found, offset_rad, scale)
@@ -113,7 +109,7 @@ def _slip(result: Diagnosis, found: JointMeasurements) -> bool:
 
 
 def _counts(result: Diagnosis, found: JointMeasurements, board_counts: int) -> None:
-    """Counts per motor turn, from index to index."""
+    """Counts per turn of the encoder, from index to index."""
     drive, name = result.drive, f"joint {result.drive.joint}"
     spacings = found.spacings_count
     if not found.has_index:
@@ -121,8 +117,13 @@ def _counts(result: Diagnosis, found: JointMeasurements, board_counts: int) -> N
             f"{name}: its board knows no index: counts per turn are the draft's, and the gear ratio is that times these"
         )
         return
+    if not spacings and not has_two_indices(drive):
+        result.notes.append(
+            f"{name}: its range has no two index pulses: counts per turn of the encoder are the draft's"
+        )
+        return
     if not spacings:
-        problem = f"{name}: NO INDEX PULSE within {2.6:g} motor turns: check the encoder's Z wire"
+        problem = f"{name}: NO INDEX PULSE within {2.6:g} turns of the encoder: check the encoder's Z wire"
         if drive.home is not None:
             result.problems.append(f"{problem}; homing needs it")
         else:
@@ -143,7 +144,7 @@ def _counts(result: Diagnosis, found: JointMeasurements, board_counts: int) -> N
         result.drive = replace(drive, encoder_counts_per_rev=middle)
     if abs(middle - board_counts) > SPACING_SPREAD_counts:
         result.notes.append(
-            f"{name}: the boards are configured for {board_counts} counts per motor turn, the encoder has {middle}:"
+            f"{name}: the boards are configured for {board_counts} counts per turn, the encoder has {middle}:"
             " configure the boards, or the new arm.toml will reject them"
         )
 
@@ -180,48 +181,57 @@ def _line(result: Diagnosis, found: JointMeasurements, is_slipping: bool) -> tup
 
 
 def _gear(result: Diagnosis, slope: float, draft: Drive, readings: int) -> None:
-    """Motor turns per joint turn. A ratio other than the draft's is accepted only if a misread angle would show."""
+    """Turns of the gear that the encoder is behind: gear_ratio of one on the motor, encoder_ratio of one on the joint.
+
+    A ratio other than the draft's is accepted only if a misread angle would show.
+    """
     if not slope > 0.0:
         return
     drive = result.drive
-    ratio = draft.gear_ratio * draft.encoder_counts_per_rev / (slope * drive.encoder_counts_per_rev)
+    key, what = ("gear_ratio", "motor") if drive.encoder_on == "motor" else ("encoder_ratio", "encoder")
+    drawn: float = getattr(draft, key)
+    ratio = drawn * draft.encoder_counts_per_rev / (slope * drive.encoder_counts_per_rev)
     sd = ratio * result.figures["scale_sd"] / slope
-    result.figures |= {"gear_ratio": ratio, "gear_ratio_sd": sd}
-    if abs(ratio / draft.gear_ratio - 1.0) <= max(SCALE_TOLERANCE, 3.0 * sd / ratio):
+    result.figures |= {key: ratio, f"{key}_sd": sd}
+    if abs(ratio / drawn - 1.0) <= max(SCALE_TOLERANCE, 3.0 * sd / ratio):
         return
-    found = f"{ratio:.2f} motor turns per joint turn (sd {sd:.2f}), draft {draft.gear_ratio:g}"
-    if abs(ratio / draft.gear_ratio - 1.0) < ODD_RATIO:
+    found = f"{ratio:.2f} {what} turns per joint turn (sd {sd:.2f}), draft {drawn:g}"
+    if abs(ratio / drawn - 1.0) < ODD_RATIO:
         result.problems.append(
             f"joint {drive.joint}: LOOSE ENCODER or WRONG GEAR: {found}: such a small difference is rarely a"
-            " different gearbox; tighten the encoder on its shaft and run again, or correct gear_ratio in the draft"
+            f" different gearbox; tighten the encoder on its shaft and run again, or correct {key} in the draft"
             " if the gearbox plate confirms it"
         )
         return
     if readings < FEWEST_READINGS:
         result.problems.append(
             f"joint {drive.joint}: WRONG GEAR or a misread angle: {found}; {readings} readings cannot reveal a"
-            " misread one; run again with end stops, or correct gear_ratio in the draft if the gearbox plate"
+            f" misread one; run again with end stops, or correct {key} in the draft if the gearbox plate"
             " confirms it"
         )
         return
     rounded = float(round(ratio)) if abs(ratio - round(ratio)) < 2.0 * sd else float(f"{ratio:.4g}")
     result.changes.append(
-        f"joint {drive.joint}: WRONG GEAR: {found}: gear_ratio = {rounded:g}; compare with the gearbox plate"
+        f"joint {drive.joint}: WRONG GEAR: {found}: {key} = {rounded:g}; compare with the gearbox plate"
     )
     if sd > EXACT * ratio:
         result.notes.append(
             f"joint {drive.joint}: the gear ratio is known to {sd / ratio:.1%} only: run with end stops and read the"
             " angles there"
         )
-    result.drive = replace(drive, gear_ratio=rounded)
+    result.drive = (
+        replace(drive, gear_ratio=rounded) if what == "motor" else replace(drive, encoder_ratio=rounded)
+    )
 
 
-def _motor(result: Diagnosis, found: JointMeasurements, draft: Drive) -> None:
-    """Fit volts = R I + k w over all passes, w the motor's own speed; only a check of the data sheet's values."""
+def _motor(result: Diagnosis, found: JointMeasurements, motor_turns: float) -> None:
+    """Fit volts = R I + k w over all passes, w the motor's own speed; only a check of the data sheet's values.
+
+    `motor_turns`: of the motor per turn of the joint by the draft's counts.
+    """
     if len(found.passes) < 4 or not found.has_volts:
         return
-    per_turn = draft.gear_ratio * draft.encoder_counts_per_rev / result.drive.encoder_counts_per_rev
-    rows = [(p.current_A, p.speed_rad_s * per_turn, p.volts) for p in found.passes]
+    rows = [(p.current_A, p.speed_rad_s * motor_turns, p.volts) for p in found.passes]
     aa, ab, bb = (math.fsum(r[i] * r[j] for r in rows) for i, j in ((0, 0), (0, 1), (1, 1)))
     av, bv = (math.fsum(r[i] * r[2] for r in rows) for i in (0, 1))
     determinant = aa * bb - ab * ab
@@ -267,8 +277,8 @@ def _friction(result: Diagnosis, found: JointMeasurements, draft: Drive, scale: 
 
 
 # Where index, home switch and end stops are, in the joint's own angle, and the resulting changes of a draft.
-TURN_TOLERANCE = 0.3  # of a motor turn, between the index by the readings and by the draft
-SWITCH_TOLERANCE = 0.15  # of a motor turn, of the switch
+TURN_TOLERANCE = 0.3  # of the encoder's turn, between the index by the readings and by the draft
+SWITCH_TOLERANCE = 0.15  # of the encoder's turn, of the switch
 STOP_CLEARANCE_RAD = 0.02  # distance of a limit from its stop
 LEAST_CLEARANCE_RAD = 0.01
 SHORT_RANGE = 0.9  # of the draft's range
@@ -307,7 +317,7 @@ def _place_index(
     result: Diagnosis, found: JointMeasurements, home: Home, offset_rad: float, scale: float
 ) -> float:
     name = f"joint {result.drive.joint}"
-    turn_rad = 2.0 * math.pi / result.drive.gear_ratio
+    turn_rad = result.drive.encoder_turn_rad
     index_rad = home.index_rad
     if not math.isnan(offset_rad):
         read_rad = offset_rad + scale * found.index_rad
@@ -316,7 +326,7 @@ def _place_index(
             index_rad = round(read_rad, 4)
             result.changes.append(
                 f"{name}: INDEX MOVED: the readings put its index at {math.degrees(read_rad):.2f} deg, the draft at"
-                f" {math.degrees(home.index_rad):.2f} deg (one motor turn is {math.degrees(turn_rad):.2f} deg):"
+                f" {math.degrees(home.index_rad):.2f} deg (one turn of the encoder is {math.degrees(turn_rad):.2f} deg):"
                 f" index_rad = {index_rad:g}; calibration refines the zero"
             )
     forth = 1 if home.index_rad >= home.switch_rad else -1

@@ -10,6 +10,7 @@ from itertools import pairwise
 from statistics import fmean, median
 
 from control.hardware.words import HOME_SWITCH, QUADRATURE_ERROR, SIGNAL_LOST
+from control.model.arm import Drive
 from procedures.bringup.driving import DrivenMotion, JointDriver, MotionEnd
 from procedures.bringup.operator import BringupOperator, Stopped
 
@@ -17,7 +18,9 @@ SUPPORT_S = 0.3  # in which a joint comes to rest once the links are supported a
 LATCHES = 5
 INDEX_SPEED_rad_s = 0.12
 SAME_PULSE_counts = 4
-INDEX_TURNS = 2.6  # motor turns by the draft: even at half or twice the counts there are two index pulses
+INDEX_TURNS = (
+    2.6  # turns of the encoder by the draft: even at half or twice the counts there are two index pulses
+)
 KNOWN_ANGLE_RAD = 0.3  # readings, including those at the end stops
 LONG_ANGLE_RAD = 0.6  # readings without end stops
 PASS_SPEEDS_rad_s = (0.1, 0.2, 0.4)
@@ -129,10 +132,18 @@ def _note_flags(run: DrivenMotion, found: JointMeasurements) -> None:
         found.flags |= flags & (QUADRATURE_ERROR | SIGNAL_LOST)
 
 
+def has_two_indices(drive: Drive) -> bool:
+    """Whether the joint turns from one index pulse to the next: not always, where the encoder is on the joint."""
+    range_rad = drive.joint_upper_rad - drive.joint_lower_rad
+    return drive.encoder_on == "motor" or range_rad > INDEX_TURNS * drive.encoder_turn_rad
+
+
 def measure_index_spacing(driver: JointDriver, found: JointMeasurements) -> None:
     """Index pulses in the positive direction, or in the negative one if the joint is blocked."""
+    if not has_two_indices(driver.drive):
+        return
     start_rad = driver.where_rad()
-    longest_rad = INDEX_TURNS * 2.0 * math.pi / driver.drive.gear_ratio
+    longest_rad = INDEX_TURNS * driver.drive.encoder_turn_rad
     for direction in (1, -1):
         latches = driver.latches(LATCHES, direction, INDEX_SPEED_rad_s, longest_rad)
         # A joint that sinks while its index is armed passes the same pulse again.
@@ -267,12 +278,15 @@ def _edge(run: DrivenMotion) -> float:
 def _index_behind(driver: JointDriver, found: JointMeasurements, direction: int) -> float:
     """Find the first index pulse after the switch; return the distance.
 
-    A joint that sinks while the index is armed passes it: the pulses lie whole motor turns apart.
+    A joint that sinks while the index is armed passes it: the pulses lie whole turns of the encoder apart.
     """
     before_rad = driver.where_rad()
-    longest_rad = 2.2 * 2.0 * math.pi / driver.drive.gear_ratio * max(1.0, driver.scale)
-    latches = driver.latches(1, direction, INDEX_SPEED_rad_s, longest_rad)
-    if latches and found.spacings_count:
+    drive, is_alone = driver.drive, not has_two_indices(driver.drive)
+    way_rad = drive.joint_upper_rad - drive.joint_lower_rad if is_alone else 2.2 * drive.encoder_turn_rad
+    latches = driver.latches(1, direction, INDEX_SPEED_rad_s, way_rad * max(1.0, driver.scale))
+    if latches and is_alone:
+        found.index_rad = driver.angle_rad(latches[0]) / driver.scale
+    elif latches and found.spacings_count:
         edge_rad, _, _ = found.edges[-1]
         behind_rad = direction * (driver.angle_rad(latches[0]) / driver.scale - edge_rad)
         turn_rad = median(found.spacings_count) * driver.radians_per_count / driver.scale

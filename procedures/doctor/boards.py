@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from control.hardware.board_stop import knows_motor
 from control.hardware.kinds import open_boards as open_kinds
 from control.hardware.opened import Opened
 from control.hardware.roles import Encoders
@@ -184,7 +185,7 @@ def _compare_encoder(
                 f"a channel {drive.encoder_channel}", remedy,
             )  # fmt: skip
             continue
-        _same(boards, what, drive, "counts per motor turn", identity.counts_per_turn[drive.encoder_channel])
+        _same(boards, what, drive, "counts per turn", identity.counts_per_turn[drive.encoder_channel])
         if drive.encoder_bits != identity.encoder_bits:
             boards.note(
                 Level.BAD, f"{what}: joint {drive.joint}, counter bits", str(identity.encoder_bits),
@@ -325,7 +326,8 @@ def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan
             str(drive.motor_serial_number),
             remedy,
         )
-    _same(boards, what, drive, "counts per motor turn", identity.encoder_counts_per_turn)
+    if knows_motor(drive):
+        _same(boards, what, drive, "counts per turn", identity.encoder_counts_per_turn)
     _judge_reset(boards, what, board)
 
 

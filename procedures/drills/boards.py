@@ -222,7 +222,7 @@ def a_turn_off(played: Stage) -> str:
         servo.table[MODE], servo.turned_on = EXTENDED_POSITION, 1
     if not servos:
         first, *others = played.arm.drives
-        turn = round(first.encoder_counts_per_rev * first.gear_ratio)
+        turn = round(first.counts_per_joint_turn)
         played.arm = replace(played.arm, drives=(replace(first, zero_count=first.zero_count - turn), *others))
     played.restart()
     for do in ("enable", "home", "hold"):

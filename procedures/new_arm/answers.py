@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from control.errors import ArmError
 from control.model.arm import Convention
@@ -27,7 +27,7 @@ USUAL_LENGTHS_m = {
     7: (0.12, 0.20, 0.15, 0.20, 0.12, 0.08, 0.08),
 }
 SERVO_SHARE, SERVO_kg, SERVO_TUBE_kg_m = 0.35, 0.08, 0.4  # of servo arms: of the usual lengths; masses
-COUNTS_PER_REV = 2048
+COUNTS_PER_REV, COUNTS_PER_JOINT_TURN = 2048, 65536  # of usual encoders on motors and on joints
 FIRST_PORT = "/dev/ttyACM"
 CAN = "socketcan:can0"
 
@@ -53,6 +53,7 @@ class ChosenParts:
     gear_ratios: tuple[float, ...] | None
     counts_per_rev: tuple[int, ...]
     has_home_switches: bool
+    encoder_on: Literal["motor", "joint"]
     ports: tuple[str, ...]
     can: tuple[str, str] | None
 
@@ -142,11 +143,21 @@ def gears_from(words: Sequence[str], joints: int) -> tuple[float, ...]:
     return ratios
 
 
+def encoder_on_from(text: str) -> Literal["motor", "joint"]:
+    """The side of the gears on which the encoders are."""
+    match text.strip():
+        case "motor" | "joint" as side:
+            return side
+    raise ArmError(
+        f"encoders: expected motor or joint, the side of the gears on which they are, got {text!r}"
+    )
+
+
 def counts_from(words: Sequence[str], joints: int) -> tuple[int, ...]:
-    """Counts per motor turn after quadrature, one for all or one each."""
+    """Counts per turn of the encoder after quadrature, one for all or one each."""
     for word in words:
         if not word.isdigit() or int(word) < 1:
-            raise ArmError(f"counts: expected whole numbers of 1 or more per motor turn, got {word!r}")
+            raise ArmError(f"counts: expected whole numbers of 1 or more per turn, got {word!r}")
     return _for_each([int(word) for word in words], joints, "counts")
 
 

@@ -171,6 +171,7 @@ def _drive(number: int, joint: TreeJoint, load: JointLoad, parts: ChosenParts, r
         joint=number,
         gear_ratio=gear,
         encoder_counts_per_rev=parts.counts_per_rev[number - 1],
+        encoder_on="motor" if with_gear else parts.encoder_on,
         torque_constant_Nm_A=motor.torque_constant_Nm_A,
         resistance_ohm=motor.resistance_ohm,
         supply_V=motor.supply_V,

@@ -41,6 +41,7 @@ class Given:
     ports: Sequence[str] | None = None
     can: str | None = None
     home: str | None = None
+    encoders: str | None = None  # not asked: motor
 
 
 def ask_shape(given: Given, asker: Asker) -> Shape:
@@ -82,20 +83,22 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> ChosenParts:
         "auto",
         lambda text: None if text.strip() == "auto" else answers.gears_from(_words(text), joints),
     )
+    side = answers.encoder_on_from(given.encoders or "motor")
+    usual = answers.COUNTS_PER_REV if side == "motor" else answers.COUNTS_PER_JOINT_TURN
     counts = _answer_if(
         not all(map(answers.has_own_counts, boards)),
         _joined(given.counts),
         asker,
-        "Encoder counts per motor turn after quadrature, one for all or one each",
-        str(answers.COUNTS_PER_REV),
+        f"Encoder counts per {side} turn after quadrature, one for all or one each",
+        str(usual),
         lambda text: answers.counts_from(_words(text), joints),
     )
     index = ", and its encoder an index" if REFERENCE in boards else ""
     home = _answer_if(
         any(map(answers.may_home, boards)), given.home, asker, f"Has every joint a home switch{index}", "yes", answers.yes_from
     )  # fmt: skip
-    every_count = counts or (answers.COUNTS_PER_REV,) * joints
-    return ChosenParts(boards, gears, every_count, bool(home), *_ask_lines(given, asker, boards))
+    every_count = counts or (usual,) * joints
+    return ChosenParts(boards, gears, every_count, bool(home), side, *_ask_lines(given, asker, boards))
 
 
 def _ask_lines(

@@ -111,6 +111,8 @@ def _keys_of_drive(drive: Drive) -> list[str]:
     left_out = {"pid", "home"} | (ON_REFERENCE if drive.board else ON_BOUGHT)
     left_out |= set() if drive.zero_count else {"zero_count"}
     left_out |= set() if drive.servo else {"servo"}
+    left_out |= {"encoder_on"} if drive.servo else set()
+    left_out |= set() if drive.encoder_ratio != 1.0 else {"encoder_ratio"}
     left_out |= set() if drive.servos > 1 else {"servos"}
     return [key for key in keys_of(Drive) if key not in left_out]
 

@@ -174,7 +174,7 @@ def _readings(arm: Arm, observed: Observations) -> Iterator[Reading]:
     q, position = observed.q_rad, observed.position_m
     yield "the joint angles look like degrees", np.radians(q), position
     if len(arm.drives) == q.shape[1]:
-        counts = np.array([drive.encoder_counts_per_rev * drive.gear_ratio for drive in arm.drives])
+        counts = np.array([drive.counts_per_joint_turn for drive in arm.drives])
         zeros = np.array([drive.zero_count for drive in arm.drives])
         yield "the joint angles look like encoder counts", 2.0 * math.pi * (q - zeros) / counts, position
     yield from _joint_columns(q, position)

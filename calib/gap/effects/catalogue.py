@@ -156,7 +156,11 @@ def _listed(scene: SeriesScene) -> Iterator[tuple[EffectRecord, EffectName]]:
     shown = [one for one in RECORDS.values() if one.series is not None and has[one.series.needs]]
     of_joints = [one for one in shown if _is_of_joints(one)]
     for joint in range(1, scene.arm.joint_count + 1):
-        yield from ((one, EffectName(one.effect, joint)) for one in of_joints)
+        yield from (
+            (one, EffectName(one.effect, joint))
+            for one in of_joints
+            if scene.arm.is_behind_encoder(one.effect, joint)
+        )
     for one in shown:
         if one not in of_joints and one.series is not None:
             yield from ((one, EffectName(one.effect, place)) for place in one.series.places(scene.arm))

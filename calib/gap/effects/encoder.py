@@ -31,7 +31,7 @@ def _eccentricity(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
 
 
 def _coupling(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
-    if scene.points.joint_count >= COUPLED:
+    if scene.points.joint_count >= COUPLED and scene.arm.is_behind_encoder(record.effect, None):
         angle = scene.points.q_rad[:, COUPLED_TO - 1]
         yield record.on_joint(scene, None, angle, like(angle, harmonics(angle, 1, 2)))
 
@@ -56,7 +56,7 @@ def forms_of(name: str, smallest: float, angle: AngleLaw, count: int = 1) -> tup
 
 
 def _belts(arm: Arm) -> tuple[None, ...]:
-    return (None,) if arm.joint_count >= COUPLED else ()
+    return (None,) if arm.joint_count >= COUPLED and arm.is_behind_encoder("belt_coupling", None) else ()
 
 
 TIME_CONSTANTS_s = np.geomspace(30.0, 30_000.0, 19)  # of poses

@@ -48,7 +48,7 @@ def _play(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
         axis=0
     )  # what nobody measured has no noise, and needs no constants
     noise = np.where(is_measured, CURRENT_NOISE_A * np.nan_to_num(known_torque_per_A(scene.arm)), 0.0)
-    for j in range(scene.points.joint_count):
+    for j in _joints_behind(record, scene):
         load = np.abs(scene.pose.gravity_Nm[:, j])
         ways = [*harmonics(q[:, j], 1, 2), *([load / load.max()] if load.max() > NO_TORQUE_Nm else [])]
         for share, flank, doubt in _flanks(scene.pose, j, noise[j]):
@@ -56,6 +56,12 @@ def _play(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
             departs = like(law, [law * way for way in ways])
             term = record.on_joint(scene, j + 1, law, departs)
             yield dataclasses.replace(term, variant=share, doubt=0.25 * doubt)
+
+
+def _joints_behind(record: EffectRecord, scene: PoseScene) -> Iterator[int]:
+    """Joints (0-based) whose encoder is before the gear; one on the joint shows nothing of it."""
+    joints = range(scene.points.joint_count)
+    return (j for j in joints if scene.arm.is_behind_encoder(record.effect, j + 1))
 
 
 def _flanks(pose: RestingPose, j: int, noise_Nm: float) -> Iterator[tuple[float, Array, Array]]:
@@ -101,7 +107,7 @@ def _compliance(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     if scene.pose is None:
         return
     unstated = tip_mass_Nm(scene)
-    for j in range(scene.points.joint_count):
+    for j in _joints_behind(record, scene):
         torque, held = scene.pose.gravity_Nm[:, j], scene.pose.held_Nm[:, j]
         if np.abs(torque).max() <= NO_TORQUE_Nm:
             continue

@@ -293,7 +293,7 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
     recording = physics.recording
     K, R = float(physics.torque_per_A[joint]), physics.arm.drives[joint].resistance_ohm
     drive = physics.arm.drives[joint]
-    step = 2.0 * np.pi / (drive.encoder_counts_per_rev * drive.gear_ratio)
+    step = 2.0 * np.pi / drive.counts_per_joint_turn
     angle = max(step, _seen_step(physics, joint, step)) / np.sqrt(12.0)
     bent = np.convolve(recording.filters.state[2], recording.filters.row)
     turning = np.convolve(recording.filters.state[1], recording.filters.row)

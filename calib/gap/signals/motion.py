@@ -374,7 +374,7 @@ def _apart(one: Array, other: Array) -> Array:
 
 
 def _floor(physics: Physics, differences: Sequence[Array], grown: float) -> float:
-    steps = [2.0 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in physics.arm.drives]
+    steps = [2.0 * np.pi / d.counts_per_joint_turn for d in physics.arm.drives]
     by_steps = grown * float(np.sqrt(np.mean(np.square(steps)) / 12.0))
     found = [part for part in differences if part.size and np.isfinite(part).all()]
     repeated = rms(np.concatenate(found)) / float(np.sqrt(2.0)) if found else 0.0

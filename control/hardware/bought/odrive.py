@@ -47,8 +47,8 @@ class OdriveDrive(PositionLoopDrive):
         """`encoder`: the board's own, None if the loop uses another. `period_s`: of the cycle."""
         super().__init__(axis, encoder, joint, drive, clock, period_s)
         self._axis = axis
-        motor_turns_s = drive.joint_speed_limit_rad_s * drive.gear_ratio / (2.0 * math.pi)
-        self._limits = (SPEED_MARGIN * motor_turns_s, drive.current_limit_A)
+        turns_s = drive.joint_speed_limit_rad_s / drive.encoder_turn_rad
+        self._limits = (SPEED_MARGIN * turns_s, drive.current_limit_A)
         self._is_stopped = False
 
     def _faults_now(self) -> int:

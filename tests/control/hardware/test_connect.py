@@ -59,7 +59,7 @@ def test_another_protocol_version_is_named(board: str) -> None:
 def test_an_encoder_with_other_counts_a_turn_is_named_with_what_arm_toml_says(board: str) -> None:
     said = failure(RIGHT, FaultTable("wrong_counts", board, value=4096, channel=2))
     assert "got 4096" in said
-    assert "expected 2048 counts per motor turn (arm.toml, joint 3)" in said
+    assert "expected 2048 counts per turn (arm.toml, joint 3)" in said
 
 
 @pytest.mark.parametrize(("board", "name"), [("encoder", "enc0"), ("motor1", "joint 1")])

@@ -30,6 +30,7 @@ HOME = JointHome(
     travel_rad=3.0,
     switch_rad=0.2,
     index_rad=0.23,
+    edge_rad=0.35 * TURN_rad,
     turn_rad=TURN_rad,
     index_count=2300,
 )
@@ -172,7 +173,7 @@ def test_a_stuck_switch_ends_the_search_after_the_joints_travel(stuck: bool, sai
 
 def test_a_missing_index_ends_the_search_after_two_motor_turns() -> None:
     joint = Joint(0.0, has_index=False)
-    with pytest.raises(HomingFailed, match="no index pulse within two motor turns"):
+    with pytest.raises(HomingFailed, match="no index pulse within two turns of the encoder"):
         home(joint)
     assert joint.q_rad < HOME.switch_rad + 2.2 * TURN_rad
     assert joint.shifts == []

@@ -95,7 +95,7 @@ def test_nothing_is_energised_and_no_board_leaves_switch_on_disabled() -> None:
         (FaultTable("lost_wire", "encoder", channel=1), "joint 2: encoder: its signal is lost"),
         (FaultTable("supply", "motor3", value=15.0), "joint 3: supply: 15.0"),
         (FaultTable("over_temperature", "motor1"), "joint 1: drive: reports a fault: over-temperature"),
-        (FaultTable("wrong_counts", "encoder", channel=2, value=4096.0), "joint 3, counts per motor turn: 4096"),
+        (FaultTable("wrong_counts", "encoder", channel=2, value=4096.0), "joint 3, counts per turn: 4096"),
         (FaultTable("wrong_protocol", "encoder", value=7.0), "speaks protocol version 7, expected 1"),
         (FaultTable("wrong_protocol", "motor1", value=7.0), "speaks protocol version 7, expected 1"),
         (FaultTable("quadrature_error", "encoder", channel=0, at_s=0.5), "illegal transition"),

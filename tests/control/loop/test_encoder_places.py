@@ -1,0 +1,120 @@
+"""Arms of four joints whose encoders are where arm.toml says, on the rig: behind gears and belt, before them, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.arm_problem.joint_effects import effect_key, known_corrections
+from calib.errors import CalibrationError
+from calib.points.points import Points
+from console.main import main
+from control.dynamics.dynamics import Dynamics
+from control.dynamics.gains import placed_gains
+from control.dynamics.joint_side import JointSide, usable_range_rad
+from control.model.arm import Arm, Effect
+from control.model.description import load_arm
+from control.safety.table import Mode
+from hil_mocks.scenario import EffectTable
+from tests.cell import Cell, open_cell, scenario
+
+PLAY_rad, STIFFNESS_Nm_rad, BELT = 0.006, 600.0, 0.02
+TRANSMISSION = (
+    *(Effect("backlash", joint, {"width_rad": PLAY_rad}) for joint in (2, 3)),
+    Effect("joint_compliance", 2, {"stiffness_Nm_rad": STIFFNESS_Nm_rad}),
+    Effect("belt_coupling", None, {"ratio": BELT}),
+)
+FRICTION = tuple(
+    Effect("coulomb_friction", j, {"torque_Nm": t}) for j, t in ((1, 0.15), (2, 0.3), (3, 0.15), (4, 0.03))
+)
+HIDDEN = tuple(EffectTable(e.effect, e.joint or 0, dict(e.parameters)) for e in (*TRANSMISSION, *FRICTION))
+PLACES = (0.4, 0.5, 0.6, -0.3), (-0.3, -0.6, 0.4, 0.5), (0.2, 0.3, -0.5, 0.2)
+
+
+@cache
+def arm_of_four(side: str) -> Arm:
+    """As `armwright new` makes it, with its encoders on this side of the gears."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "four.toml"
+        assert main(["new", "--out", str(file), "--joints", "4", "--encoders", side, "--yes"]) == 0
+        return load_arm(file)
+
+
+def slow(arm: Arm, pole_rad_s: float = 12.0) -> Arm:
+    """With a loop in which play does not hunt (docs/questions.md), and friction that the arm's file knows."""
+    drives = []
+    for drive in arm.drives:
+        inertia_kg_m2 = float(Dynamics(arm).mass_matrix((0.0,) * 4)[drive.joint - 1][drive.joint - 1])
+        gains = placed_gains(drive, inertia_kg_m2, 0.001, pole_rad_s)
+        drives.append(replace(drive, pid=replace(drive.pid, kp=gains.kp, ki=gains.ki, kd=gains.kd)))
+    return replace(arm, drives=tuple(drives), effects=FRICTION)
+
+
+@contextmanager
+def homed_cell(arm: Arm, **keys: Any) -> Iterator[Cell]:
+    """The arm on its mock, which hides play, a spring and a belt; homed from a zero that nobody knows."""
+    start = arm.rest.q_rad if arm.rest else None
+    with open_cell(scenario(start, homed=False, effect=HIDDEN), arm, **keys) as cell:
+        cell.client.enable()
+        cell.client.home()
+        yield cell
+
+
+def worst_rad(cell: Cell) -> float:
+    """Largest error of a joint that rests at some places."""
+    errors = []
+    for place in PLACES:
+        cell.client.move_joints(place, 0.3)
+        cell.run(1.0)
+        errors.append(np.abs(np.subtract(cell.rig.joint_rad(), place)).max())
+    return float(max(errors))
+
+
+@pytest.mark.parametrize("side", ["joint", "motor"])
+def test_a_joint_with_its_own_encoder_rests_where_it_is_sent_whatever_is_in_its_gear(side: str) -> None:
+    with homed_cell(slow(arm_of_four(side))) as cell:
+        error_rad = worst_rad(cell)
+        assert cell.mode is Mode.HOLDING
+        assert error_rad < PLAY_rad / 6 if side == "joint" else error_rad > PLAY_rad
+
+
+def test_an_encoder_that_stands_on_a_moving_joint_is_found_once_play_cannot_explain_it() -> None:
+    with homed_cell(slow(arm_of_four("joint"))) as cell:
+        cell.start_move(PLACES[0], 0.3)
+        cell.run(0.6)
+        before_rad = cell.rig.joint_rad()
+        cell.inject("stuck_encoder", "encoder", channel=1)
+        cell.until_fault(0.5)
+        turned_rad = abs(cell.rig.joint_rad()[1] - before_rad[1])
+        assert cell.faults[0] == ("encoder_contradicted", "joint 2")
+        assert turned_rad < 2.0 * arm_of_four("joint").limits.transmission_slack_rad
+
+
+@pytest.mark.parametrize("side", ["joint", "motor"])
+def test_what_the_file_says_of_gear_and_belt_is_added_to_encoders_on_motors_alone(side: str) -> None:
+    known = replace(arm_of_four(side), effects=(*TRANSMISSION, *FRICTION))
+    q_rad = np.array([[0.1, 0.4, 0.2, 0.3]])
+    unknown = np.full((1, 4), np.nan)
+    points = Points(
+        ("a",), ("1",), (1,), q_rad, unknown[:, :3], np.ones((1, 4)), unknown, unknown[0, :1], np.zeros(1)
+    )
+    shifts_rad = known_corrections(known, points)
+    if side == "joint":
+        assert JointSide.of(known) is None
+        assert usable_range_rad(known) == known.limits_rad
+        assert not shifts_rad.any()
+        for effect in ("backlash:2", "joint_compliance:2", "belt_coupling"):
+            with pytest.raises(CalibrationError, match='got encoder_on = "joint"'):
+                effect_key(effect, known)
+        return
+    assert JointSide.of(known) is not None
+    assert shifts_rad[0, 2] == pytest.approx(BELT * 0.4, abs=PLAY_rad)
+    assert effect_key("backlash:2", known) == ("backlash", 2)
