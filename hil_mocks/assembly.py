@@ -117,7 +117,7 @@ def build_motor_board(
     setup = MotorBoardSetup(
         node=wiring.motor_node,
         serial_number=wiring.motor_serial_number,
-        counts_per_turn=wiring.said_counts_per_turn,
+        counts_per_turn=wiring.motor_counts_per_turn,
         rating_mA=_MOTOR_BOARD_RATING_mA,
         current_noise_A=table.current_noise_A,
         current_step_A=table.current_step_A,

@@ -269,10 +269,13 @@ class MockRobot:
             self._motors.apply(j, BRAKE, math.inf)
 
     def _motor_count(self, j: int) -> int:
+        wired = self._wiring[j]
+        if wired.has_second_encoder:
+            return wired.motor_count(self.plant.motor_rad(j))
         reading_rad = self._reading_rad[j]
         if j in self._loose:
             reading_rad += self._loose[j].slip_rad
-        return self._wiring[j].motor_count(reading_rad)
+        return wired.motor_count(reading_rad)
 
     def _shaft_rad(self, j: int) -> float:
         """The encoder angle of a joint, or of the gripper's motor."""

@@ -29,7 +29,9 @@ class JointWiring:
     motor_direction: int
     motor_serial_number: int
     counts_per_turn: int  # true counts of the encoder
-    said_counts_per_turn: int  # reported by its boards
+    said_counts_per_turn: int  # reported by its encoder board
+    motor_counts_per_turn: int  # reported by its motor board
+    has_second_encoder: bool  # on the motor, beside that of the joint
     counts_per_rad: float  # of joint angle
     motor_counts_per_rad: float  # of joint angle, of what the motor board counts; 0: nothing
     phase_count: float  # phase between two edges at joint angle zero
@@ -77,6 +79,7 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
     error_rad = scenario.encoder_board.index_error_rad
     home = drive.home
     is_on_motor = drive.encoder_on == "motor"
+    of_motor = drive.gear_ratio * (drive.motor_counts_per_rev or 0) / (2.0 * math.pi)
     counts_per_rad = (
         (drive.gear_ratio if is_on_motor else 1.0) * drive.encoder_ratio * counts / (2.0 * math.pi)
     )
@@ -89,8 +92,10 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
         motor_serial_number=drive.motor_serial_number or MOTOR_BOARD_SERIAL + drive.motor_node,
         counts_per_turn=counts,
         said_counts_per_turn=reported,
+        motor_counts_per_turn=reported if is_on_motor else drive.motor_counts_per_rev or 1,
+        has_second_encoder=not is_on_motor and not drive.board,
         counts_per_rad=counts_per_rad,
-        motor_counts_per_rad=counts_per_rad if is_on_motor or drive.board else 0.0,
+        motor_counts_per_rad=counts_per_rad if is_on_motor or drive.board else of_motor,
         phase_count=source.random(),
         index_rad=(home.index_rad if home else 0.0) + source.uniform(-error_rad, error_rad),
         switch_rad=home.switch_rad if home else math.nan,

@@ -59,7 +59,7 @@ def can_hold(drive: Drive) -> bool:
 
 def knows_motor(drive: Drive) -> bool:
     """Whether the motor board reads an encoder on the motor; a bought board knows its own."""
-    return drive.encoder_on == "motor" or bool(drive.board)
+    return drive.at_motor.encoder_on == "motor" or bool(drive.board)
 
 
 def stop_after_s(period_s: float) -> float:

@@ -245,14 +245,8 @@ def _motors(
                 board = MotorBoard(bus, drive.motor_node, f"joint {drive.joint}", problems)
                 identity = board.identify(drive.motor_serial_number)
                 if knows_motor(drive):
-                    counts = identity.encoder_counts_per_turn
-                    _compare(
-                        board.where,
-                        "counts per turn",
-                        drive.joint,
-                        drive.encoder_counts_per_rev,
-                        counts,
-                    )
+                    expected, counts = drive.at_motor.encoder_counts_per_rev, identity.encoder_counts_per_turn
+                    _compare(board.where, "counts per turn", drive.joint, expected, counts)
                 board.find_state()
                 motors.append((bus, board))
     return motors

@@ -99,7 +99,8 @@ class Feedback:
     has_torque: list[bool] = field(default_factory=list)
     # of the last COMMAND, in the joint's sign; NaN while the board finds the voltage itself, or drives nothing
     sent_V: list[float] = field(default_factory=list)
-    # (joint, its count, its motor board's count in the same sense and of the same moment) that came in this cycle
+    # (joint, its count without shifts, its motor board's count of the same moment) that came in this cycle; the latter in the
+    # sense of the former, or of the joint where it is of a second encoder
     motor_counts: list[tuple[int, int, int]] = field(default_factory=list)
 
     def __post_init__(self) -> None:

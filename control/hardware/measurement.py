@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from control.model.effects import COUPLED, COUPLED_TO
 from control.model.joint_map import Unwrapper
 
 # Enough to smooth steps of one count; each millisecond more costs 5 degrees of phase margin.
@@ -141,6 +142,58 @@ class Measurement:
             self._turning_point_rad[joint] += moved_rad
             self._shifts[joint] = shift
         return True
+
+
+class MotorLeads:
+    """How far each motor is ahead of its joint, of joints with an encoder on both: play and springs, seen in operation.
+
+    `lead_rad`: of the pair that came in this cycle, from 0 at the first one; NaN where none came, or there is one encoder.
+    """
+
+    def __init__(
+        self,
+        maps: Sequence[CountMap],
+        motor_maps: Sequence[CountMap | None],
+        bits: Sequence[int],
+        belt_ratio: float = 0.0,
+    ) -> None:
+        """`motor_maps`: of the motors' own encoders, None where a joint has no second one; `bits`: of the joints' counters.
+
+        `belt_ratio`: of a known `belt_coupling`, whose motor turns back while the joint that it follows moves.
+        """
+        self.lead_rad = [math.nan] * len(maps)
+        self._maps, self._motor_maps, self._bits = tuple(maps), tuple(motor_maps), tuple(bits)
+        self._belt_ratio = belt_ratio
+        self._seen: list[tuple[Unwrapper, Unwrapper, float] | None] = [None] * len(maps)
+
+    def forget(self) -> None:
+        """A board was off: what turned meanwhile is not known."""
+        for joint in range(len(self._seen)):
+            self._seen[joint] = None
+
+    def update(self, pairs: Sequence[tuple[int, int, int]], q_rad: Sequence[float]) -> None:
+        """Take the (joint, count, motor's count) of this cycle, in which the joints are at `q_rad`."""
+        for joint, lead_rad in enumerate(self.lead_rad):
+            if lead_rad == lead_rad:
+                self.lead_rad[joint] = math.nan
+        for joint, count, motor_count in pairs:
+            motor, seen = self._motor_maps[joint], self._seen[joint]
+            if motor is None:
+                continue
+            joints, motors, first_rad = seen or (
+                Unwrapper(self._bits[joint], count),
+                Unwrapper(32, motor_count),
+                0.0,
+            )
+            lead_rad = motor.radians(motors.update(motor_count)) - self._maps[joint].radians(
+                joints.update(count)
+            )
+            if joint == COUPLED - 1:
+                lead_rad += self._belt_ratio * q_rad[COUPLED_TO - 1]
+            if seen is None:
+                first_rad = lead_rad
+                self._seen[joint] = joints, motors, first_rad
+            self.lead_rad[joint] = lead_rad - first_rad
 
 
 @dataclass(slots=True)

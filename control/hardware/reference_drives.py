@@ -52,6 +52,7 @@ class ReferenceDrives:
         self._clock = clock
         self._period_s = period_s
         self._maps = {wired.joint: JointMap(wired.drive) for wired in wiring}
+        self._motor_maps = {wired.joint: JointMap(wired.drive.at_motor) for wired in wiring}
         self._board_stop = board_stop(arm, period_s)
         self._watchdog_ms = round(arm.limits.watchdog_s * 1e3)
         self._serial_numbers = {
@@ -135,7 +136,7 @@ class ReferenceDrives:
     def _board_count(self, joint: int, q_rad: float) -> int:
         """Set-point in counts of the motor board's own encoder, which counts up with positive voltage."""
         return (
-            self._sense(self._of(joint).drive) * self._maps[joint].count(q_rad)
+            self._sense(self._of(joint).drive) * self._motor_maps[joint].count(q_rad)
             + self._position_offset_count[joint]
         )
 
@@ -201,14 +202,14 @@ class ReferenceDrives:
         return self._wiring[self.joints.index(joint)]
 
     def _sense(self, drive: Drive) -> int:
-        """Sense of the motor board's own encoder, which counts up with positive voltage, relative to the joint's."""
-        return drive.motor_direction * drive.encoder_direction
+        """Sense of the motor board's own encoder, which counts up with positive voltage, relative to that of its map."""
+        return drive.motor_direction * drive.at_motor.encoder_direction
 
     def _parameters(self, wired: DriveWiring) -> list[tuple[MotorParameter, int]]:
         """Parameters of a board: limits, what it does without the host, and its PID in volts per count of its own encoder."""
         drive = wired.drive
         gains = wired.gains if can_hold(drive) else NO_GAINS
-        per_count = abs(self._maps[wired.joint].radians_per_count)
+        per_count = abs(self._motor_maps[wired.joint].radians_per_count)
         volts_per_rad_s = drive.gear_ratio * drive.torque_constant_Nm_A
         parameters = [
             (MotorParameter.WATCHDOG_ms, self._watchdog_ms),
@@ -233,6 +234,7 @@ class ReferenceDrives:
         drive = wired.drive
         if drive.pid.mode != SetpointMode.POSITION.name.lower():
             return
-        count = fresh_count(wired.joint)
+        joint = wired.joint
+        count = self._motor_maps[joint].count(self._maps[joint].radians(fresh_count(joint)))
         own_count = wired.motor.read(MotorParameter.POSITION_COUNT)
-        self._position_offset_count[wired.joint] = own_count - self._sense(drive) * count
+        self._position_offset_count[joint] = own_count - self._sense(drive) * count

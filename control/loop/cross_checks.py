@@ -177,9 +177,14 @@ class MotorCountWatch:
     LATE_S = 0.007  # within which a board answers
 
     def __init__(
-        self, counts_per_radian: Sequence[float], counter_bits: Sequence[int], names: Sequence[str]
+        self,
+        counts_per_radian: Sequence[float],
+        counter_bits: Sequence[int],
+        names: Sequence[str],
+        has_two: Sequence[bool] = (),
     ) -> None:
-        """`counter_bits`: width of the encoder boards' counters; the motor boards have 32."""
+        """`counter_bits`: width of the encoder boards' counters; the motor boards have 32. `has_two`: see LeadWatch."""
+        self._has_two = tuple(has_two) or (False,) * len(names)
         self._counts_per_radian = tuple(abs(value) for value in counts_per_radian)
         self._bits = tuple(counter_bits)
         self._names = names
@@ -193,6 +198,8 @@ class MotorCountWatch:
         """Return a fault for each (joint, count, motor board's count) that has turned otherwise since its last one."""
         faults = []
         for joint, count, motor_count in pairs:
+            if self._has_two[joint]:
+                continue
             speed_counts_s = abs(speed_rad_s[joint]) * self._counts_per_radian[joint]
             last = self._last[joint]
             self._last[joint] = (count, motor_count, speed_counts_s)
@@ -204,6 +211,51 @@ class MotorCountWatch:
             if abs(off) > self.LEAST_counts + self.SHARE * abs(motor_turned) + late:
                 faults.append(_of_counts(self._names[joint], motor_turned + off, motor_turned))
         return faults
+
+
+class LeadWatch:
+    """Compares motor and joint where both have an encoder: however they turn, play and springs let them differ by so much.
+
+    Nothing may add up, so a slow drift or a slip of either encoder is found, too.
+    """
+
+    LATE_S = MotorCountWatch.LATE_S
+
+    def __init__(self, slack_rad: float, names: Sequence[str]) -> None:
+        self._slack_rad, self._names = slack_rad, names
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew: a board was off."""
+        self._least_rad = [math.inf] * len(self._names)
+        self._most_rad = [-math.inf] * len(self._names)
+
+    def look(self, lead_rad: Sequence[float], speed_rad_s: Sequence[float]) -> list[Fault]:
+        """Return a fault for each joint whose motor was ahead and behind by more than that together. NaN: not seen now."""
+        faults = []
+        for joint, lead in enumerate(lead_rad):
+            if lead != lead:
+                continue
+            late_rad = self.LATE_S * abs(
+                speed_rad_s[joint]
+            )  # the two counts are of moments so far apart at most
+            self._least_rad[joint] = min(self._least_rad[joint], lead + late_rad)
+            self._most_rad[joint] = max(self._most_rad[joint], lead - late_rad)
+            if self._most_rad[joint] - self._least_rad[joint] > self._slack_rad:
+                faults.append(self._of_lead(joint))
+        return faults
+
+    def _of_lead(self, joint: int) -> Fault:
+        differed_rad = self._most_rad[joint] - self._least_rad[joint]
+        return Fault(
+            "encoders_differ",
+            self._names[joint],
+            f"its motor and the joint have turned {differed_rad:.4f} rad apart by their encoders"
+            f" (limit {self._slack_rad:.4f} rad)",
+            "check both encoders' couplings and cables, the belt and the gear's screws, then home again; if the gear is as loose"
+            " or soft as that, set [limits] transmission_slack_rad",
+            Reaction.BRAKE,
+        )
 
 
 def _wrapped(count: int, bits: int) -> int:

@@ -97,6 +97,7 @@ class Cycle(ArmState):
                 feedback.count, feedback.shift_count, feedback.counted_at_s, feedback.count_late_s
             ):
                 set_points.follow_shift(self)
+            self.parts.motor_leads.update(feedback.motor_counts, self.parts.measurement.q_rad)
         camera = self.parts.camera
         seen = None if camera is None else camera.newest()
         is_in_base = camera is not None and not camera.has_own_frame
@@ -144,9 +145,10 @@ class Cycle(ArmState):
         parts, feedback, checks = self.parts, self.parts.hardware.feedback, self.parts.checks
         if not self.drives.is_ready:
             checks.motors.forget()
-            checks.motor_counts.forget()
+            self._forget_turns()
             return []
         faults = checks.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
+        faults += checks.leads.look(parts.motor_leads.lead_rad, parts.measurement.speed_rad_s)
         if self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
             checks.motors.forget()
             return [] if self.monitor.is_zero_doubted else faults  # the counts are all that is left to doubt
@@ -163,6 +165,12 @@ class Cycle(ArmState):
             faults += checks.indices.look(passed)
             faults += checks.switches.look(self.elapsed_s, parts.measurement.q_rad, feedback.channel_flags)
         return faults
+
+    def _forget_turns(self) -> None:
+        """How far motors and joints have turned: a board was off."""
+        self.parts.checks.motor_counts.forget()
+        self.parts.checks.leads.forget()
+        self.parts.motor_leads.forget()
 
     def _advance(self) -> None:
         mode = self.monitor.mode
@@ -264,7 +272,7 @@ class Cycle(ArmState):
         self._leave_to_boards(fault_reactions.fault_of(error))
         if isinstance(error, BoardReset):
             self.monitor.forget_home()  # `home` uses the zeros of boards that still have them
-            self.parts.checks.motor_counts.forget()
+            self._forget_turns()
         if isinstance(error, AnotherHost) and self.drives.is_ready and not is_first:
             self.parts.hardware.emergency_stop()  # else its commands and ours take turns at the motor
 
@@ -316,7 +324,7 @@ def row_of(state: ArmState, late_s: float) -> list[float]:
         state.parts.measurement,
         state.parts.servo.volts,
     )
-    mode, aim = state.monitor.mode, state.aim
+    mode, aim, lead_rad = state.monitor.mode, state.aim, state.parts.motor_leads.lead_rad
     page_faults, switches = state.punctuality.strain()
     age_s = state.now_s - feedback.encoder_at_s
     row = [
@@ -336,6 +344,7 @@ def row_of(state: ArmState, late_s: float) -> list[float]:
         )  # fmt: skip
         if joints is not None:
             row += (joints[0][joint], joints[1][joint])
+    row += [lead_rad[joint] for joint in state.parts.second_encoders]
     return row + _end_of(state)
 
 

@@ -10,11 +10,11 @@ from control.end_effector.gripper import GripperControl
 from control.end_effector.outputs import Outputs
 from control.hardware.board_stop import BoardStop
 from control.hardware.interface import Hardware
-from control.hardware.measurement import Measurement
+from control.hardware.measurement import Measurement, MotorLeads
 from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
-from control.loop.cross_checks import CrossChecks, IndexWatch, MotorCountWatch, SwitchWatch
+from control.loop.cross_checks import CrossChecks, IndexWatch, LeadWatch, MotorCountWatch, SwitchWatch
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
@@ -110,6 +110,7 @@ class Checks:
     indices: IndexWatch
     switches: SwitchWatch
     motor_counts: MotorCountWatch
+    leads: LeadWatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +120,7 @@ class Parts:
     hardware: Hardware
     recorder: Recorder
     measurement: Measurement
+    motor_leads: MotorLeads
     servo: Servo
     checks: Checks
     set_point_limits: tuple[SetPointLimits, ...]
@@ -130,6 +132,7 @@ class Parts:
     loads: Loads
     camera: TipCamera | None
     joint_names: tuple[str, ...]
+    second_encoders: tuple[int, ...]  # joints with an encoder on the motor, too
     do_counters_span: bool  # whose counters cover the whole travel of their joints without a wrap
     period_s: float
     board_stop: BoardStop

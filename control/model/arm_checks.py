@@ -96,6 +96,9 @@ def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
                 expected = f"an angle within the joint's limits, {drive.joint_lower_rad} to {drive.joint_upper_rad} rad"
                 raise Rejected((*path, "home", key), expected, str(angle))
         _check_home_count(drive, drive.home, path)
+    if drive.motor_counts_per_rev is not None and (drive.encoder_on == "motor" or drive.board):
+        expected = 'none: it is of a second encoder at a reference motor board, beside encoder_on = "joint"'
+        raise Rejected((*path, "motor_counts_per_rev"), expected, str(drive.motor_counts_per_rev))
     if drive.encoder_channel >= ENCODER_CHANNELS:
         raise Rejected((*path, "encoder_channel"), "0, 1 or 2", str(drive.encoder_channel))
 

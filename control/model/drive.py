@@ -1,7 +1,7 @@
 """The joints' tables of an arm.toml: motor, gear and encoder, position control, homing (see `control.model.arm`)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from control.model.rules import (
@@ -69,6 +69,10 @@ class Drive:
         "the side of gear and belts on which the encoder is: play and springs are behind it, or before it",
     ] = "motor"
     encoder_ratio: Annotated[Positive, "turns of the encoder per turn of that motor or joint"] = 1.0
+    motor_counts_per_rev: Annotated[
+        Annotated[int, ONE_OR_MORE] | None,
+        'per motor turn, of a second encoder that the motor board reads: with encoder_on = "joint"',
+    ] = None
     encoder_bits: Annotated[int, ENCODER_BITS, "width of the counter"] = 32
     inductance_H: Annotated[NonNegative, "of the winding"] = 0.0
     rotor_inertia_kg_m2: Annotated[NonNegative, "of the rotor; counts gear_ratio^2 times at the joint"] = 0.0
@@ -137,3 +141,13 @@ class Drive:
     def encoder_turn_rad(self) -> float:
         """The joint's angle in one turn of the encoder: from one index pulse to the next."""
         return 2.0 * math.pi / self.encoder_turns
+
+    @property
+    def at_motor(self) -> "Drive":
+        """The drive by the encoder that its motor board reads, which counts up with the motor's angle at the joint's sign."""
+        if self.motor_counts_per_rev is None:
+            return self
+        return replace(
+            self, encoder_counts_per_rev=self.motor_counts_per_rev, encoder_on="motor", encoder_ratio=1.0, encoder_bits=32,
+            encoder_direction=1, zero_count=0, motor_counts_per_rev=None,
+        )  # fmt: skip

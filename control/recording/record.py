@@ -274,12 +274,15 @@ class Recorder:
 TOOL_FIELD = ("tool", "B")  # index into the header's `tools`
 GRIPPER_FIELDS = (("gripper_m", "f"), ("gripper_goal_m", "f"), ("gripper_A", "f"), ("gripper_state", "B"))
 DIGITAL_FIELD = ("digital", "I")  # bits, in the order of the header's `digital`
+LEAD_FIELD = ("lead{}_rad", "f")  # motor minus joint, where both have an encoder; NaN while no new pair came
 END_FIELDS = (TOOL_FIELD, *GRIPPER_FIELDS, DIGITAL_FIELD)  # all that there may be
 
 
 def layout_of(arm: Arm) -> Layout:
     """The columns for an arm: joint angles where they differ from the encoders', and what is at its end."""
-    more = [TOOL_FIELD] if arm.spare_tools else []
+    of_leads = [d.joint for d in arm.drives if d.motor_counts_per_rev is not None]
+    more = [(LEAD_FIELD[0].format(joint), LEAD_FIELD[1]) for joint in of_leads]
+    more += [TOOL_FIELD] if arm.spare_tools else []
     more += GRIPPER_FIELDS if arm.gripper is not None else ()
     more += [DIGITAL_FIELD] if arm.digital else []
     return Layout.of(arm.joint_count, has_joint_side(arm), more)

@@ -15,7 +15,7 @@ from control.errors import MissingModel
 from control.hardware.board_stop import board_stop
 from control.hardware.gripper_on_board import PlacedOnBoard
 from control.hardware.interface import Hardware, OutputMode
-from control.hardware.measurement import Measurement
+from control.hardware.measurement import Measurement, MotorLeads
 from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
@@ -24,6 +24,7 @@ from control.loop.cross_checks import (
     CrossCheckLimits,
     CrossChecks,
     IndexWatch,
+    LeadWatch,
     MotorCountWatch,
     SwitchPlace,
     SwitchWatch,
@@ -89,6 +90,8 @@ def assemble(
         hardware=hardware,
         recorder=Recorder(layout_of(arm), sink or NoSink()),
         measurement=measurement,
+        motor_leads=_motor_leads(arm),
+        second_encoders=tuple(j for j, d in enumerate(arm.drives) if d.motor_counts_per_rev is not None),
         servo=servo,
         checks=_checks(arm, measurement, names, period_s),
         set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
@@ -121,6 +124,7 @@ def _checks(arm: Arm, measurement: Measurement, names: Sequence[str], period_s: 
         indices=_indices(arm, measurement, names),
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         motor_counts=_motor_counts(arm, names),
+        leads=LeadWatch(arm.limits.transmission_slack_rad, names),
     )
 
 
@@ -179,7 +183,16 @@ def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:
 def _motor_counts(arm: Arm, names: Sequence[str]) -> MotorCountWatch:
     """The comparison of both boards' counts."""
     per_radian = [JointMap(drive).counts_per_radian for drive in arm.drives]
-    return MotorCountWatch(per_radian, [drive.encoder_bits for drive in arm.drives], names)
+    has_two = [drive.motor_counts_per_rev is not None for drive in arm.drives]
+    return MotorCountWatch(per_radian, [drive.encoder_bits for drive in arm.drives], names, has_two)
+
+
+def _motor_leads(arm: Arm) -> MotorLeads:
+    """Of the joints with an encoder on each side of the gear."""
+    maps = [JointMap(drive) for drive in arm.drives]
+    motors = [JointMap(d.at_motor) if d.motor_counts_per_rev is not None else None for d in arm.drives]
+    ratio = sum(e.parameters["ratio"] for e in arm.effects if e.effect == "belt_coupling")
+    return MotorLeads(maps, motors, [drive.encoder_bits for drive in arm.drives], ratio)
 
 
 def _does_counter_span(drive: Drive) -> bool:

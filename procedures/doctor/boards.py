@@ -327,7 +327,7 @@ def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan
             remedy,
         )
     if knows_motor(drive):
-        _same(boards, what, drive, "counts per turn", identity.encoder_counts_per_turn)
+        _same(boards, what, drive.at_motor, "counts per turn", identity.encoder_counts_per_turn)
     _judge_reset(boards, what, board)
 
 

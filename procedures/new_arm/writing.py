@@ -112,6 +112,7 @@ def _keys_of_drive(drive: Drive) -> list[str]:
     left_out |= set() if drive.zero_count else {"zero_count"}
     left_out |= set() if drive.servo else {"servo"}
     left_out |= {"encoder_on"} if drive.servo else set()
+    left_out |= set() if drive.motor_counts_per_rev else {"motor_counts_per_rev"}
     left_out |= set() if drive.encoder_ratio != 1.0 else {"encoder_ratio"}
     left_out |= set() if drive.servos > 1 else {"servos"}
     return [key for key in keys_of(Drive) if key not in left_out]

@@ -118,3 +118,54 @@ def test_what_the_file_says_of_gear_and_belt_is_added_to_encoders_on_motors_alon
     assert JointSide.of(known) is not None
     assert shifts_rad[0, 2] == pytest.approx(BELT * 0.4, abs=PLAY_rad)
     assert effect_key("backlash:2", known) == ("backlash", 2)
+
+
+def with_both(arm: Arm, counts: int = 2048) -> Arm:
+    """With an encoder on each motor, too, which its board reads."""
+    return replace(arm, drives=tuple(replace(drive, motor_counts_per_rev=counts) for drive in arm.drives))
+
+
+def test_two_encoders_show_the_play_and_the_spring_between_motor_and_joint() -> None:
+    arm = with_both(slow(arm_of_four("joint")))
+    with homed_cell(arm) as cell:
+        leads: list[list[float]] = [[], [], [], []]
+        true: list[list[float]] = [[], [], [], []]
+
+        def watch() -> None:
+            speed_rad_s = cell.runtime.parts.measurement.speed_rad_s
+            for joint, lead in enumerate(cell.runtime.parts.motor_leads.lead_rad):
+                if lead == lead and abs(speed_rad_s[joint]) < 0.01:  # in motion the two are of two moments
+                    leads[joint].append(lead)
+                    true[joint].append(cell.rig.robot.plant.motor_rad(joint) - cell.rig.joint_rad()[joint])
+
+        cell.watchers.append(watch)
+        worst_rad(cell)
+        assert cell.faults == []
+        for seen, is_so in zip(leads, true, strict=True):
+            assert len(seen) > 10
+            off = np.array(seen) - np.array(is_so)
+            assert np.ptp(off) < 3e-4  # a count of each, and some milliseconds between the two
+        assert np.ptp(leads[0]) < 3e-4  # a stiff gear without play
+        assert np.ptp(leads[1]) > 0.5 * PLAY_rad
+
+
+@pytest.mark.parametrize("share", [0.8, 1.2])
+def test_an_encoder_that_slips_by_more_than_play_and_springs_is_found_by_the_other(share: float) -> None:
+    arm = with_both(slow(arm_of_four("joint")))
+    with homed_cell(arm) as cell:
+        slack_rad = arm.limits.transmission_slack_rad
+        cell.run(0.5)
+        slip = round(share * slack_rad * arm.drives[3].counts_per_joint_turn / (2.0 * np.pi) / 8)
+        for _ in range(8):  # each too small for any other check
+            cell.inject("slipped_encoder", "encoder2", channel=0, value=float(slip))
+            cell.run(0.5)
+        assert cell.faults == ([("encoders_differ", "joint 4")] if share > 1.0 else [])
+
+
+def test_a_motor_board_holds_a_joint_by_the_encoder_on_its_motor() -> None:
+    arm = with_both(slow(arm_of_four("joint")))
+    with homed_cell(arm) as cell:
+        cell.client.move_joints(PLACES[0], 0.3)
+        before_rad = cell.rig.joint_rad()
+        cell.rig.clock.wait_until_s(cell.rig.clock.now_s() + 2.0)  # the host is away
+        assert np.abs(np.subtract(cell.rig.joint_rad(), before_rad)).max() < 2.0 * PLAY_rad
