@@ -15,6 +15,9 @@ from hil_mocks.scenario import Scenario
 from hil_mocks.wiring import MOTOR_BOARD_SERIAL
 
 _RATING_mA = 8000
+_BEHIND_rad = (
+    0.02  # a limit switch, from the end of the range, where nothing else is said; end stops are at 0.05
+)
 _NO_ENCODER_COUNTS = 4  # a board says some number, whether an encoder is connected or not
 
 
@@ -65,6 +68,18 @@ class PinWires:
             pin.name: (by_node[pin.board], pin.pin) for pin in arm.digital if pin.board in by_node
         }
         self._wires = [(self._place(a), self._place(b)) for a, b in scenario.wire.items()]
+        # of each limit switch its pin, joint, place, the side on which it is active, and the level of an active one
+        self._limits = [
+            (self._place(name), j, at_rad, side, drive.limit_switches.active == "high")
+            for j, drive in enumerate(arm.drives)
+            if drive.limit_switches is not None
+            for name, given_rad, end_rad, side in (
+                (drive.limit_switches.lower, drive.limit_switches.lower_rad, drive.joint_lower_rad, -1.0),
+                (drive.limit_switches.upper, drive.limit_switches.upper_rad, drive.joint_upper_rad, 1.0),
+            )
+            for at_rad in [end_rad + side * _BEHIND_rad if given_rad is None else given_rad]
+            if name
+        ]
 
     def set_level(self, name: str, level: bool) -> None:
         """Put a level on an input from outside. RigError for an unknown name."""
@@ -76,8 +91,10 @@ class PinWires:
         """Levels at all named pins."""
         return {name: bool(board.pins.levels >> pin & 1) for name, (board, pin) in self._places.items()}
 
-    def tick(self) -> None:
-        """Let levels pass through the wires."""
+    def tick(self, joint_rad: Sequence[float]) -> None:
+        """Let levels pass through the wires, and joints press their limit switches."""
+        for place, j, at_rad, side, is_active_high in self._limits:
+            self._put(place, ((joint_rad[j] - at_rad) * side >= 0.0) is is_active_high)
         for (source, pin), target in self._wires:
             self._put(target, bool(source.pins.levels >> pin & 1))
 

@@ -196,10 +196,11 @@ class MockRobot:
                 self._send_can(self._motor_names[at], frames)
             if board.output is not motors.applied[j]:
                 motors.apply(j, board.output, board.current_limit_A)
-        self.pins.tick()
+        joint_rad = self.plant.joint_rad()
+        self.pins.tick(joint_rad)
         for out in self._can_out.values():
             out.release(now_s)
-        encoder_rad, joint_rad = self._encoder_rad(), self.plant.joint_rad()
+        encoder_rad = self._encoder_rad()
         if self._has_bought:
             signed_A = [sign * current for sign, current in zip(polarity, currents_A, strict=True)]
             turned_rad = joint_rad if gripper is None else (*joint_rad, gripper.motor_rad())

@@ -98,7 +98,7 @@ def _joint(arm: Arm, j: int, scenario: Scenario, source: random.Random) -> Joint
         motor_counts_per_rad=counts_per_rad if is_on_motor or drive.board else of_motor,
         phase_count=source.random(),
         index_rad=(home.index_rad if home else 0.0) + source.uniform(-error_rad, error_rad),
-        switch_rad=home.switch_rad if home else math.nan,
+        switch_rad=home.switch_rad if home and home.switch == "own" else math.nan,
         switch_side=-1.0 if home and home.index_rad < home.switch_rad else 1.0,
         zero_count=drive.zero_count,
     )

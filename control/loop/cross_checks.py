@@ -5,7 +5,7 @@ or a board that is wrong and plausible is found.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from control.hardware.interface import Feedback
@@ -368,3 +368,58 @@ class IndexWatch:
             " home again",
             Reaction.CONTROLLED,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class LimitSwitch:
+    """A switch at an end of a joint's range (0-based), by the name of its pin. `side`: 1 at the upper end, -1 at the lower."""
+
+    joint: int
+    name: str
+    pin: str
+    side: float
+    is_active_high: bool
+    is_home: bool  # homing seeks it
+
+    def is_active(self, levels: Mapping[str, bool | None]) -> bool:
+        """Whether it is active; not while its board does not say."""
+        level = levels[self.pin]
+        return level is not None and level is self.is_active_high
+
+
+class LimitSwitches:
+    """Stops what moves towards an active limit switch, homed or not; away from it, everything goes."""
+
+    def __init__(self, switches: Sequence[LimitSwitch]) -> None:
+        self._switches = tuple(switches)
+        self._homes = tuple(switch for switch in switches if switch.is_home)
+
+    def mark_homes(self, levels: Mapping[str, bool | None], channel_flags: list[int]) -> None:
+        """Let the limit switches that homing seeks be the home switches of their joints."""
+        for switch in self._homes:
+            if switch.is_active(levels):
+                channel_flags[switch.joint] |= HOME_SWITCH
+
+    def look(
+        self, levels: Mapping[str, bool | None], speed_set_rad_s: Sequence[float], is_homing: bool
+    ) -> list[Fault]:
+        """Return a fault for each joint whose set-point moves towards an active switch, unless homing seeks it."""
+        return [
+            _of_limit(switch)
+            for switch in self._switches
+            if speed_set_rad_s[switch.joint] * switch.side > 0.0
+            and not (is_homing and switch.is_home)
+            and switch.is_active(levels)
+        ]
+
+
+def _of_limit(switch: LimitSwitch) -> Fault:
+    end = "upper" if switch.side > 0.0 else "lower"
+    return Fault(
+        "limit_switch",
+        switch.name,
+        f"it moved towards its {end} limit switch ({switch.pin}), which is active",
+        "jog it the other way; if it is not at its end, check the switch and its wire, the joint's zero and its limits in"
+        " arm.toml",
+        Reaction.CONTROLLED,
+    )

@@ -97,6 +97,8 @@ class Cycle(ArmState):
                 feedback.count, feedback.shift_count, feedback.counted_at_s, feedback.count_late_s
             ):
                 set_points.follow_shift(self)
+            if self.parts.outputs is not None:
+                self.parts.checks.limit_switches.mark_homes(self.parts.outputs.levels, feedback.channel_flags)
             self.parts.motor_leads.update(feedback.motor_counts, self.parts.measurement.q_rad)
         camera = self.parts.camera
         seen = None if camera is None else camera.newest()
@@ -137,8 +139,16 @@ class Cycle(ArmState):
             # The arm is where its boards' stop brought it: following is expected from the next cycle on.
             Expectation(self.drives.is_ready, self.monitor.is_homed, is_controlled and self.bridge is None),
         )  # fmt: skip
-        for fault in (*found, *self._contradictions()):
+        for fault in (*found, *self._contradictions(), *self._at_limit_switches()):
             self.fail(fault)
+
+    def _at_limit_switches(self) -> list[Fault]:
+        """What is about to move past the end of its range."""
+        outputs = self.parts.outputs
+        if outputs is None or not self.is_controlled():
+            return []
+        is_homing = self.monitor.mode is Mode.HOMING
+        return self.parts.checks.limit_switches.look(outputs.levels, self.set_point.speed_rad_s, is_homing)
 
     def _contradictions(self) -> list[Fault]:
         """What the boards' values say against each other, while they are fresh and the drives are on."""

@@ -14,7 +14,14 @@ from control.hardware.measurement import Measurement, MotorLeads
 from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
-from control.loop.cross_checks import CrossChecks, IndexWatch, LeadWatch, MotorCountWatch, SwitchWatch
+from control.loop.cross_checks import (
+    CrossChecks,
+    IndexWatch,
+    LeadWatch,
+    LimitSwitches,
+    MotorCountWatch,
+    SwitchWatch,
+)
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
@@ -111,6 +118,7 @@ class Checks:
     switches: SwitchWatch
     motor_counts: MotorCountWatch
     leads: LeadWatch
+    limit_switches: LimitSwitches
 
 
 @dataclass(frozen=True, slots=True)

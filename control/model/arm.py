@@ -21,6 +21,7 @@ from control.model.drive import ENCODER_CHANNELS as ENCODER_CHANNELS
 from control.model.drive import Drive as Drive
 from control.model.drive import DrivePid as DrivePid
 from control.model.drive import Home as Home
+from control.model.drive import LimitSwitches as LimitSwitches
 from control.model.drive import NonNegative, Positive
 from control.model.effects import EFFECTS, moved_joint
 from control.model.end_effector import NO_TOOL, Digital, Gripper
@@ -314,7 +315,7 @@ class Arm:
             return math.inf
         board = self.board(drive)
         turns = 1.0 if self.kind_of(drive).is_absolute else board.absolute_turns if board else None
-        return drive.encoder_turn_rad * (drive.encoder_turns if turns is None else turns)
+        return 2.0 * math.pi * (drive.encoder_turns if turns is None else turns) / drive.encoder_turns
 
     @property
     def can_home(self) -> bool:

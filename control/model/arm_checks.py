@@ -32,6 +32,7 @@ def check_arm(arm: Arm) -> None:
     _check_wiring(arm)
     _check_boards(arm)
     _check_end(arm)
+    _check_limit_switches(arm)
     _check_rest(arm)
     _check_recording(arm)
     if arm.limits.jog_silence_s > LONGEST_JOG_SILENCE_S:
@@ -249,9 +250,13 @@ def _check_unique_turn(arm: Arm, drive: Drive, kind: BoardKind, path: tuple[str 
         expected = f"a range below {turn_rad:.4g} rad: the encoder knows its place within one turn, {turn_rad:.4g} rad here"
         got = f"{lower:g} to {upper:g} rad"
         remedy = "narrow joint_lower_rad and joint_upper_rad"
-        if drive.encoder_turns != 1.0:
-            turns = f"{drive.encoder_turns:g} turns per turn of the joint"
-            remedy += f"; its gear_ratio, encoder_on and encoder_ratio say that the encoder makes {turns}"
+        key, ratio = (
+            ("gear_ratio", drive.gear_ratio)
+            if drive.encoder_on == "motor"
+            else ("encoder_ratio", drive.encoder_ratio)
+        )
+        if ratio != 1.0:
+            remedy += f"; {key} = {ratio:g} is of gears between that encoder and the joint"
         raise Rejected((*path, "joint_upper_rad"), expected, got, remedy)
     if kind.first_count is None:
         return
@@ -304,6 +309,27 @@ def _check_end(arm: Arm) -> None:
             f"at most {DIGITAL_MOST} pins (a recording holds them in 32 bits)",
             str(len(arm.digital)),
         )
+
+
+def _check_limit_switches(arm: Arm) -> None:
+    inputs = [pin.name for pin in arm.digital if pin.direction == "input"]
+    named: list[Named] = []
+    for i, drive in enumerate(arm.drives):
+        switches, home = drive.limit_switches, drive.home
+        for end in ("lower", "upper"):
+            path, name = ("drive", i, "limit_switches", end), getattr(switches, end, "")
+            if name and name not in inputs:
+                known = ", ".join(inputs) or "none"
+                raise Rejected(path, f"the name of a [[digital]] that is an input ({known})", f'"{name}"')
+            named += [(path, name)] if name else []
+            if home is not None and home.switch == end and not name:
+                expected = f"a limit switch for homing: `{end}` of [drive.limit_switches]"
+                raise Rejected(("drive", i, "home", "switch"), expected, "none")
+            side = -1.0 if end == "lower" else 1.0
+            if home is not None and home.switch == end and (home.index_rad - home.switch_rad) * side < 0.0:
+                expected = f"an index beyond switch_rad = {home.switch_rad:g}, where the {end} limit switch is active"
+                raise Rejected(("drive", i, "home", "index_rad"), expected, f"{home.index_rad:g}")
+    _check_unique(named, "a switch of its own for every end")
 
 
 def _check_gripper(arm: Arm, gripper: Gripper, nodes: dict[int, str]) -> None:

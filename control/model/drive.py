@@ -52,6 +52,24 @@ class Home:
     index_rad: Annotated[float, "the index pulse after it, best half a motor turn further"]
     speed_rad_s: Annotated[Positive, JOINT_SPEED, "towards the switch"] = 0.2
     backoff_rad: Annotated[Positive, BACKOFF, "back off an active switch"] = 0.05
+    switch: Annotated[
+        Literal["own", "lower", "upper"],
+        "the joint's home switch, or one of its limit switches, which takes its place",
+    ] = "own"
+
+
+@dataclass(frozen=True, slots=True)
+class LimitSwitches:
+    """Switches at the ends of a joint's range: nothing moves further towards one that is active.
+
+    They are inputs of motor boards, [[digital]]. Wire a contact that opens, so that a broken wire is an active switch.
+    """
+
+    lower: Annotated[str, "name of the [[digital]] of the one at the lower end"] = ""
+    upper: Annotated[str, "and at the upper end"] = ""
+    lower_rad: Annotated[float | None, LIMIT, "where it changes", "a little beyond the range"] = None
+    upper_rad: Annotated[float | None, LIMIT, "where it changes", "a little beyond the range"] = None
+    active: Annotated[Literal["high", "low"], "the level of an active one"] = "high"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +130,7 @@ class Drive:
         " board brakes and cannot hold; `bringup` finds out",
     ] = True
     pid: Annotated[DrivePid, ""] = DrivePid()
+    limit_switches: Annotated[LimitSwitches | None, "absent: the joint has none"] = None
     home: Annotated[Home | None, "absent: the joint cannot be homed; its zero is set on the board"] = None
 
     def __post_init__(self) -> None:

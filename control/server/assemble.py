@@ -25,6 +25,8 @@ from control.loop.cross_checks import (
     CrossChecks,
     IndexWatch,
     LeadWatch,
+    LimitSwitch,
+    LimitSwitches,
     MotorCountWatch,
     SwitchPlace,
     SwitchWatch,
@@ -125,6 +127,7 @@ def _checks(arm: Arm, measurement: Measurement, names: Sequence[str], period_s: 
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         motor_counts=_motor_counts(arm, names),
         leads=LeadWatch(arm.limits.transmission_slack_rad, names),
+        limit_switches=LimitSwitches(list(_limit_switches(arm, names))),
     )
 
 
@@ -238,6 +241,16 @@ def _switch_place(drive: Drive) -> SwitchPlace | None:
     sense = 1.0 if home.index_rad >= home.switch_rad else -1.0
     tolerance_rad = _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
     return SwitchPlace(f"joint {drive.joint}", home.switch_rad, sense, tolerance_rad)
+
+
+def _limit_switches(arm: Arm, names: Sequence[str]) -> Iterator[LimitSwitch]:
+    for joint, drive in enumerate(arm.drives):
+        if (switches := drive.limit_switches) is None:
+            continue
+        for end, pin, side in (("lower", switches.lower, -1.0), ("upper", switches.upper, 1.0)):
+            is_home = drive.home is not None and drive.home.switch == end
+            if pin:
+                yield LimitSwitch(joint, names[joint], pin, side, switches.active == "high", is_home)
 
 
 def _edge_tolerance_rad(drive: Drive) -> float:

@@ -102,13 +102,14 @@ def _drives(arm: Arm) -> list[str]:
             lines += ["", "[drive.pid]", *_keys(drive.pid, DrivePid, ("mode",), with_comments=number == 0)]
         if drive.home is not None:
             lines += ["", *([f"# {SECTIONS['home']}"] if number == 0 else []), "[drive.home]"]
-            lines += _keys(drive.home, Home, tuple(keys_of(Home)), with_comments=number == 0)
+            keys = tuple(key for key in keys_of(Home) if key != "switch")
+            lines += _keys(drive.home, Home, keys, with_comments=number == 0)
     return lines
 
 
 def _keys_of_drive(drive: Drive) -> list[str]:
     """Those of its own table that its board leaves open."""
-    left_out = {"pid", "home"} | (ON_REFERENCE if drive.board else ON_BOUGHT)
+    left_out = {"pid", "home", "limit_switches"} | (ON_REFERENCE if drive.board else ON_BOUGHT)
     left_out |= set() if drive.zero_count else {"zero_count"}
     left_out |= set() if drive.servo else {"servo"}
     left_out |= {"encoder_on"} if drive.servo else set()

@@ -1,0 +1,101 @@
+"""Limit switches on an arm of four joints, on the rig: what moves towards one stops, homed or not, and homing may seek one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from control.model.arm import Arm, Home, LimitSwitches
+from control.model.description import check_arm
+from control.model.end_effector import Digital
+from control.model.reader import Rejected
+from control.safety.table import Mode
+from hil_mocks.scenario import Scenario
+from tests.cell import Cell, holding_cell, open_cell, scenario, with_drive
+from tests.control.loop.test_encoder_places import FRICTION, arm_of_four
+
+PINS = Digital("low", 3, 2, "input"), Digital("high", 3, 3, "input")
+AT_rad = 0.6  # where the upper one of joint 3 changes, within its range: nothing else stops it there
+SWITCHES = LimitSwitches(lower="low", upper="high", upper_rad=AT_rad)
+MARGIN_rad = 0.01  # levels are asked for every 20 ms; the joint then brakes
+
+
+def with_switches(switches: LimitSwitches = SWITCHES) -> Arm:
+    return replace(
+        with_drive(arm_of_four("motor"), 3, limit_switches=switches), digital=PINS, effects=FRICTION
+    )
+
+
+def near_it(homed: bool) -> Scenario:
+    return scenario((0.0, 0.2, AT_rad - 0.1, 0.0), homed=homed)
+
+
+def jog(cell: Cell, speed_rad_s: float) -> None:
+    """Joint 3, for a second; each jog is renewed."""
+    for _ in range(10):
+        if cell.mode is not Mode.FAULT:
+            cell.client.ask("jog", joint_speed_rad_s=[0.0, 0.0, speed_rad_s, 0.0])
+        cell.run(0.1)
+
+
+@pytest.mark.parametrize("homed", [True, False])
+def test_a_jog_stops_at_a_limit_switch_and_goes_on_away_from_it(homed: bool) -> None:
+    with holding_cell(near_it(homed), with_switches()) as cell:
+        jog(cell, 0.2)
+        assert cell.faults == [("limit_switch", "joint 3")]
+        assert AT_rad <= cell.rig.joint_rad()[2] < AT_rad + MARGIN_rad
+        cell.client.acknowledge()
+        cell.client.enable()
+        jog(cell, 0.2)
+        assert cell.faults == [("limit_switch", "joint 3")]
+        assert cell.rig.joint_rad()[2] < AT_rad + MARGIN_rad
+        cell.client.acknowledge()
+        cell.client.enable()
+        jog(cell, -0.2)
+        assert cell.faults == []
+        assert cell.rig.joint_rad()[2] < AT_rad - 0.05
+
+
+def test_a_broken_wire_is_a_switch_that_is_active() -> None:
+    arm = with_switches(LimitSwitches(upper="high"))
+    with holding_cell(near_it(True), arm) as cell:
+        cell.run(0.1)
+        cell.rig.robot.pins._limits.clear()  # the wire of the contact
+        cell.rig.set_pin("high", True)
+        cell.start_move((0.0, 0.2, AT_rad, 0.0), 0.2)
+        cell.until_fault(0.1)
+        assert cell.faults == [("limit_switch", "joint 3")]
+
+
+def test_homing_seeks_a_limit_switch_where_a_joint_has_no_other() -> None:
+    arm = with_switches(LimitSwitches(lower="low", lower_rad=-0.5))
+    arm = with_drive(arm, 3, home=Home(-0.5, -0.51, switch="lower"))
+    with open_cell(scenario((0.0, 0.2, -0.3, 0.0), homed=False), arm) as cell:
+        cell.client.enable()
+        cell.client.home()
+        assert cell.faults == []
+        assert np.subtract(cell.runtime.parts.measurement.q_rad, cell.rig.joint_rad()) == pytest.approx(
+            0, abs=1e-3
+        )
+        cell.client.move_joints((0.0, 0.2, 0.3, 0.0), 0.3)
+
+
+@pytest.mark.parametrize(
+    ("switches", "home", "said"),
+    [
+        (LimitSwitches(lower="nowhere"), None, r'an input .low, high., got "nowhere"'),
+        (LimitSwitches(lower="low", upper="low"), None, "low a second time"),
+        (LimitSwitches(lower="low"), Home(0.1, 0.11, switch="upper"), "a limit switch for homing"),
+        (
+            LimitSwitches(lower="low"),
+            Home(0.1, 0.11, switch="lower"),
+            "where the lower limit switch is active",
+        ),
+    ],
+)
+def test_switches_that_cannot_be_are_refused(switches: LimitSwitches, home: Home | None, said: str) -> None:
+    arm = with_switches(switches)
+    with pytest.raises(Rejected, match=said):
+        check_arm(with_drive(arm, 3, home=home) if home else arm)
