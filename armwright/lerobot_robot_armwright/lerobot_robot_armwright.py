@@ -107,7 +107,22 @@ class _Connection:
                 running.stop()
 
 
-class Armwright(Robot):  # type: ignore[misc]
+class _CalibratedByLoop:
+    """What LeRobot asks of its own arms, and the loop of this one has done."""
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Always: the loop has zeros and calibration, and `connect` refuses an arm that is not homed."""
+        return True
+
+    def calibrate(self) -> None:
+        """Nothing: `armwright home` and `armwright calibrate` do."""
+
+    def configure(self) -> None:
+        """Nothing: arm.toml does."""
+
+
+class Armwright(_CalibratedByLoop, Robot):  # type: ignore[misc]
     """A follower: joints go after the actions within the limits of jogs, and come to rest when actions cease."""
 
     config_class = ArmwrightConfig
@@ -146,17 +161,6 @@ class Armwright(Robot):  # type: ignore[misc]
         except BaseException:
             self.disconnect()
             raise
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Always: the loop has zeros and calibration, and `connect` refuses an arm that is not homed."""
-        return True
-
-    def calibrate(self) -> None:
-        """Nothing: `armwright home` and `armwright calibrate` do."""
-
-    def configure(self) -> None:
-        """Nothing: arm.toml does."""
 
     def get_observation(self) -> dict[str, Any]:
         """Measured angles and opening, newest pictures. ArmFaulted, RuntimeGone."""
@@ -197,7 +201,7 @@ class Armwright(Robot):  # type: ignore[misc]
                     camera.disconnect()
 
 
-class ArmwrightLeader(Teleoperator):  # type: ignore[misc]
+class ArmwrightLeader(_CalibratedByLoop, Teleoperator):  # type: ignore[misc]
     """A leader: a hand guides the arm, its angles are the actions."""
 
     config_class = ArmwrightLeaderConfig
@@ -231,17 +235,6 @@ class ArmwrightLeader(Teleoperator):  # type: ignore[misc]
         except BaseException:
             self.disconnect()
             raise
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Always, as of the robot."""
-        return True
-
-    def calibrate(self) -> None:
-        """Nothing: `armwright home` and `armwright calibrate` do."""
-
-    def configure(self) -> None:
-        """Nothing: arm.toml does."""
 
     def get_action(self) -> dict[str, Any]:
         """Measured angles and opening. MotionStopped if hand guiding has ended, ArmFaulted, RuntimeGone."""

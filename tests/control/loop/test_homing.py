@@ -182,7 +182,7 @@ def test_a_missing_index_ends_the_search_after_two_motor_turns() -> None:
 @pytest.mark.parametrize("off_turns", [-0.4, -0.36, 0.36, 0.45, 0.6])
 def test_an_index_that_could_be_of_another_turn_is_refused(off_turns: float) -> None:
     joint = Joint(0.0, switch_at_rad=HOME.switch_rad - off_turns * TURN_rad)
-    with pytest.raises(HomingFailed, match="the motor turn is ambiguous"):
+    with pytest.raises(HomingFailed, match="the encoder's turn is ambiguous"):
         home(joint)
     assert joint.shifts == []
 
@@ -300,7 +300,7 @@ def test_a_joint_that_does_not_find_its_switch_stops_all_and_is_named() -> None:
     lost = replace(RIGHT.drives[0].home or Home(0.0, 0.0), switch_rad=-0.05)
     with open_cell(scenario(NEAR_HOME, homed=False), RIGHT, believed=with_drive(RIGHT, 1, home=lost)) as cell:
         cell.client.enable()
-        with pytest.raises(ArmFaulted, match=r"joint 1: its index was .* the motor turn is ambiguous"):
+        with pytest.raises(ArmFaulted, match=r"joint 1: its index was .* the encoder's turn is ambiguous"):
             cell.client.home()
         cell.run(0.5)
         assert cell.runtime.monitor.is_held_fault
