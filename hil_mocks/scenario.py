@@ -6,7 +6,6 @@ Strict: an unknown key, a wrong type or a non-finite number is an error that nam
 from __future__ import annotations
 
 import random
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,6 +15,7 @@ from control.files import read_text
 from control.strict_toml import converted
 from hil_mocks.errors import ScenarioError
 
+SHIPPED = Path(__file__).parent / "scenarios"
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -178,18 +178,14 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def shipped_scenarios() -> list[str]:
     """Names of the supplied scenarios."""
-    return sorted(
-        entry.name[:-5] for entry in files("hil_mocks.scenarios").iterdir() if entry.name.endswith(".toml")
-    )
+    return sorted(file.stem for file in SHIPPED.glob("*.toml"))
 
 
 def load_scenario(path_or_name: str | Path) -> Scenario:
     """Read a scenario file, or a supplied one by name. Raises ScenarioError."""
     where = str(path_or_name)
     if where in shipped_scenarios():
-        return parse_scenario(
-            (files("hil_mocks.scenarios") / f"{where}.toml").read_text("utf-8"), f"{where}.toml"
-        )
+        return parse_scenario((SHIPPED / f"{where}.toml").read_text("utf-8"), f"{where}.toml")
     path = Path(path_or_name)
     if not path.is_file():
         known = ", ".join(shipped_scenarios())

@@ -45,6 +45,10 @@ def run(given: argparse.Namespace) -> int:
         sys.stdout.write(json.dumps(files, indent=2) + "\n")
     else:
         sys.stdout.write("".join(f"{out / name}: {rows} cycles\n" for name, rows in written.items()))
+        if not recording.is_dir() and len(set(written.values())) > 1:
+            sys.stdout.write(
+                "log.csv.gz holds the motions alone, log.mcap what came before the first one, too\n"
+            )
     return 0
 
 

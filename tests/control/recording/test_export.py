@@ -181,7 +181,9 @@ def test_the_command_says_what_it_wrote(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["export", str(recording), "--out", str(tmp_path / "x"), "--every", "10"]) == 0
-    assert "log.csv.gz: " in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "log.csv.gz: " in said
+    assert "log.csv.gz holds the motions alone, log.mcap what came before the first one, too" in said
     assert main(["export", str(recording), "--out", str(tmp_path / "x")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert main(["export", str(tmp_path / "none.armlog"), "--out", str(tmp_path / "y")]) == 2
