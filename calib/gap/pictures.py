@@ -109,7 +109,7 @@ def against(sides: Sequence[Side], stages: Sequence[Stage], label: str, title: s
     def draw(figure: Figure) -> None:
         panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
         figure.subplots_adjust(left=0.07, right=0.99, top=0.92, bottom=0.14, wspace=0.05, hspace=0.3)
-        reach = 1.25 * float(np.quantile(np.abs(np.concatenate([own for _, own in stages])), SHOWN))
+        reach = 1.25 * float(np.nanquantile(np.abs(np.concatenate([own for _, own in stages])), SHOWN))
         for axes, (at, side) in zip(panels.ravel(), sides, strict=True):
             for (name, own), colour, mark in zip(stages, COLOURS, MARKS, strict=False):
                 axes.plot(at[some], own[some], mark, ms=2.4, color=colour, alpha=0.55, mew=0, label=name)
@@ -148,7 +148,7 @@ def _over(
 ) -> str:
     """Data less all other terms, and curves (label, values, mark, colour): nearly all data, and the whole of the curves."""
     some = slice(None, None, max(1, len(at) // DOTS_MOST))
-    ends = [np.quantile(data, (1.0 - SHOWN, SHOWN)), *(own for _, own, _, _ in curves)]
+    ends = [np.nanquantile(data, (1.0 - SHOWN, SHOWN)), *(own for _, own, _, _ in curves)]
     low, high = min(float(one.min()) for one in ends), max(float(one.max()) for one in ends)
     margin = 0.08 * max(high - low, 1e-12)
 

@@ -22,6 +22,8 @@ from calib.identify.objective import LeastSquares
 from calib.identify.solver import minimise
 from control.model.arm import Arm
 
+SHORT = 0.2  # of the longest lever of all poses: the noise of a turn is five times as large there
+
 
 @dataclass(frozen=True, slots=True)
 class Left:
@@ -274,6 +276,10 @@ def _beside(known: Array, fit: Array, held: Array) -> Array:
 
 
 def along_joint(lever_m: Array, residual_m: Array) -> Array:
-    """The turn of a joint that would explain most of each residual (m, 3); lever_m (m, 3): how tips follow the joint; (m,)."""
+    """The turn of a joint that would explain most of each residual (m, 3); lever_m (m, 3): how tips follow the joint; (m,).
+
+    NaN where the tip is near the joint's axis: its noise there is many times that of the other turns.
+    """
     square = np.einsum("mi,mi->m", lever_m, lever_m)
-    return np.asarray(np.einsum("mi,mi->m", lever_m, residual_m) / np.maximum(square, 1e-12))
+    far = square > np.square(SHORT) * square.max()
+    return np.einsum("mi,mi->m", lever_m, residual_m) / np.where(far, square, np.nan)

@@ -12,6 +12,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
 from calib.gap.finding import EffectName
 from calib.gap.poses.find import find
+from calib.gap.poses.linear import along_joint
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.words import in_words
 from control.model.arm import Effect
@@ -147,3 +148,9 @@ def test_effects_at_once_do_not_make_the_points_another_arms() -> None:
         "many", 132_030
     )  # four effects of its own; the mirrored arm would leave a tenth less of them
     assert names(find(one.arm, one.points)) <= {EffectName(h.effect, h.joint) for h in one.hidden}
+
+
+def test_a_tip_near_the_axis_tells_no_turn() -> None:
+    lever_m = np.array([[0.5, 0.0, 0.0], [0.0, 0.2, 0.0], [0.05, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    turn_rad = along_joint(lever_m, 1e-3 * lever_m + [0.0, 0.0, 1e-4])
+    np.testing.assert_allclose(turn_rad, [1e-3, 1e-3, np.nan, np.nan])
