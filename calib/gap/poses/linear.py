@@ -282,4 +282,5 @@ def along_joint(lever_m: Array, residual_m: Array) -> Array:
     """
     square = np.einsum("mi,mi->m", lever_m, lever_m)
     far = square > np.square(SHORT) * square.max()
-    return np.einsum("mi,mi->m", lever_m, residual_m) / np.where(far, square, np.nan)
+    along = np.einsum("mi,mi->m", lever_m, residual_m)
+    return np.asarray(along / np.where(far, square, np.nan))
