@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Protocol
 
+import numpy as np
+
 from calib.arrays import norms
 from calib.boards import Registration, markers_text, write_boards
 from calib.errors import RegistrationError
@@ -30,7 +32,7 @@ from calib.session.conversation import (
 from calib.session.folder import SessionFolder
 from calib.session.moves import ClearPaths, Geometry, JogPort, NoClearPath, TipSensor, Transfers, Vector
 from calib.session.plan import FREE, Target
-from calib.session.residual_watch import ResidualWatch, TipObservation
+from calib.session.residual_watch import RecordVerdict, ResidualWatch, TipObservation
 from calib.session.take import SessionSettings, take
 from control.errors import ArmError
 
@@ -108,8 +110,11 @@ class _Conductor(Conversation):
     def _visit(self, target: Target) -> Talk:
         """Record one target, as far as the operator allows."""
         if target.is_free and target.q_rad is not None:
-            if (yield from self._ask(SessionQuestion.NEXT, target)) and (
-                yield from self._go(target, target.q_rad)
+            has_pictures = self._folder.plan.has_pictures
+            if (
+                (yield from self._ask(SessionQuestion.NEXT, target))
+                and (yield from self._go(target, target.q_rad))
+                and (not has_pictures or (yield from self._ask(SessionQuestion.PICTURE, target)))
             ):
                 yield from self._record(target)
             return
@@ -221,6 +226,9 @@ class _Conductor(Conversation):
         if not target.is_free and self._boards.kind == "known":
             cavity = self._boards.reference_m(target)
         record = take(target, cavity, self._arm, station.settings, station.camera, station.clock_offset_s)
+        if self._folder.plan.has_pictures:  # which say later where the tip was
+            yield Recorded(self._folder.record(record), RecordVerdict(np.full(3, np.nan)))
+            return
         observation = self._survey.observation(record)
         verdict = station.watch.judge(observation)
         record_with_take = self._folder.record(record)
@@ -247,7 +255,7 @@ class BoardSurvey:
     def resume(self) -> Generator[Saying, SessionCommand, None]:
         """Process the records of a resumed session."""
         points = self._folder.points()
-        if points is None:
+        if points is None or self._folder.plan.has_pictures:
             return
         for key, observation in _observations(points, self._boards):
             self._watch.add(key, observation)

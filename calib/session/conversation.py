@@ -32,6 +32,7 @@ class SessionQuestion(Enum):
     NEXT = "nobody touches the arm; it may move"
     TAKE = "a hand supports the tip; the drives may release"
     SEATED = "the tip is seated in the cavity"
+    PICTURE = "the picture of this pose is taken"
     DONE = "the session may end"
 
 

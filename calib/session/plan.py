@@ -64,7 +64,8 @@ class SessionPlan:
 
     board: its pose is known, measured with the camera, or unknown; "contact": there is none, two arms touch (calib.closed_chain).
     seat: how the tip is seated;
-    has_camera: whether the tip is measured; arm_sha256: of the arm's parameters (`fingerprint`).
+    has_camera: whether the tip is measured; has_pictures: whether somebody takes a picture at each free pose, which is measured
+    later (`camera poses`); arm_sha256: of the arm's parameters (`fingerprint`).
     pose_frame: the frame in which full poses are measured, "stream" one of unknown place; empty: positions in the base frame.
     """
 
@@ -77,6 +78,7 @@ class SessionPlan:
     has_camera: bool = False
     payload_kg: float = 0.0
     pose_frame: PoseFrame = ""
+    has_pictures: bool = False
 
     @property
     def approaches(self) -> int:
@@ -107,8 +109,13 @@ class SessionPlan:
                 "the camera's frame has no known place to the arm's base, so it cannot say where the cavities of a board are:"
                 " record --free poses and calibrate first, or state origin_m in [camera.stream]"
             )
-        if any(t.is_free for t in self.targets) and not self.has_camera:
-            raise SessionError("free poses need a camera that measures the tip: add --camera")
+        if self.has_pictures and not all(t.is_free for t in self.targets):
+            raise SessionError("--pictures is of free poses alone: add --free N and leave the cavities out")
+        if any(t.is_free for t in self.targets) and not (self.has_camera or self.has_pictures):
+            raise SessionError(
+                "free poses need a camera that measures the tip: add --camera, or --pictures where a webcam sees a board on"
+                " the arm"
+            )
 
 
 def board_targets(
@@ -157,6 +164,7 @@ def to_json(plan: SessionPlan, started: str) -> str:
         "camera": plan.has_camera,
         "payload_kg": plan.payload_kg,
         **({"pose_frame": plan.pose_frame} if plan.pose_frame else {}),
+        **({"pictures": True} if plan.has_pictures else {}),
         "targets": [_target_json(target) for target in plan.targets],
     }
     return json.dumps(content, indent=1) + "\n"
@@ -181,6 +189,7 @@ def from_json(text: str, path: Path) -> tuple[SessionPlan, str]:
             bool(content["camera"]),
             float(content["payload_kg"]),
             content.get("pose_frame", ""),
+            bool(content.get("pictures", False)),
         )
         return plan, str(content["started"])
     except KeyError as error:
@@ -200,6 +209,7 @@ def require_same(begun: SessionPlan, wanted: SessionPlan, where: Path) -> None:
         ("board", begun.board, wanted.board),
         ("seat", begun.seat, wanted.seat),
         ("camera", begun.has_camera, wanted.has_camera),
+        ("pictures", begun.has_pictures, wanted.has_pictures),
         ("payload in kg", begun.payload_kg, wanted.payload_kg),
     ):
         if before != now:

@@ -35,7 +35,7 @@ RECORDING = (
             option(
                 "--free",
                 metavar="N|FILE",
-                help="number of free poses, or a file of them with q1_rad ...; needs --camera",
+                help="number of free poses, or a file of them with q1_rad ...; needs --camera or --pictures",
             ),
             option(
                 "--plan",
@@ -58,6 +58,12 @@ RECORDING = (
                 action="store_true",
                 default=None,
                 help="also record the tip position from the camera",
+            ),
+            option(
+                "--pictures",
+                action="store_true",
+                default=None,
+                help="free poses for pictures that you take with a webcam: angles alone, and the name of each picture",
             ),
             option(
                 "--mock",

@@ -36,6 +36,7 @@ from calib.session.conversation import (
 from calib.session.folder import SessionFolder
 from calib.session.moves import Vector
 from calib.session.plan import FREE, Mark, SessionPlan, SessionState, Target
+from calib.vision.poses import picture_name
 from control.model.arm import Table
 
 HELP = """\
@@ -226,6 +227,9 @@ class BoardWords:
             side = f" from side {target.approach}" if self._plan.approaches > 1 and not target.is_free else ""
             where = "the pose" if target.is_free else f"above the cavity{side}"
             return f"hands off; Enter moves the arm to {where}"
+        if ask.question is SessionQuestion.PICTURE:
+            name = picture_name(target.setup, target.point, target.repeat)
+            return f"take the picture {name}.png; Enter records the angles, `skip` if the board is not in it"
         if ask.question is SessionQuestion.TAKE:
             return "hold the arm by hand; Enter turns its drives off"
         if self._plan.seat == "jog":

@@ -25,7 +25,19 @@ from control.model import table as tables
 from control.model.arm import Arm, Camera, Table
 from control.tables import WHOLE_LARGEST, TableColumn, TableFormat, read_table
 
-OPTIONS = ("setups", "points", "repeats", "approaches", "free", "plan", "payload", "seat", "board", "camera")
+OPTIONS = (
+    "setups",
+    "points",
+    "repeats",
+    "approaches",
+    "free",
+    "plan",
+    "payload",
+    "seat",
+    "board",
+    "camera",
+    "pictures",
+)
 MOST_FREE = 500
 PLAN = TableFormat(
     "pose",
@@ -58,6 +70,7 @@ def plan_from_options(given: argparse.Namespace, arm: Arm) -> SessionPlan | None
         bool(given.camera),
         payload_kg,
         _pose_frame(arm.camera) if given.camera else "",
+        bool(given.pictures),
     )
 
 
@@ -74,7 +87,9 @@ def _board_of(table: Table | None) -> Board:
 
 def _from_options(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
     free = _free(given, arm)
-    sees_no_board = arm.table is None or (arm.camera is not None and arm.camera.has_own_frame)
+    sees_no_board = (
+        given.pictures or arm.table is None or (arm.camera is not None and arm.camera.has_own_frame)
+    )
     if sees_no_board and free and given.setups is None and given.points is None:
         return free
     table = tables.table_of(arm)

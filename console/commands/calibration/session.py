@@ -108,6 +108,5 @@ def _station(
 
 def _introduce(folder: SessionFolder, interface: Interface) -> None:
     plan = folder.plan
-    interface.introduce(
-        folder, f"board {plan.board}, tip seated by {plan.seat}, payload {plan.payload_kg:g} kg"
-    )
+    how = "pictures taken by you" if plan.has_pictures else f"board {plan.board}, tip seated by {plan.seat}"
+    interface.introduce(folder, f"{how}, payload {plan.payload_kg:g} kg")

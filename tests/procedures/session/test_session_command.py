@@ -226,3 +226,22 @@ def test_a_plan_file_says_which_cavities_and_free_poses(
     assert "line 2: joint 1 at 9 rad is outside its range" in refused(
         files, capsys, "--plan", str(plan), "--camera"
     )
+
+
+def test_a_session_of_pictures_names_each_and_records_angles_alone_and_is_resumed(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("--free", "3", "--pictures", "--mock", "--scenario", str(files / "quick.toml"))
+    assert session(files, "\nskip\n\n\nquit\n", *options) == 0
+    said = capsys.readouterr().out
+    assert "take the picture free_f1_1.png; Enter records the angles" in said
+    assert "free f2 recorded\n" in said
+    assert session(files, "auto\n", "--mock") == 0
+    points, _ = read_points(files / "s" / "points.csv", 3)
+    assert points.point == ("f2", "f3")
+    assert np.isnan(points.tip_m).all()
+    assert session(files, "", "--free", "3", "--camera", "--mock") == 2
+    assert "began with camera False, got True" in capsys.readouterr().err
+    with_cavities = ("--points", "1", "--free", "1", "--pictures", "--mock", "--out", str(files / "t"))
+    assert main(["session", "--arm", str(files / "arm.toml"), *with_cavities]) == 2
+    assert "--pictures is of free poses alone" in capsys.readouterr().err
