@@ -422,9 +422,11 @@ class RoughSimulation(Simulation):
     def _gear(self, state: _State) -> Array:
         p, s = self._plain, self._s
         ahead, rate = state.motor - state.q, state.motor_speed - state.qd
-        harder = 1.0 + s["gear"] * np.minimum(np.abs(p["k"] * ahead) / LOAD_Nm, 2.0)
-        spring = p["k"] * harder * ahead + p["d"] * rate
         half = 0.5 * p["w"] * self._wave("play", state.motor)
+        into = ahead - np.clip(ahead, -half, half)
+        harder = 1.0 + s["gear"] * np.minimum(np.abs(p["k"] * into) / LOAD_Nm, 2.0)
+        spring = p["k"] * harder * into + p["d"] * rate
+        spring = np.where(self._has_play & (into * spring <= 0.0), 0.0, spring)
         push = np.maximum(FLANK_Nm_rad * (ahead - half) + FLANK_DAMPING_Nm_s_rad * rate, 0.0)
         pull = np.minimum(FLANK_Nm_rad * (ahead + half) + FLANK_DAMPING_Nm_s_rad * rate, 0.0)
         flank = np.where(ahead > half, push, np.where(ahead < -half, pull, 0.0))

@@ -235,7 +235,8 @@ class Simulation:
         motor = q.copy()
         if self._some_are_apart:
             yields = np.where(self._has_spring, held / np.where(self._has_spring, p["k"], 1.0), 0.0)
-            rests = np.where(self._has_play, np.sign(held) * p["w"] / 2 + held / FLANK_Nm_rad, 0.0)
+            hard = np.where(self._has_spring, 0.0, held / FLANK_Nm_rad)
+            rests = np.where(self._has_play, np.sign(held) * p["w"] / 2 + hard, 0.0)
             q = q - yields - rests
         current = held / self._K
         return _State(q, still.copy(), motor, still.copy(), current, still.copy(), held.copy(), still.copy())
@@ -352,11 +353,13 @@ class Simulation:
         return total
 
     def _gear(self, state: _State) -> Array:
-        """Torque of a spring, or of the contact flank."""
+        """Torque of a spring, or of the contact flank; the spring of a loose gear stands on its flanks, and only pushes."""
         p = self._p
         ahead, rate = state.motor - state.q, state.motor_speed - state.qd
-        spring = p["k"] * ahead + p["d"] * rate
         half = 0.5 * p["w"]
+        into = ahead - np.clip(ahead, -half, half)
+        spring = p["k"] * into + p["d"] * rate
+        spring = np.where(self._has_play & (into * spring <= 0.0), 0.0, spring)
         push = np.maximum(FLANK_Nm_rad * (ahead - half) + FLANK_DAMPING_Nm_s_rad * rate, 0.0)
         pull = np.minimum(FLANK_Nm_rad * (ahead + half) + FLANK_DAMPING_Nm_s_rad * rate, 0.0)
         flank = np.where(ahead > half, push, np.where(ahead < -half, pull, 0.0))

@@ -167,6 +167,14 @@ class ActingTerms:
                 return
         self.elastic.append(term)
 
+    def gears(self) -> dict[int, tuple[Law, ...]]:
+        """What is soft or loose of each joint's gear (0-based), softness first: one gear, which may be both."""
+        softness_first = sorted(self.elastic, key=lambda term: term.form.acts != "spring")
+        found: dict[int, tuple[Law, ...]] = {}
+        for term in softness_first:
+            found[term.index] = (*found.get(term.index, ()), term)
+        return found
+
     def link_friction(self, j: int) -> tuple[float, float]:
         """Coulomb and viscous friction of a joint (0-based) in all."""
         sums = {"coulomb": 0.0, "viscous": 0.0}
@@ -179,7 +187,12 @@ class ActingTerms:
         """The share of a friction that acts behind its elastic or loose gear."""
         if not term.form.shared:
             return 0.0
-        return sum(gear.values[-1] for gear in self.elastic if gear.index == term.index)
+        return share_behind([gear for gear in self.elastic if gear.index == term.index])
+
+
+def share_behind(gear: Sequence[Law]) -> float:
+    """The share of friction that acts behind a gear, of all that is soft or loose in it."""
+    return min(sum(term.values[-1] for term in gear), 1.0)
 
 
 def sorted_terms(model: Sequence[Law]) -> ActingTerms:

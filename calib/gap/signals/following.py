@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.signals.body import ActingTerms, BodyTorques, Load, sorted_terms
+from calib.gap.signals.body import ActingTerms, BodyTorques, Load, share_behind, sorted_terms
 from calib.gap.signals.play import LinkDrive, LinkPlay, elastics, looses
 from calib.gap.signals.recording import Flags, RunSet
 from calib.gap.signals.terms import Law
@@ -23,7 +23,8 @@ TERMS_KEPT = 48  # motions of elastic joints, some 1.5 MB each
 MODELS_KEPT = 6
 LOADS_KEPT = 24
 
-Rubbed = tuple[tuple[Law, tuple[float, float]], ...]
+Gear = tuple[Law, ...]  # what is soft or loose in one joint's
+Rubbed = tuple[tuple[Gear, tuple[float, float]], ...]
 
 
 class YieldingJoints:
@@ -33,11 +34,11 @@ class YieldingJoints:
         self._recording, self._body = recording, body
         self._moved: dict[tuple[Load, Rubbed], list[tuple[Array, Array]]] = {}
         self._follow: dict[tuple[Load, int], LinkDrive] = {}
-        self._followed_terms: dict[tuple[Load, tuple[float, float], Law], LinkPlay] = {}
+        self._followed_gears: dict[tuple[Load, tuple[float, float], Gear], LinkPlay] = {}
 
     def all(self, parts: ActingTerms) -> list[tuple[Array, Array]]:
         """Link torques and angles beyond the encoders', with the motion of elastic or loose joints in them."""
-        key = (parts.load, tuple((term, parts.link_friction(term.index)) for term in parts.elastic))
+        key = (parts.load, tuple((gear, parts.link_friction(j)) for j, gear in parts.gears().items()))
         if key not in self._moved:
             if len(self._moved) > MODELS_KEPT:
                 self._moved.pop(next(iter(self._moved)))
@@ -45,7 +46,7 @@ class YieldingJoints:
         return self._moved[key]
 
     def _follow_anew(self, parts: ActingTerms) -> list[tuple[Array, Array]]:
-        followed = {term.index: self._followed(parts, term) for term in parts.elastic}
+        followed = {j: self._followed(parts, gear) for j, gear in parts.gears().items()}
         result = []
         for k, run in enumerate(self._recording.runs):
             q, speed, acceleration = np.array(run.q), np.array(run.speed), np.array(run.acceleration)
@@ -62,13 +63,20 @@ class YieldingJoints:
         return result
 
     def flights(self, model: Sequence[Law]) -> dict[int, list[Flags]]:
-        """Samples (m,) of each run at which a loose joint (0-based) of the model lies on neither flank or just lands."""
+        """Samples (m,) of each run at which a loose joint (0-based) of the model lies on neither flank, or on a hard one just
+        lands.
+        """
         parts = sorted_terms(model)
         found = {}
-        for term in parts.elastic:
-            if term.form.acts == "play":
-                moving = np.abs(self._followed(parts, term).speed_rad_s) > RESTING_rad_s
-                found[term.index] = [moving[: len(run), k] for k, run in enumerate(self._recording.runs)]
+        for j, gear in parts.gears().items():
+            if gear[-1].form.acts != "play":
+                continue
+            one = self._followed(parts, gear)
+            if len(gear) == 1:
+                moving = np.abs(one.speed_rad_s) > RESTING_rad_s
+            else:
+                moving = np.abs(one.delta_rad) < 0.5 * gear[-1].values[0]
+            found[j] = [moving[: len(run), k] for k, run in enumerate(self._recording.runs)]
         return found
 
     def beyond(self, model: Sequence[Law]) -> tuple[list[Array], list[Array]]:
@@ -76,47 +84,47 @@ class YieldingJoints:
         parts = sorted_terms(model)
         angles = [np.zeros_like(run.q) for run in self._recording.runs]
         speeds = [np.zeros_like(run.q) for run in self._recording.runs]
-        for term in parts.elastic:
-            found = self._followed(parts, term)
+        for j, gear in parts.gears().items():
+            found = self._followed(parts, gear)
             for k, run in enumerate(self._recording.runs):
-                angles[k][:, term.index] = found.delta_rad[: len(run), k]
-                speeds[k][:, term.index] = found.speed_rad_s[: len(run), k]
+                angles[k][:, j] = found.delta_rad[: len(run), k]
+                speeds[k][:, j] = found.speed_rad_s[: len(run), k]
         return angles, speeds
 
     def foresee(self, model: Sequence[Law], variants: Sequence[Law]) -> None:
         """Follow one joint's elastic or loose gear with several values at once, for `predict` to find them done."""
-        joint, form = variants[0].index, variants[0].form
-        with_each = [sorted_terms((*model, law)).elastic for law in variants]
-        gears = [next(g for g in own if (g.index, g.form) == (joint, form)) for own in with_each]
-        self._foresee(sorted_terms(model), gears)
+        joint = variants[0].index
+        self._foresee(sorted_terms(model), [sorted_terms((*model, law)).gears()[joint] for law in variants])
 
-    def _foresee(self, parts: ActingTerms, variants: Sequence[Law]) -> None:
-        link_friction = parts.link_friction(variants[0].index)
-        missing = [term for term in variants if (parts.load, link_friction, term) not in self._followed_terms]
+    def _foresee(self, parts: ActingTerms, variants: Sequence[Gear]) -> None:
+        joint = variants[0][0].index
+        link_friction = parts.link_friction(joint)
+        missing = [gear for gear in variants if (parts.load, link_friction, gear) not in self._followed_gears]
         if not missing:
             return
         of = replace(
-            self._follower(parts.load, missing[0].index),
-            coulomb_Nm=link_friction[0],
-            viscous_Nm_s_rad=link_friction[1],
+            self._follower(parts.load, joint), coulomb_Nm=link_friction[0], viscous_Nm_s_rad=link_friction[1]
         )
-        values = [t.values for t in missing]
-        if missing[0].form.acts == "play":
-            found = looses(of, [(max(w, 0.0), share) for w, share in values])
+        if missing[0][0].form.acts == "play":
+            found = looses(of, [(max(gear[0].values[0], 0.0), share_behind(gear)) for gear in missing])
         else:
-            springs = [(1.0 / max(c, SHORTEST_SPRING_rad_Nm), max(d, 0.0), share) for c, d, share in values]
-            found = elastics(of, springs)
-        while len(self._followed_terms) > TERMS_KEPT:
-            self._followed_terms.pop(next(iter(self._followed_terms)))
-        for term, one in zip(missing, found, strict=True):
-            self._followed_terms[parts.load, link_friction, term] = one
+            found = elastics(of, [_spring(gear) for gear in missing])
+        while len(self._followed_gears) > TERMS_KEPT:
+            self._followed_gears.pop(next(iter(self._followed_gears)))
+        for gear, one in zip(missing, found, strict=True):
+            self._followed_gears[parts.load, link_friction, gear] = one
 
-    def _followed(self, parts: ActingTerms, term: Law) -> LinkPlay:
-        key = parts.load, parts.link_friction(term.index), term
-        if key not in self._followed_terms:
+    def _followed(self, parts: ActingTerms, gear: Gear) -> LinkPlay:
+        key = parts.load, parts.link_friction(gear[0].index), gear
+        if key not in self._followed_gears:
             # The slopes by its values are asked for next, and cost nothing beside it.
-            self._foresee(parts, [term, *(neighbour for neighbour, _ in term.neighbours())])
-        return self._followed_terms[key]
+            neighbours = [
+                (*gear[:place], near, *gear[place + 1 :])
+                for place, term in enumerate(gear)
+                for near, _ in term.neighbours()
+            ]
+            self._foresee(parts, [gear, *neighbours])
+        return self._followed_gears[key]
 
     def _follower(self, load: Load, j: int) -> LinkDrive:
         key = (load, j)
@@ -137,6 +145,13 @@ class YieldingJoints:
         """The inertia that a joint turns; no load that is tried takes nearly all of it away: nothing could be followed then."""
         own, nominal = self._body.own_inertia(load, j), self._body.own_inertia(Load(), j)
         return [np.maximum(part, LEAST_INERTIA * known) for part, known in zip(own, nominal, strict=True)]
+
+
+def _spring(gear: Gear) -> tuple[float, ...]:
+    """Stiffness, damping, share of friction behind, and width of a soft gear, which may be loose as well."""
+    compliance, damping, _ = gear[0].values
+    width = max(gear[1].values[0], 0.0) if len(gear) > 1 else 0.0
+    return 1.0 / max(compliance, SHORTEST_SPRING_rad_Nm), max(damping, 0.0), share_behind(gear), width
 
 
 def _side_by_side(columns: list[Array]) -> Array:

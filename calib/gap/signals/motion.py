@@ -67,7 +67,7 @@ class Forward:
         self._period = 1.0 / physics.recording.filters.rate_Hz
         self._steps = max(2, round(self._period / STEP_s))
         self._h = self._period / self._steps
-        self._gears = {term.index: term for term in self._parts.elastic}
+        self._gears = self._parts.gears()
         self._rotor = physics.body.rotor_kg_m2
         self._own_rotor = np.array([0.0 if j in self._gears else J for j, J in enumerate(self._rotor)])
         self._rubbing = [
@@ -121,20 +121,22 @@ class Forward:
     def _transmitted(self, state: ForwardState, inverse: Array) -> dict[int, Array]:
         """Torque of each elastic or loose gear (W,)."""
         result = {}
-        for j, term in self._gears.items():
+        for j, gear in self._gears.items():
             ahead = state.motor[:, j] - state.q[:, j]
             rate = state.motor_speed[:, j] - state.speed[:, j]
             inertia = 1.0 / (1.0 / self._rotor[j] + inverse[:, j, j])
             hardest = HARDEST * inertia / self._h**2
-            if term.form.acts == "spring":
-                stiffness = np.minimum(1.0 / max(term.values[0], 1e-9), hardest)
-                result[j] = stiffness * ahead + max(term.values[1], 0.0) * rate
-            else:
-                half = 0.5 * max(term.values[0], 0.0)
-                into = ahead - np.clip(ahead, -half, half)
-                damping = 2.0 * FLANK_DAMPING * np.sqrt(hardest * inertia)
-                torque = hardest * into + np.where(into != 0.0, damping * rate, 0.0)
-                result[j] = np.where(into > 0.0, np.maximum(torque, 0.0), np.minimum(torque, 0.0))
+            stiffness, damping = hardest, 2.0 * FLANK_DAMPING * np.sqrt(hardest * inertia)
+            half, is_loose = 0.0, False
+            for term in gear:
+                if term.form.acts == "spring":
+                    stiffness = np.minimum(1.0 / max(term.values[0], 1e-9), hardest)
+                    damping = np.full_like(hardest, max(term.values[1], 0.0))
+                else:
+                    half, is_loose = 0.5 * max(term.values[0], 0.0), True
+            into = ahead - np.clip(ahead, -half, half)
+            torque = stiffness * into + damping * rate
+            result[j] = np.where(is_loose & (into * torque <= 0.0), 0.0, torque)
         return result
 
     def _frictions(self, state: ForwardState, load_Nm: Array) -> tuple[Array, Array]:

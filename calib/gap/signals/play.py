@@ -3,6 +3,7 @@
 The other joints follow their encoders, so each elastic joint is one equation for delta = joint minus motor angle:
     M delta'' = -tau - g delta - (torque of spring, or of a flank) - (friction on the link's side of the gear)
 with tau the link torque that a rigid gear would transmit, M the inertia that the joint turns, g its gravity's slope.
+The spring of a soft gear with play stands on its flanks: k (delta -+ width / 2) + d delta' beyond one of them, nought between.
 Of the joint's Coulomb and viscous friction a share acts on the link; the rest is the motor's.
 All runs and several sets of parameters at once: the loop over time costs the same for one as for thirty.
 """
@@ -57,30 +58,44 @@ def elastic(of: LinkDrive, stiffness_Nm_rad: float, damping_Nm_s_rad: float, sha
     return elastics(of, [(stiffness_Nm_rad, damping_Nm_s_rad, share)])[0]
 
 
-def elastics(of: LinkDrive, springs: Sequence[tuple[float, float, float]]) -> list[LinkPlay]:
-    """`elastic` for several sets of stiffness, damping and the friction's share on the link."""
-    k, d, share = (np.array(column)[:, None] for column in zip(*springs, strict=True))
-    steps = 1 if float(k.min()) > 4.0 * float(of.inertia_kg_m2.max()) / of.period_s**2 else SPRING_SUBSTEPS
+def elastics(of: LinkDrive, springs: Sequence[tuple[float, ...]]) -> list[LinkPlay]:
+    """`elastic` for several sets of stiffness, damping, the friction's share on the link and, of gears with play, its width."""
+    stiffness, d, share, *widths = (np.array(column)[:, None] for column in zip(*springs, strict=True))
+    width = widths[0] if widths else np.zeros_like(stiffness)
+    is_loose, flank = bool(width.any()), 0.5 * width
+    hard = float(stiffness.min()) > 4.0 * float(of.inertia_kg_m2.max()) / of.period_s**2
+    steps = _substeps(of) if is_loose else 1 if hard else SPRING_SUBSTEPS
     h = of.period_s / steps
     torque, inertia, slope = (
         _fine(part, steps) for part in (of.torque_Nm, of.inertia_kg_m2, of.slope_Nm_rad)
     )
     link_friction = _LinkFriction(of, share, steps)
-    stiff = slope[:, None] + k
-    mass = inertia[:, None] + 0.5 * h * d + 0.25 * h * h * stiff
-    delta = -torque[0] / stiff[0]
+    half, quarter = 0.5 * h, 0.25 * h * h
+    stiff = slope[:, None] + stiffness
+    mass = inertia[:, None] + half * d + quarter * stiff
+    delta = -(torque[0] + stiffness * np.sign(torque[0]) * flank) / stiff[0]
     speed, acceleration = np.zeros_like(delta), np.zeros_like(delta)
     result = np.empty((3, *stiff.shape))
-    half, quarter = 0.5 * h, 0.25 * h * h
-    rows = zip(torque, stiff, mass, link_friction.speeds, *result, strict=True)
-    for pull, hard, heavy, motor, x, v, a in rows:
+    rows = zip(torque, slope, inertia, stiff, mass, link_friction.speeds, *result, strict=True)
+    for pull, tilt, light, hard, heavy, motor, x, v, a in rows:
         np.multiply(acceleration, half, out=v)
         v += speed
         np.multiply(acceleration, quarter, out=x)
         x += delta
         x += h * speed
-        np.multiply(hard, x, out=a)
-        a += d * v
+        if is_loose:  # on a flank only where the spring would push the link that flies on
+            flying = light + quarter * tilt
+            fall = (pull + tilt * x) / flying
+            ahead = x - quarter * fall
+            side = np.clip(ahead, -flank, flank)
+            push = stiffness * (ahead - side) + d * (v - half * fall)
+            touches = (ahead - side) * push > 0.0
+            np.multiply(tilt, x, out=a)
+            a += np.where(touches, stiffness * (x - side) + d * v, 0.0)
+            heavy = np.where(touches, heavy, flying)
+        else:
+            np.multiply(hard, x, out=a)
+            a += d * v
         a += pull
         if link_friction.is_on:
             friction, steep = link_friction.at(motor + v)
@@ -92,11 +107,19 @@ def elastics(of: LinkDrive, springs: Sequence[tuple[float, float, float]]) -> li
         x += quarter * a
         delta, speed, acceleration = x, v, a
     delta, speed, acceleration = result[:, ::steps]
+    into = delta - np.clip(delta, -flank, flank)
+    spring = stiffness * into + d * speed
+    transmitted = np.where(is_loose & (into * spring <= 0.0), 0.0, -spring)
     found = []
-    for place, (stiffness, damping, _) in enumerate(springs):
-        own = [np.ascontiguousarray(part[:, place]) for part in (delta, speed, acceleration)]
-        found.append(LinkPlay(own[0], own[1], own[2], -stiffness * own[0] - damping * own[1]))
+    for place in range(len(springs)):
+        own = (np.ascontiguousarray(part[:, place]) for part in (delta, speed, acceleration, transmitted))
+        found.append(LinkPlay(*own))
     return found
+
+
+def _substeps(of: LinkDrive) -> int:
+    """How many of a sample a flank asks for."""
+    return max(SUBSTEPS, round(of.period_s / SUBSTEP_s))
 
 
 class _LinkFriction:
@@ -125,7 +148,7 @@ def loose(of: LinkDrive, width_rad: float, share: float = 0.0) -> LinkPlay:
 
 def looses(of: LinkDrive, plays: Sequence[tuple[float, float]]) -> list[LinkPlay]:
     """`loose` for several pairs of width and the friction's share on the link."""
-    steps = max(SUBSTEPS, round(of.period_s / SUBSTEP_s))
+    steps = _substeps(of)
     width, share = (np.array(column)[:, None] for column in zip(*plays, strict=True))
     result = _between_flanks(of, 0.5 * width, _LinkFriction(of, share, steps), steps)
     found = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.arrays import Array
-from calib.gap.signals.play import LinkDrive, elastic, loose
+from calib.gap.signals.play import LinkDrive, elastic, elastics, loose
 
 PERIOD_s = 0.002
 
@@ -85,3 +85,36 @@ def test_friction_on_a_link_is_that_of_a_slowly_turning_motor_too() -> None:
     drive = LinkDrive(still, still + 0.05, still, PERIOD_s, still + 0.01, 0.4, 0.0)
     assert loose(drive, 0.01, share=1.0).transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=0.01)
     assert elastic(drive, 600.0, 2.0, share=1.0).transmitted_Nm[-1, 0] == pytest.approx(0.4, rel=0.01)
+
+
+@pytest.mark.parametrize("damping", [2.0, 8.0])
+def test_a_soft_gear_with_play_obeys_its_equation_from_flank_to_flank(damping: float) -> None:
+    """Against the equation in steps of 5 us; its spring begins at the flanks and only pushes."""
+    stiffness, width, inertia = 600.0, 0.01, 0.05
+    torque = 2.0 * np.cos(2.0 * np.pi * 1.5 * PERIOD_s * np.arange(600))
+    found = elastics(follower(torque), [(stiffness, damping, 0.0, width)])[0]
+    step_s, per_sample = 5e-6, round(PERIOD_s / 5e-6)
+    pulls = np.interp(np.arange(600 * per_sample) / per_sample, np.arange(600), torque).tolist()
+    delta, speed, expected = -0.5 * width - torque[0] / stiffness, 0.0, []
+    for k, pull in enumerate(pulls):
+        if k % per_sample == 0:
+            expected.append(delta)
+        into = delta - min(max(delta, -0.5 * width), 0.5 * width)
+        spring = stiffness * into + damping * speed
+        speed -= step_s * (pull + (spring if into * spring > 0.0 else 0.0)) / inertia
+        delta += step_s * speed
+    assert np.ptp(expected) > 1.5 * width
+    assert np.abs(found.delta_rad[:, 0] - expected).max() < 0.03 * width
+    between = np.abs(found.delta_rad[:, 0]) < 0.5 * width
+    assert between.sum() > 10
+    np.testing.assert_array_equal(found.transmitted_Nm[between], 0.0)
+    at_rest = elastics(follower(np.full(100, 3.0)), [(stiffness, damping, 0.0, width)])[0]
+    np.testing.assert_allclose(at_rest.delta_rad, -0.5 * width - 3.0 / stiffness, rtol=1e-9)
+
+
+def test_a_soft_gear_without_play_is_a_spring_and_a_hard_one_with_play_is_loose() -> None:
+    torque = 2.0 * np.cos(2.0 * np.pi * 1.5 * PERIOD_s * np.arange(600))
+    spring, none = (elastics(follower(torque), [(600.0, 4.0, 0.0, *w)])[0] for w in ((), (0.0,)))
+    np.testing.assert_array_equal(spring.delta_rad, none.delta_rad)
+    hard = elastics(follower(torque), [(2e4, 50.0, 0.0, 0.01)])[0]
+    assert np.abs(hard.delta_rad - loose(follower(torque), 0.01).delta_rad).max() < 0.1 * 0.01
