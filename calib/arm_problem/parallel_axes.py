@@ -69,6 +69,17 @@ def in_the_same_rows(one: Arm, other: Arm) -> tuple[Arm, Arm]:
     return one, other
 
 
+def numbers_before(given: Arm, more: Arm) -> dict[int, int]:
+    """Of every row (1-based) that has another number in `more`, which is `given` with rows of `with_tilt_behind`: its number
+    in `given`.
+    """
+    count = 2 if more.dh_convention == "modified" else 1
+    joints = _rows_of_joints(given)
+    ends = [joints[joint - 1] for joint in _only_in(more, given)]
+    moved = {row + 1 + count * sum(end < row for end in ends): row + 1 for row in range(len(given.links))}
+    return {number: before for number, before in moved.items() if number != before}
+
+
 def _only_in(rows_of: Arm, arm: Arm) -> list[int]:
     """Joints with a fixed row behind them in `rows_of`, and none in `arm` where its axes are parallel."""
     rows = _rows_of_joints(rows_of)

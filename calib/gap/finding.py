@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from calib.arrays import Array
 from control.files import write_whole
-from control.model.effects import moved_joint, place_of
+from control.model.effects import EFFECTS, moved_joint, place_of
 from control.model.maps import CorrectionMap
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+Said = TypeVar("Said")
 Parameters = Mapping[str, tuple[float, float]]  # by name: value and standard deviation
 
 LINK_KEYS = ("d_m", "theta_rad", "L_m", "alpha_rad")  # of a link's deviations, in the order of its DH row
@@ -25,14 +27,20 @@ GEOMETRY = "link_geometry"  # the effect: the links' lengths and axes are others
 
 @dataclass(frozen=True, slots=True)
 class EffectName:
-    """An effect on a joint or link (1-based; None where it has none), as docs/formats.md names it."""
+    """An effect on a joint or link (1-based; None where it has none), as docs/formats.md names it.
+
+    `given_joint`: a link's number in the file that was given, where the new one has rows more before it.
+    """
 
     effect: str
     joint: int | None = None
+    given_joint: int | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         """As `backlash on joint 2`."""
         place = place_of(self.effect)
+        if self.given_joint is not None:
+            return f"{self.effect} on {place} {self.given_joint} ({place} {self.joint} of the new arm.toml)"
         return self.effect if self.joint is None else f"{self.effect} on {place} {self.joint}"
 
     @property
@@ -182,6 +190,34 @@ class GapFinding:
         return "held-out recordings" if self.is_held_out else "the fitted recordings (none could be held out)"
 
 
+def with_given_numbers(said: Said, before: Mapping[int, int]) -> Said:
+    """What is said of links by their numbers in the new file, said by those of the given one, too: names, and words with names.
+
+    `before`: of every link that has another number now, its number in the given file.
+    """
+
+    def both(found: re.Match[str]) -> str:
+        name, number = found[1], int(found[2])
+        is_of_link = name in EFFECTS and place_of(name) == "link" and number in before
+        return str(EffectName(name, number, before[number])) if is_of_link else found[0]
+
+    def renamed(value: object) -> object:
+        match value:
+            case EffectName(joint=int(number)) if place_of(value.effect) == "link":
+                return replace(value, given_joint=before.get(number))
+            case str():
+                return re.sub(r"\b(\w+) on link (\d+)\b(?! \(link )", both, value)
+            case tuple():
+                return tuple(map(renamed, value))
+            case Remainder() | OpenQuestion() | NamedEffect() | Nameable() | Unknown() | GapFinding():
+                own = {one.name: renamed(getattr(value, one.name)) for one in fields(value)}
+                return replace(cast(Any, value), **own)
+            case _:
+                return value
+
+    return cast(Said, renamed(said))
+
+
 def write_gap_json(path: Path, found: GapFinding) -> None:
     """Write gap.json; an unknown number is null."""
     write_whole(path, json.dumps(gap_content(found), indent=2, allow_nan=False) + "\n")
@@ -251,7 +287,8 @@ def _table(one: CorrectionMap) -> dict[str, object]:
 
 
 def _fields(one: DataclassInstance) -> dict[str, object]:
-    return {field.name: getattr(one, field.name) for field in fields(one)}
+    found = {one_field.name: getattr(one, one_field.name) for one_field in fields(one)}
+    return {name: value for name, value in found.items() if name != "given_joint" or value is not None}
 
 
 def _plain(value: object) -> object:

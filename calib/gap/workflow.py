@@ -5,15 +5,23 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from calib.arm_problem.parallel_axes import numbers_before
 from calib.errors import CalibrationError
 from calib.gap.both import brought_together
 from calib.gap.effects.catalogue import needing_drives
-from calib.gap.finding import EffectName, GapFinding, MeasuredMaps, Unknown, write_gap_json
+from calib.gap.finding import (
+    EffectName,
+    GapFinding,
+    MeasuredMaps,
+    Unknown,
+    with_given_numbers,
+    write_gap_json,
+)
 from calib.gap.log import (
     AMPERES,
     TORQUES,
@@ -130,7 +138,7 @@ def find_gap(
     """
     require_effects(without)
     told = [f"{arm.name}: its maps are not used; they are measured anew"] if arm.maps else []
-    arm = dataclasses.replace(arm, maps=())
+    arm = given = dataclasses.replace(arm, maps=())
     split = POSES_SHARE if points is not None and log is not None else None
     static = dynamic = None
     if points is not None:
@@ -148,7 +156,21 @@ def find_gap(
         None if dynamic is None else as_totals(arm, dynamic.finding),
     )
     warnings = told + [sentence for one in (static, dynamic) if one is not None for sentence in one.warnings]
-    return GapOutcome(consistent(finding), static, dynamic, agreement, tuple(warnings))
+    found = GapOutcome(consistent(finding), static, dynamic, agreement, tuple(warnings))
+    before = {} if static is None else numbers_before(given, static.arm)
+    return _with_given_numbers(found, before) if before else found
+
+
+def _with_given_numbers(found: GapOutcome, before: Mapping[int, int]) -> GapOutcome:
+    """All that is said of links, by their numbers in the given file, too; what is only computed with stays."""
+    static, dynamic = found.static, found.dynamic
+    if static is not None:
+        finding, stages = with_given_numbers((static.finding, static.stages), before)
+        static = dataclasses.replace(static, finding=finding, stages=stages)
+    if dynamic is not None:
+        dynamic = dataclasses.replace(dynamic, finding=with_given_numbers(dynamic.finding, before))
+    said = with_given_numbers((found.finding, found.agreement, found.warnings), before)
+    return GapOutcome(said[0], static, dynamic, said[1], said[2])
 
 
 def find_gap_in(

@@ -73,7 +73,7 @@ def _tilted(arm: Arm, joints: Sequence[int]) -> str:
     rows = ", ".join(f"row {tilt_row(arm, joint) + 1}" for joint in joints)
     return (
         f"the axes of joints {pairs} are not parallel, and DH rows of parallel axes have no parameter for it: the new arm.toml"
-        f" has a fixed row in between, whose alpha_rad is the tilt ({rows}); links behind it count on from there, in gap.json too"
+        f" has a fixed row in between, whose alpha_rad is the tilt ({rows}); links behind it count on from there"
     )
 
 

@@ -10,6 +10,7 @@ from calib.arm_problem.link_bending import link_frames
 from calib.arm_problem.parallel_axes import (
     frame_behind,
     in_the_same_rows,
+    numbers_before,
     parallel_joints,
     tilt_row,
     with_tilt_behind,
@@ -74,3 +75,7 @@ def test_effects_of_links_stay_with_their_links_when_a_row_comes_between(arm: Ar
     )
     assert [effect.joint for effect in more.effects] == [joint, joint + 1 + added, joint + 1]
     assert more.links[joint + added].L_m == arm.links[joint].L_m
+    before = numbers_before(arm, more)
+    assert before == {link + added: link for link in range(joint + 1, len(arm.links) + 1)}
+    assert [before.get(e.joint, e.joint) for e in more.effects[:2]] == [joint, joint + 1]
+    assert numbers_before(more, more) == {}

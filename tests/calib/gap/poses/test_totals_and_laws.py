@@ -10,11 +10,12 @@ from benchmarks.gap.static.cases import ARM, Design, Hidden, case, designed
 from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
-from calib.gap.finding import EffectName
+from calib.gap.finding import EffectName, gap_content, with_given_numbers
 from calib.gap.poses.find import find
 from calib.gap.poses.linear import along_joint
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.words import in_words
+from calib.gap.workflow import find_gap
 from control.model.arm import Effect
 from tests.thirds import third_of
 
@@ -96,6 +97,43 @@ def test_axes_that_are_not_parallel_become_geometry_and_hide_nothing() -> None:
     assert found.finding.gap_after < 1.15
     assert found.fitted_arm.links[tilt_row(tilted, 2)].alpha_rad == pytest.approx(tilt, rel=0.1)
     assert any("axes of joints 2 and 3 are not parallel" in sentence for sentence in found.warnings)
+
+
+def test_a_link_behind_an_added_row_is_said_by_its_number_in_the_file_that_was_given() -> None:
+    points, tilt = case(16, (Hidden("link_flexure", 3, 150.0),)), 0.003
+    tilted = with_tilt_behind(ARM, 2)
+    dh = np.array(tilted.dh)
+    dh[tilt_row(tilted, 2), 3] += tilt
+    off = ArmModel(tilted).tips(dh, points.q_rad) - ArmModel(ARM).tips(ARM.dh, points.q_rad)
+    points = dataclasses.replace(points, tip_m=points.tip_m + off)
+    outcome = find_gap(ARM, points, without=("joint_compliance",))
+    assert outcome.static is not None
+    (bent,) = (one for one in outcome.static.file.effects if one.effect == "link_flexure")
+    assert bent.joint == 4
+    assert outcome.static.file.links[3].d_m == pytest.approx(ARM.links[2].d_m, abs=1e-3)
+    said = "link_flexure on link 3 (link 4 of the new arm.toml)"
+    (named,) = (one.name for one in outcome.finding.effects if one.name.effect == "link_flexure")
+    assert (str(named), named) == (said, EffectName("link_flexure", 4))
+    written = gap_content(outcome.finding)["effects"]
+    assert isinstance(written, list)
+    keys = ("effect", "joint", "given_joint")
+    assert ("link_flexure", 4, 3) in [tuple(one.get(key) for key in keys) for one in written]
+    labels = [name for name, _ in outcome.static.stages]
+    assert said in labels
+    sentences = (*in_words(outcome.finding), *labels, *outcome.warnings)
+    assert not any("on link 4" in sentence.replace(said, "") for sentence in sentences)
+
+
+def test_numbers_of_links_are_said_twice_only_where_they_changed() -> None:
+    before = {3: 2, 4: 3}
+    text = "link_inertia on link 4, link_flexure on link 1 or link_flexure on link 3: backlash on joint 3"
+    assert with_given_numbers(text, before) == (
+        "link_inertia on link 3 (link 4 of the new arm.toml), link_flexure on link 1 or link_flexure on link 2 (link 3 of the new"
+        " arm.toml): backlash on joint 3"
+    )
+    assert with_given_numbers(with_given_numbers(text, before), before) == with_given_numbers(text, before)
+    names = with_given_numbers((EffectName("link_flexure", 4), EffectName("backlash", 4)), before)
+    assert [name.given_joint for name in names] == [3, None]
 
 
 def test_what_is_named_says_its_probability_and_how_far_it_departs_from_its_law() -> None:
