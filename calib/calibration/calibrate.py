@@ -22,7 +22,7 @@ from calib.identify.objective import Objective, SumOfDistances
 from calib.identify.suspects import Suspects, find_suspects
 from calib.identify.tilted_axes import tilted_axes
 from calib.points.points import Points, matrices_of, triangles
-from calib.settling import Settling
+from calib.settling import FITS_MOST, Settling
 from calib.validation.holdout import HeldOut, Prediction, held_out
 from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
 from control.kinematics.rotation import matrices, quaternions
@@ -85,6 +85,7 @@ def calibrate(arm: Arm, points: Points, plan: CalibrationPlan, advance: Advance 
     warnings += [
         *unphysical(found.solution.corrections),
         *_about_noise(found),
+        *about_settling(found),
         *tilted_axes(arm, problem, found.x),
     ]
     advance("looking for outliers", 0.4)
@@ -128,7 +129,8 @@ def identified(
 
     problem = problem_of(arm, points, plan.choice)
     first = found = solved(problem, plan.starts_count)
-    settling = Settling()
+    unsettled_m = 0.0
+    settling = Settling(FITS_MOST)
     while plan.choice.effects and settling.goes_on:
         shaped = calibrated_arm(arm, found, points)
         there = problem_of(arm, points, plan.choice, shaped)
@@ -137,8 +139,9 @@ def identified(
         moved_m = float(np.linalg.norm(further.error_after_m - found.error_after_m))
         if settling.takes(moved_m, SAME_sd * further.noise_m):
             problem, found = there, further
+            unsettled_m = moved_m if settling.slow else 0.0
     before_m, value = first.error_before_m, first.objective_before
-    found = replace(found, error_before_m=before_m, objective_before=value)
+    found = replace(found, error_before_m=before_m, objective_before=value, unsettled_m=unsettled_m)
     if none := impossible(found.solution.corrections):
         rest = tuple(text for text in plan.choice.effects if effect_key(text, arm) not in none)
         bare = replace(arm, effects=tuple(one for one in arm.effects if (one.effect, one.joint) not in none))
@@ -163,6 +166,17 @@ def _usual_noise_m(problem: ArmProblem, floor: NoiseFloor | None) -> float:
     if problem.observed.covariance is not None:
         return usual_noise_m(problem.observed.covariance[:, 0])
     return floor.axis_m if floor is not None else 0.0
+
+
+def about_settling(found: Identification) -> list[str]:
+    """A warning where loads still followed the geometry when the fits were ended."""
+    if not found.unsettled_m:
+        return []
+    return [
+        f"loads follow the geometry, and so slowly that {FITS_MOST} fits do not settle it: the last of them moved the tips of all"
+        f" poses together by {1e3 * found.unsettled_m:.2g} mm. Values may be off by many such steps: an effect of loads here is"
+        " hardly determined, or is too soft to hold the arm"
+    ]
 
 
 def _about_noise(found: Identification) -> list[str]:

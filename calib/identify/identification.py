@@ -63,7 +63,8 @@ class Identification:
     """The result. Objectives in their unit; errors are vectors measured minus modelled, (m, 3).
 
     `x` (k,): the scaled unknowns; `noise`: the noise scale of the standard deviations. `weighted`: scatter over what the points'
-    covariances say, 1 if they are right, None if they have none; objectives and noise_m are then of a usual point.
+    covariances say, 1 if they are right, None if they have none; objectives and noise_m are then of a usual point. `unsettled_m`:
+    by how much the last of the fits that follow loads moved all tips, where further ones would have gone on.
     """
 
     objective: str
@@ -86,6 +87,7 @@ class Identification:
     accuracy: Accuracy | None = None
     orientation: OrientationFit | None = None
     weighted: float | None = None
+    unsettled_m: float = 0.0
 
     @property
     def dh(self) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.checks import require_usable
 from calib.arrays import Array, Mask, frozen
+from calib.calibration.calibrate import about_settling
 from calib.errors import UnusablePointsError
 from calib.gap.effects.record import load_of
 from calib.gap.poses.currents import SATURATED
@@ -206,6 +207,7 @@ def about_fit(arm: Arm, found: Identification, floor: Floor, noise_m: float) -> 
             f"the geometry ends at its bounds ({', '.join(bounded[:6])}) and leaves {times:.1f} times the noise: are these poses"
             f" of arm {arm.name}, with its zeros?"
         )
+    yield from about_settling(found)
     if times > INFLATED:
         yield (
             f"everything that was found leaves {times:.1f} times the noise floor ({floor.source}): names are weighed against that"

@@ -28,7 +28,7 @@ from calib.gap.posterior.decide import Decision, decide, nameable
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
-from calib.settling import Settling
+from calib.settling import FITS_MOST, Settling
 from control.model.arm import Arm
 from control.progress import Advance, silent
 
@@ -159,7 +159,7 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
 
     def settled(state: State, keys: Collection[Key]) -> State:
         """The values of a set where they settle, by Gauss and Newton's steps."""
-        settling = Settling()
+        settling = Settling(FITS_MOST)
         while settling.goes_on:
             around = around_of(state, keys)
             further = around.next_state(Search(around.evidence, forced).of(keys), state.follows)

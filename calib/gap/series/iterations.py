@@ -33,7 +33,7 @@ from calib.gap.series.blocks import blocks_of
 from calib.gap.series.linear import SeriesFit, SeriesLinear, cross_validated, marginalised, noises_of, weighed
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
-from calib.settling import Settling
+from calib.settling import FITS_MOST, Settling
 from control.progress import Advance
 
 
@@ -144,7 +144,7 @@ def settled(fit: SeriesFit, split: RowSplit) -> OperatingPoint:
         scene.keep(scene.rows.resting((*known, *laws.values())))
         return OperatingPoint.of(scene, known, laws)
 
-    around, settling = at(fit.laws()), Settling()
+    around, settling = at(fit.laws()), Settling(FITS_MOST)
     while settling.goes_on and not all(law.form.is_straight for law in around.found.values()):
         kept = scene.kept
         further = at(_refitted(fit, around, split))
