@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from calib.export import export_text
+from calib.export.frames import end_names
 from console.visualisation.series import Array
 from console.visualisation.traces import TipOfArm, TipsOf, TipsOfCell, Traces
 from control.kinematics.kinematics import ForwardKinematics
@@ -69,14 +70,15 @@ def view_of(domes: Sequence[tuple[Sequence[float], float]]) -> Viewpoint:
 class Scene:
     """A MuJoCo model of one arm or of several, each twice, and its state. Joints in the order of `joints`."""
 
-    def __init__(self, spec: Any, joints: Sequence[tuple[str, int]], tips: TipsOf, view: Viewpoint) -> None:
-        """`joints`: prefix of an arm's names and its number of joints. `tips`: of all arms, by all joint angles."""
+    def __init__(self, spec: Any, joints: Sequence[tuple[str, Arm]], tips: TipsOf, view: Viewpoint) -> None:
+        """`joints`: prefix of an arm's names, and the arm. `tips`: of all arms, by all joint angles."""
         self.tips, self._view = tips, view
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        names = [(prefix, joint) for prefix, count in joints for joint in range(1, count + 1)]
-        self._commanded = [self._address(f"{prefix}joint{joint}") for prefix, joint in names]
-        self._measured = [self._address(f"{prefix}{PREFIX}joint{joint}") for prefix, joint in names]
+        self._tip_names = {prefix: end_names(arm)[1] for prefix, arm in joints}
+        names = [(prefix, joint) for prefix, arm in joints for joint in _exported_names(arm)]
+        self._commanded = [self._address(f"{prefix}{joint}") for prefix, joint in names]
+        self._measured = [self._address(f"{prefix}{PREFIX}{joint}") for prefix, joint in names]
         self.pose([0.0] * len(names), [0.0] * len(names))
 
     def _address(self, joint: str) -> int:
@@ -92,7 +94,7 @@ class Scene:
 
     def tip_m(self, which: str = "") -> Array:
         """Position of a tip in the scene: "" for the commanded arm, "measured/" for the ghost."""
-        return np.array(self.data.site(f"{which}tip").xpos)
+        return np.array(self.data.site(which + self._tip_names[which.removesuffix(PREFIX)]).xpos)
 
     def trace(self, scene: Any, traces: Traces) -> None:
         """Add lines and marks to the scene, as far as it has room."""
@@ -127,7 +129,7 @@ class ArmScene(Scene):
         self.arm = arm
         self.kinematics = ForwardKinematics(arm)
         view = view_of([((0.0, 0.0, 0.0), _reach_m(arm))])
-        super().__init__(_spec(arm), [("", arm.joint_count)], TipOfArm(self.kinematics), view)
+        super().__init__(_spec(arm), [("", arm)], TipOfArm(self.kinematics), view)
 
 
 class CellScene(Scene):
@@ -145,7 +147,7 @@ class CellScene(Scene):
             frame = spec.worldbody.add_frame(pos=placed.origin_m, quat=placed.orientation)
             spec.attach(both, prefix=f"{placed.name}/", frame=frame)
         _furnish(spec, size, min(placed.origin_m[2] + _floor_m(placed.arm) for placed in cell.arms))
-        joints = [(f"{placed.name}/", placed.arm.joint_count) for placed in cell.arms]
+        joints = [(f"{placed.name}/", placed.arm) for placed in cell.arms]
         view = view_of([(placed.origin_m, _reach_m(placed.arm)) for placed in cell.arms])
         super().__init__(spec, joints, TipsOfCell(cell), view)
 
@@ -153,6 +155,12 @@ class CellScene(Scene):
 def scene_of(shown: Arm | Cell) -> Scene:
     """Of an arm, or of the arms of a cell."""
     return CellScene(shown) if isinstance(shown, Cell) else ArmScene(shown)
+
+
+def _exported_names(arm: Arm) -> list[str]:
+    """What the joints are called in the exported model."""
+    turning = [link for link in arm.links if link.joint == "revolute"]
+    return [link.joint_name or f"joint{number}" for number, link in enumerate(turning, 1)]
 
 
 def _reach_m(arm: Arm) -> float:

@@ -86,11 +86,13 @@ class Window:
         self.is_closed = True
 
 
-@pytest.mark.parametrize("arm", [ARM, OTHER], ids=["standard", "modified"])
+@pytest.mark.parametrize(
+    "arm", [ARM, OTHER, load_arm("so101")], ids=["standard", "modified", "joints with names"]
+)
 def test_both_arms_of_the_scene_stand_where_kinematics_says(arm: Any) -> None:
     scene = ArmScene(arm)
     rng = np.random.default_rng(2)
-    for q, q_set in rng.uniform(-1.0, 1.0, (10, 2, 3)):
+    for q, q_set in rng.uniform(-1.0, 1.0, (10, 2, arm.joint_count)):
         scene.pose(q, q_set)
         tips = ForwardKinematics(arm).tips([q, q_set])
         np.testing.assert_allclose(scene.tip_m(PREFIX), tips[0], atol=1e-9)
