@@ -7,11 +7,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, NamedEffect, Unknown
+from calib.gap.posterior.constants import AT_FLOOR, NEAR, UNTOLD
 
-NEAR = 0.05  # share of what is left: an effect that explains less is not near
 LISTED_MOST = 6  # of names in a sentence
-BEYOND = 1.05  # times what is left beside departures: arm.toml leaves more
-AT_FLOOR = 1.1  # times the floor, up to which a gap counts as closed
 
 
 _UNITS = {"m": ("mm", 1e3), "A": ("mA", 1e3), "V": ("mV", 1e3), "rad": ("mrad", 1e3), "Nm": ("N m", 1.0)}
@@ -79,7 +77,7 @@ def _shared(found: GapFinding, names: Sequence[EffectName]) -> str:
 
 def _departing(found: GapFinding) -> Iterator[str]:
     """How much of what arm.toml leaves is no riddle: named parts depart from their laws."""
-    if found.gap_after > AT_FLOOR and found.gap_after > BEYOND * found.gap_explained:
+    if found.gap_after > AT_FLOOR and found.gap_after > UNTOLD * found.gap_explained:
         yield (
             "arm.toml has the laws alone; with the departures of these parts from them"
             f" {found.gap_explained:.2f} times the noise would remain. Measured maps (--map) hold more."

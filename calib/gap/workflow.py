@@ -40,6 +40,7 @@ from calib.gap.maps.torques import torque_maps
 from calib.gap.model_update import as_totals, updated_arm, with_geometry
 from calib.gap.poses.find import find
 from calib.gap.poses.outcome import StaticGap
+from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.report import GapReport, gap_page
 from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
@@ -278,9 +279,6 @@ def _page(report: GapReport) -> str:
 
 
 # A finding that does not contradict itself: what is named is in no set of what may be, and what is left is not passed over.
-# Times the noise, on recordings that were not fitted, from which on a gap is not passed over in silence: three quarters of what
-# is left, squared, is then something else than noise.
-PASSED_OVER = 2.0
 MORE = "Record more runs, slow and fast, each motion twice: these do not say more."
 CHANNELS = {
     "current_A": "the motors' currents",
@@ -298,7 +296,7 @@ def consistent(found: GapFinding) -> GapFinding:
         found if sets == found.ambiguous else dataclasses.replace(found, ambiguous=sets, next_experiment=MORE)
     )
     is_silent = found.unknown is None and not sets and not found.remainder
-    if is_silent and found.unexplained > PASSED_OVER:
+    if is_silent and found.unexplained > SILENT_MOST:
         return dataclasses.replace(settled, unknown=Unknown(_left(settled), None, 0.0), next_experiment=MORE)
     return settled
 

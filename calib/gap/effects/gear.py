@@ -19,7 +19,7 @@ from calib.gap.effects.record import (
     harmonics,
 )
 from calib.gap.finding import EffectName, Parameters
-from calib.gap.posterior.constants import WOUND_SHARE
+from calib.gap.posterior.constants import CLEAR_SHARE, WOUND_SHARE, CHECKED_sd
 from calib.gap.posterior.term import Term, Traits, like, parameters_of, smooth
 from calib.gap.signals.terms import Form, Law
 from control.dynamics.static_pose import (
@@ -32,7 +32,6 @@ from control.dynamics.static_pose import (
 from control.model.arm import Arm
 from control.model.effect_laws import backlash_rad, compliance_rad
 
-CLEAR_SHARE = 0.5  # of the poses must lie on a known flank: else a play fits anything
 TILT_rad = 0.003  # accuracy of a fitted link's direction: where gravity turns round, its sign is uncertain
 BENDS = 3  # degree in which a stiffness follows the load's size
 LEVELS = 16  # of constant friction on the link's side
@@ -150,7 +149,6 @@ SPRING = Form(
 LOOSE = Form(
     "backlash", "play", 5e-4, count=2, counted=1, steps=(5e-5, 5e-2), lower=(0.0, 0.0), upper=(0.2, 1.0)
 )
-DAMPED_sd = 2.0  # of a damping, from which on it is worth writing
 
 
 def _known_spring(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
@@ -160,7 +158,7 @@ def _known_spring(series: InSeries, name: EffectName, given: Mapping[str, float]
 def _spring_parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
     found = parameters_of("joint_compliance")(np.array(law.values), covariance)
     damping, sd = law.values[1], float(np.sqrt(max(covariance[1, 1], 0.0)))
-    return {**found, "damping_Nm_s_rad": (damping, sd)} if damping > DAMPED_sd * sd else found
+    return {**found, "damping_Nm_s_rad": (damping, sd)} if damping > CHECKED_sd * sd else found
 
 
 RECORDS = (

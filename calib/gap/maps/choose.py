@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,13 +20,12 @@ from scipy.linalg import cho_factor, cho_solve
 from calib.arm_problem.measured_maps import node_values, spline_columns
 from calib.arrays import Array, Mask
 from calib.gap.finding import MapCheck
+from calib.gap.posterior.constants import LARGE, PAYS, CHECKED_sd, SURE_sd
 from control.model.maps import NODES_LEAST, CorrectionMap, Corrects, Over
 
 # Nodes by variable: their distance, and the most. What is finer than a node is not followed.
-NODE_rad, NODES_MOST = (
-    0.2,
-    33,
-)  # of a joint's angle: an eccentricity's fourth harmonic has eight nodes a period
+# of a joint's angle: an eccentricity's fourth harmonic has eight nodes a period
+NODE_rad, NODES_MOST = 0.2, 33
 NODES_OF_LOAD, NODES_OF_SPEED = 7, 13
 MEASURED = 0.999  # of the values lie below the upper end of a table, and above its lower
 LOAD_LEAST = 0.05  # of a load, by which it must change
@@ -73,22 +72,23 @@ def over_angle(joint: int, corrects: Corrects, q_rad: Array) -> tuple[Candidate,
     """Tables over a joint's angle."""
     lower, upper = _range(q_rad)
     count = min(max(math.ceil((upper - lower) / NODE_rad) + 1, NODES_LEAST), NODES_MOST)
-    return _both(joint, corrects, "angle_rad", count, lower, upper) if upper - lower > NODE_rad else ()
+    one = Candidate(joint, corrects, "angle_rad", count, lower, upper)
+    return _both(one) if upper - lower > NODE_rad else ()
 
 
 def over_load(joint: int, corrects: Corrects, load_Nm: Array, least_Nm: float = 0.0) -> tuple[Candidate, ...]:
     """Tables over what a joint transmits; none where that changes by no more than `least_Nm`."""
     lower, upper = _range(load_Nm)
     is_varied = upper - lower > max(least_Nm, LOAD_LEAST * max(abs(lower), abs(upper)))
-    return _both(joint, corrects, "load_Nm", NODES_OF_LOAD, lower, upper) if is_varied else ()
+    one = Candidate(joint, corrects, "load_Nm", NODES_OF_LOAD, lower, upper)
+    return _both(one) if is_varied else ()
 
 
 def over_speed(joint: int, speed_rad_s: Array) -> tuple[Candidate, ...]:
     """A table over the joint's speed, both signs."""
     lower, upper = _range(speed_rad_s)
-    return (
-        (Candidate(joint, "torque_Nm", "speed_rad_s", NODES_OF_SPEED, lower, upper),) if lower < upper else ()
-    )
+    one = Candidate(joint, "torque_Nm", "speed_rad_s", NODES_OF_SPEED, lower, upper)
+    return (one,) if lower < upper else ()
 
 
 def over_turn(joint: int, travel_rad: float) -> tuple[Candidate, ...]:
@@ -106,30 +106,25 @@ def _range(values: Array) -> tuple[float, float]:
     return float(lower), float(upper)
 
 
-def _both(
-    joint: int, corrects: Corrects, over: Over, count: int, lower: float, upper: float
-) -> tuple[Candidate, ...]:
-    return tuple(
-        Candidate(joint, corrects, over, count, lower, upper, is_directed) for is_directed in (False, True)
-    )
+def _both(one: Candidate) -> tuple[Candidate, ...]:
+    """The same both ways, and with the direction."""
+    return one, replace(one, is_directed=True)
 
 
 def maps_of(parts: list[tuple[Candidate, Array]]) -> tuple[CorrectionMap, ...]:
     """Candidates with the coefficients of their splines as maps; both parts of one table become one."""
-    tables: dict[tuple[int, Over], dict[bool, tuple[Candidate, Array]]] = {}
+    tables: dict[tuple[int, Over], dict[bool, Array]] = {}
+    first: dict[tuple[int, Over], Candidate] = {}
     for one, coefficients in parts:
-        own = one, node_values(coefficients, one.is_periodic)
-        tables.setdefault((one.joint, one.over), {})[one.is_directed] = own
+        where = one.joint, one.over
+        tables.setdefault(where, {})[one.is_directed] = node_values(coefficients, one.is_periodic)
+        first.setdefault(where, one)
     found = []
-    for table in tables.values():
-        one = next(iter(table.values()))[0]
-        plain = table[False][1] if False in table else np.zeros(one.count)
-        directed = tuple(table[True][1].tolist()) if True in table else ()
-        found.append(
-            CorrectionMap(
-                one.joint, one.corrects, one.over, tuple(plain.tolist()), one.lower, one.upper, directed
-            )
-        )
+    for where, table in tables.items():
+        one = first[where]
+        plain, directed = (tuple(table[way].tolist()) if way in table else () for way in (False, True))
+        plain = plain or (0.0,) * one.count
+        found.append(CorrectionMap(one.joint, one.corrects, one.over, plain, one.lower, one.upper, directed))
     return tuple(found)
 
 
@@ -163,13 +158,9 @@ class MapsFound:
         )
 
 
-PAYS = 0.05  # of the mean square of recordings that were not fitted: a correction that gains less is not worth it
-LARGE = 0.25  # of it: such a gain needs no counting; it may stand in the few pieces that are fast, or heavily loaded
 # Standard deviations by which the gain of all pieces, or the count of those that gain, has to stand out of nothing: of some sixty
 # tables that are tried, none may get in by chance. A few pieces far from the model would hide a gain from the mean, and many that
 # lie still would hide it from the count.
-SURE_sd = 3.0
-CHECKED_sd = 2.0  # the same of the recordings that report, which are looked at once
 TABLES_MOST = 12
 Places = npt.NDArray[np.intp]
 

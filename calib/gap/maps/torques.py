@@ -30,6 +30,7 @@ from calib.gap.maps.choose import (
     over_speed,
     over_turn,
 )
+from calib.gap.posterior.constants import FOLDS
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.body import sorted_terms
 from calib.gap.signals.recording import EvenRun
@@ -39,7 +40,6 @@ from control.model.maps import CorrectionMap, Over
 
 SAMPLES_PER_s = 200.0  # of the second look: what 60 Hz can tell
 PIECE_s = 0.5  # of a run: longer than what hangs together
-FOLDS = 5
 PIECES = 4  # that are left out together
 MOVES_rad_s = 0.008  # below, friction is pre-sliding (as in calib.gap.residuals.rows)
 REPORTS_FROM = 2.0 / 3.0  # of a single run (as in calib.gap.series.split)

@@ -34,7 +34,7 @@ from calib.gap.poses.outcome import StaticGap, drawn_laws
 from calib.gap.poses.recordings import Split
 from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
 from calib.gap.poses.state import Around
-from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, CHANGED_sd
+from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, SURE_sd
 from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
@@ -291,7 +291,7 @@ def _is_new(arm: Arm, name: EffectName, found: Estimated) -> bool:
     if before:
         return found.differs_from(np.array(before))
     return any(
-        key not in known.parameters or not abs(value - known.parameters[key]) <= CHANGED_sd * sd
+        key not in known.parameters or not abs(value - known.parameters[key]) <= SURE_sd * sd
         for key, (value, sd) in found.parameters.items()
     )
 

@@ -16,6 +16,7 @@ from calib.gap.effects.record import load_of
 from calib.gap.poses.currents import SATURATED
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.recordings import EVERY, RECORDINGS_LEAST, recordings, split
+from calib.gap.posterior.constants import INFLATED
 from calib.identify.identification import Identification
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -25,7 +26,6 @@ GAP_SHARE = 0.4  # of a joint's travel without a single pose
 BOUNDED_LEAST = 3
 UNBEARABLE = 5.0  # times what a drive holds at its current limit
 MILLI = 10.0  # times the limit
-INFLATED = 1.3  # times the floor, from which on what the list leaves is worth saying
 
 UNKNOWN_TURNS = (
     "the measured orientations (qw to qz) are checked and not used, as their noise is not known: repeat a dozen poses, or give"

@@ -13,6 +13,7 @@ from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
 from calib.gap.poses.linear import Left, Linear, Measured
 from calib.gap.poses.recordings import in_turn
+from calib.gap.posterior.constants import AGREE, FAR, OUTLIERS_MOST
 from calib.gap.posterior.term import Term
 from calib.points.points import Points, matrices_of
 from control.model.arm import Arm
@@ -23,7 +24,6 @@ QUARTILE = 1.212533  # of chi-square with three degrees of freedom
 QUARTILE_CHANCE = (
     3.0 * 0.745
 )  # three standard deviations of its root, as a share, times the root of the count
-AGREE = 0.2  # share by which two estimates of the same may differ
 FINEST_rad = 1e-7  # the same of orientations
 FINEST_m = 1e-7  # repeats that are closer are copies of each other: no camera or tracker measures finer
 SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it out
@@ -149,8 +149,6 @@ def _scatter_m(apart_m: Array) -> float:
 # Looked for beside everything that the list knows, fitted at once, so that a joint's play is no outlier; and only where the rest
 # agrees, so that an effect that nobody knows is none either. Which flank a loose gear lies on is not known at a few poses: of all
 # its variants the one counts that leaves the fewest poses out.
-FAR = 7.0  # times the scatter of the others
-SHARE_MOST = 0.05  # more than these are no outliers but another arm
 LOOKS = 8
 MEDIAN = 1.5382  # of the length of three unit normals
 
@@ -162,7 +160,7 @@ def outlying(linear: Linear, variants: Sequence[Sequence[Term]], noise_m: float)
     """
     terms, columns = [middle(same) for same in variants], linear.columns
     out = _far(linear, columns, terms, noise_m)
-    if not 0.0 < out.mean() <= SHARE_MOST:
+    if not 0.0 < out.mean() <= OUTLIERS_MOST:
         return np.zeros_like(out)
     for number, same in enumerate(variants):
         for one in same if len(same) > 1 else ():

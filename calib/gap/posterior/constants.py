@@ -1,7 +1,7 @@
 """What decides, in poses and in time series: every threshold with its unit and its reason.
 
-Elsewhere stand the effort of the search (`search.py`: how many sets are tried), the sizes and shapes of effects and blocks (their
-records), what measurements are like (`poses/floor.py`, `currents.py`), and when a sentence is worth saying (`poses/cautions.py`).
+Nothing that decides stands elsewhere. Elsewhere stand the effort of the search (`search.py`), the sizes and shapes of effects and
+blocks (their records), what measurements are like (`poses/floor.py`, `signals/`), and what is refused or warned of as misread.
 """
 
 from __future__ import annotations
@@ -23,26 +23,41 @@ BLOCK_LEVELS: Final = (0.1, 0.3, 1.0, 3.0)
 # Posterior inclusion from which on a name is given, a set called ambiguous, and a remainder claimed.
 CERTAIN: Final = 0.95
 # Log evidence by which a name must lead one that an effect of usual size cannot be told from: what parts their forms of one law
-# is then mostly how many ways to depart each was given.
+# is then mostly how many ways to depart each was given. A variant or size of an effect that lies further behind no longer counts
+# in its parameters.
 MARGIN: Final = 5.0
-# Of what a name adds to the log evidence: what a rival may lack at the name's own operating point, and be looked at at its own.
-NEARLY: Final = 0.1
+# Standard deviations by which a coefficient, a gain of maps, or one of two estimates of a value must differ from nothing, from
+# the arm's file or from the other, to be worth saying: among some hundred that are looked at none may do so by chance.
+SURE_sd: Final = 3.0
+# The same of what is looked at once.
+CHECKED_sd: Final = 2.0
+# Share by which two estimates of the same thing may differ.
+AGREE: Final = 0.2
+# Probability, or share of all weight, below which a member of a set, or a size, is no candidate of anybody's.
+CREDIBLE_LEAST: Final = 0.005
+# Material: of a cell's variance at the floor, what a remainder must explain on runs kept apart to be worth a word; of what a name
+# does to the runs that were fitted, what it must do to those kept apart for them to speak of it; of what a name adds to the log
+# evidence, what a rival may lack at the name's own operating point and be looked at at its own.
+REMAINS: Final = 0.1
+# Times what else there is, above which something is left that nothing has told yet.
+UNTOLD: Final = 1.05
+# Times the floor: up to the first a gap counts as closed; from the second on what the list leaves is worth a word, and silence of
+# a recording says nothing; above the third it is said even where no block takes it (three quarters of it, squared, are no noise).
+AT_FLOOR: Final = 1.1
+INFLATED: Final = 1.3
+SILENT_MOST: Final = 2.0
+# Share of what is left: an effect that explains less is not near.
+NEAR: Final = 0.05
 # Standard deviation of the noise floor's logarithm, where nothing measured it better: a data sheet is right to this.
 FLOOR_DOUBT: Final = 0.03
 # Friction that winds up a soft gear, as a share of what the motor holds: half of it, give or take as much.
 WOUND_SHARE: Final = 0.5
 # Of its size level: how large a law must be for departures from it to be its own, and no law of another kind.
 LAW_LEAST: Final = 0.3
-# Standard deviations by which a coefficient must differ from nothing, or from the arm's file, to be worth saying.
-CHANGED_sd: Final = 3.0
 # Chi-square beyond its count that a refitted geometry must gain before the nominal one is called wrong.
 GEOMETRY_PAYS: Final = 40.0
 # A law that departs more than two standard deviations of the roughest part is another law.
 LAW_MOST: Final = 2.0 * max(DEPARTURES)
-# Probability that a further member of a set of "one of these" must add: less is no candidate of anybody's.
-CREDIBLE_LEAST: Final = 0.005
-# Log evidence below the best at which a variant or size of an effect no longer counts in its parameters.
-NEGLIGIBLE: Final = 5.0
 # Standard deviations of all rows together, by which a step of a linearisation moves them at most when values have settled: half
 # in log evidence.
 SETTLED_sd: Final = 1.0
@@ -56,6 +71,27 @@ UNMEASURED: Final = 1.0
 FOLDS: Final = 5
 # Cosine of two shapes from which on they are one: what a block could then show is the effect that it looks like.
 SAME: Final = 0.999
+
+# Of poses alone
+
+# Times the scatter of the others, from which a pose is an outlier; and the share of poses above which they are another arm.
+FAR: Final = 7.0
+OUTLIERS_MOST: Final = 0.05
+# Of the poses, that must lie on a known flank of a play: else a play fits anything.
+CLEAR_SHARE: Final = 0.5
+
+# Of maps alone
+
+# Of the mean square of recordings that were not fitted: a correction that gains less is not worth it, and one that gains more
+# than the second needs no counting (it may stand in the few pieces that are fast, or heavily loaded).
+PAYS: Final = 0.05
+LARGE: Final = 0.25
+
+# Of poses and time series of one arm
+
+# Times what a name needs: silence of a recording that could name an effect speaks against it only where it would see it this many
+# times over, since what is called nameable is an effect of usual size, and the other's may be small.
+SURELY: Final = 4.0
 
 # Of time series alone
 
@@ -78,17 +114,7 @@ ORDER: Final = 6
 DRAWN: Final = 20
 # Of the floor, below which prediction errors are a fit to too few rows.
 NOISE_LEAST: Final = 0.8
-# Times the floor: what the first look leaves above it is noise that nobody has measured yet.
-UNTOLD: Final = 1.05
-# Standard deviations of a name's coefficient from nothing.
-SURE_sd: Final = 3.0
 # Of the squared gap on runs kept apart, by which it may grow with a name: noise makes it grow by less.
 GROWS: Final = 0.02
 # Of a link's mass or inertia in the file, that may be missing: more is no link.
 MISSING_MOST: Final = 0.5
-# Of what a name does to the runs that were fitted, mean squares: with less on the runs kept apart these do not speak of it.
-SPEAKS: Final = 0.1
-# Of a cell's variance at the floor, on runs kept apart: what a remainder must explain there to be worth a word.
-REMAINS: Final = 0.1
-# Times the floor: what is above it without any block is said, too.
-SILENT_MOST: Final = 2.0

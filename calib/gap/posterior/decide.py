@@ -1,7 +1,16 @@
-"""From weighed sets to an answer: names, ambiguous sets and what has no name; parameters; what these data could name at all."""
+"""From weighed sets to an answer: names, ambiguous sets and what has no name; parameters; what these data could name at all.
+
+With w_S = P(S | y) over all sets that were weighed, the inclusion of a key is the sum of w_S over the sets S that hold it. A
+name is given where that exceeds CERTAIN; else the smallest group of keys, each in the place of the others, of which at least
+one is in with that probability: a set of "one of these", or, where a block is among them, something without a name. Values are
+averages over the variants and scales v of a key beside all others at their best,
+  mean = sum w_v mean_v,   covariance = sum w_v (covariance_v + (mean_v - mean)(mean_v - mean)'),
+in the law's own coefficients (c,), so that an interval counts departures that the data do not show.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,11 +27,10 @@ from calib.gap.posterior.constants import (
     LAW_MOST,
     MARGIN,
     NAME_PRIOR,
-    NEGLIGIBLE,
     SIZE_COST,
     SIZE_LEVELS,
-    CHANGED_sd,
     MOSTLY_sd,
+    SURE_sd,
 )
 from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.term import Block, Key, Term
@@ -62,90 +70,76 @@ def decide(
     logs = np.array([one.log for one in found])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    sets = [frozenset(evidence.terms[k].key for k, _ in one.members) for one in found]
-    chance: dict[Key, float] = {}
-    for one, weight in zip(found, weights.tolist(), strict=True):
-        for key in dict.fromkeys(
-            evidence.terms[k].key for k, _ in one.members
-        ):  # a set's order differs from run to run
-            chance[key] = chance.get(key, 0.0) + weight
+    keys = [[evidence.terms[k].key for k, _ in one.members] for one in found]
+    has = {key: np.zeros(len(found), dtype=bool) for key in dict.fromkeys(itertools.chain(*keys))}
+    for k, own in enumerate(keys):
+        for key in own:
+            has[key][k] = True
+    chance = {key: sum(weights[own].tolist()) for key, own in has.items()}
     groups = []
-    for group in _credible(sets, weights, chance):
-        if len(group) == 1 and isinstance(group[0], EffectName):
-            group = (*group, *_near(sets, logs, group[0], (rivals or {}).get(group[0], ())))
+    for group in _credible(has, weights, chance):
+        if len(group) == 1 and isinstance(name := group[0], EffectName):
+            # rivals that a set without the name, nearly as likely as the best, has in its place: none that the best has beside it
+            likely = ~has[name] & (logs > logs[0] - MARGIN)
+            beside = keys[0] if name in keys[0] else ()
+            some = (one for one in (rivals or {}).get(name, ()) if one in has and one not in beside)
+            group = (*group, *(one for one in some if (has[one] & likely).any()))
         groups.append((*group, *crooked(evidence, found[0], group[0])) if len(group) == 1 else group)
-    names = tuple(g[0] for g in groups if len(g) == 1 and isinstance(g[0], EffectName))
-    ambiguous = tuple(
-        tuple(key for key in g if isinstance(key, EffectName))
-        for g in groups
-        if len(g) > 1 and not any(isinstance(key, Block) for key in g)
+    left = tuple(group for group in groups if any(isinstance(key, Block) for key in group))
+    sets = [tuple(key for key in g if isinstance(key, EffectName)) for g in groups if g not in left]
+    names, ambiguous = (
+        tuple(own[0] for own in sets if len(own) == 1),
+        tuple(own for own in sets if len(own) > 1),
     )
-    left = tuple(g for g in groups if any(isinstance(key, Block) for key in g))
     return Decision(names, ambiguous, left, chance, found[0])
 
 
-def _credible(
-    sets: Sequence[frozenset[Key]], weights: np.ndarray, chance: dict[Key, float]
-) -> list[tuple[Key, ...]]:
-    """Smallest groups of keys of which at least one is in with CERTAIN probability, each in the place of the others."""
+def _credible(has: Mapping[Key, Mask], weights: Array, chance: Mapping[Key, float]) -> list[tuple[Key, ...]]:
+    """Smallest groups of keys of which at least one is in with CERTAIN probability, each in the place of the others.
+
+    `has`: the sets (s,) with each key. What a key adds to a group is the probability that it is there without it, less that of
+    both: what acts beside the group is no other of it.
+    """
     done: set[Key] = set()
     groups: list[tuple[Key, ...]] = []
     for key in sorted(chance, key=lambda one: -chance[one]):
         if key in done:
             continue
-        group, has = [key], np.array([key in keys for keys in sets])
-        while weights[has].sum() < CERTAIN:
+        group, one_in = [key], has[key].copy()
+        while weights[one_in].sum() < CERTAIN:
             gains = {
-                k: _in_place_of(np.array([k in keys for keys in sets]), has, weights)
-                for k in chance
-                if k not in done
+                other: float(weights[own & ~one_in].sum() - weights[own & one_in].sum())
+                for other, own in has.items()
+                if other not in done
             }
-            best = max(gains, key=lambda k: gains[k], default=None)
+            best = max(gains, key=lambda other: gains[other], default=None)
             if best is None or gains[best] < CREDIBLE_LEAST:
                 break
             group.append(best)
-            has |= np.array([best in keys for keys in sets])
-        if weights[has].sum() >= CERTAIN:
+            one_in |= has[best]
+        if weights[one_in].sum() >= CERTAIN:
             groups.append(tuple(group))
             done |= set(group)
     return groups
 
 
-def _in_place_of(own: Mask, has: Mask, weights: Array) -> float:
-    """Probability that a key is there without a group (s,), beyond that of both: what acts beside the group is no other of it."""
-    return float(weights[own & ~has].sum() - weights[own & has].sum())
-
-
-def _near(
-    sets: Sequence[frozenset[Key]], logs: Array, name: EffectName, rivals: Collection[EffectName]
-) -> tuple[EffectName, ...]:
-    """Rivals that a set without the name, nearly as likely as the best, has in its place: what the best has beside it is none."""
-    likely = [
-        keys for keys, log in zip(sets, logs, strict=True) if name not in keys and log > logs[0] - MARGIN
-    ]
-    beside = sets[0] if name in sets[0] else ()
-    return tuple(other for other in rivals if other not in beside and any(other in keys for keys in likely))
-
-
-def _is_own(evidence: Evidence, name: EffectName, block: Block) -> bool:
-    """Whether a block is of an effect's joint and a function of its law's variable."""
-    own = evidence.terms[evidence.of_key[name][0]].traits.blocks
-    return bool(own) and block.joint == name.acts_on and block.variable.startswith(own.format(j=name.joint))
-
-
 def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
     """Blocks that bend an effect's law, in its own variable, more than any real part does: then it is another law.
 
-    Twice the largest departure is two standard deviations of it.
+    They are of its joint and functions of its law's variable. Twice the largest departure is two standard deviations of it.
     """
-    if not isinstance(key, EffectName):
+    own = evidence.terms[evidence.of_key[key][0]].traits.blocks
+    if not isinstance(key, EffectName) or not own:
         return ()
-    moves = _moves(evidence, best)
-    law = moves.get(key, 0.0)
+    moves, begin = _moves(evidence, best), own.format(j=key.joint)
+    least = LAW_MOST * moves.get(key, 0.0)
     return tuple(
         block
         for block, move in moves.items()
-        if isinstance(block, Block) and _is_own(evidence, key, block) and move > LAW_MOST * law
+        if isinstance(block, Block)
+        and block.joint == key.acts_on
+        and block.variable.startswith(begin)
+        and move > least
     )
 
 
@@ -160,15 +154,11 @@ def _moves(evidence: Evidence, best: Weighed) -> dict[Key, float]:
 
 
 def share_of(evidence: Evidence, found: Weighed, drop: Sequence[int]) -> float:
-    """Share of the excess of the tips over what the set leaves that the terms `drop` explain."""
-    excess = evidence.gram.left - left_with(evidence, found)
-    return explained_by(evidence, found, drop) / excess if excess > 0.0 else math.nan
-
-
-def explained_by(evidence: Evidence, found: Weighed, drop: Sequence[int]) -> float:
-    """The sum of squares, in variances of the floor, that the set leaves more without the terms `drop`."""
+    """Share of the excess of the tips over what the set leaves, in sums of squares, that the terms `drop` explain."""
+    whole = left_with(evidence, found)
     rest = Weighed(tuple(one for one in found.members if one[0] not in drop), found.kappa, 0.0)
-    return left_with(evidence, rest) - left_with(evidence, found)
+    excess = evidence.gram.left - whole
+    return (left_with(evidence, rest) - whole) / excess if excess > 0.0 else math.nan
 
 
 def left_with(evidence: Evidence, found: Weighed) -> float:
@@ -201,9 +191,9 @@ class Estimated:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def differs_from(self, other: Array) -> bool:
-        """Whether the coefficients differ from others (c,) by what one of them alone would at CHANGED_sd."""
+        """Whether the coefficients differ from others (c,) by what one of them alone would at SURE_sd."""
         apart = self.value - other
-        least = chdtri(len(apart), 2.0 * ndtr(-CHANGED_sd))  # of chi-square
+        least = chdtri(len(apart), 2.0 * ndtr(-SURE_sd))  # of chi-square
         return bool(apart @ np.linalg.solve(self.covariance, apart) > least)
 
 
@@ -250,7 +240,7 @@ def _ways(
         if not is_exact(evidence, number, scale)
     ]
     top = max(log for _, _, log in ways)
-    return [(number, scale, log - top) for number, scale, log in ways if log > top - NEGLIGIBLE]
+    return [(number, scale, log - top) for number, scale, log in ways if log > top - MARGIN]
 
 
 def is_exact(evidence: Evidence, number: int, scale: int) -> bool:

@@ -1,4 +1,12 @@
-"""The search through sets: best first, with removals and exchanges, from several starts, so that it does not get stuck."""
+"""The search through sets: best first, with removals and exchanges, from several starts, so that it does not get stuck.
+
+The log posterior of a set S of keys, each in its best variant and scales, with the noise kappa that S itself asks for, is
+  ln P(S | y) = ln Z(S, kappa) + sum over S of (ln of the sum over variants and scales of their evidence, over the best's)
+                + sum over S of ln (p / (1 - p)),   p the prior of a name or a block,
+with ln Z of `evidence.py` (the weights of scales in it). Variants and scales are polished one member at a time, kappa after each
+round (coordinate ascent); a set is weighed once, whatever way leads to it. What one key more would add is known for all keys at
+once from the Schur complement of `Evidence.added`, so that only the few that add most are weighed.
+"""
 
 from __future__ import annotations
 

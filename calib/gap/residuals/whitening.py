@@ -2,7 +2,12 @@
 
 Rows that follow each other are not independent: the filters leave a little, and what a law errs by lasts for many rows. An AR
 process of small order has that spectrum; its prediction errors are white, and sums of their squares are a likelihood
-(Brockwell, Davis, Time Series: Theory and Methods, 2nd ed., ch. 8). Rows after a gap begin anew, with lower orders.
+(Brockwell, Davis, Time Series: Theory and Methods, 2nd ed., ch. 8):
+  e_t = (r_t - sum over k = 1 .. p of a_k r_(t-k)) / (s_p g_run),   ln L = -1/2 sum e_t^2 - sum ln (s_p g_run),
+with r (m,) the rows of a cell, a (p,) and s_p of `fitted`, and g the size of each run. By Levinson and Durbin, from the
+autocovariances c_0 .. c_p of r / g, order k follows from order k - 1:
+  f = (c_k - a' (c_(k-1) .. c_1)) / v,   a <- (a - f reversed(a), f),   v <- v (1 - f^2),   s_k = sqrt(v).
+Rows after a gap begin anew, with the lower orders: row j of a stretch has order min(j, p).
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ from calib.gap.posterior.constants import (
     FLOOR_DOUBT,
     IMMATERIAL,
     MARGIN,
-    NEARLY,
     REMAINS,
     SIZE_LEVELS,
     UNTOLD,
@@ -188,18 +187,10 @@ def _refitted(fit: SeriesFit, around: OperatingPoint, split: RowSplit) -> dict[K
 
 def _usual(one: SeriesTerm) -> Array:
     """Standard deviations of a term that is surely there: of a large size and of the usual roughness."""
-    scales, _ = one.scales()
-    return (
-        np.asarray(scales[-1])
-        if not one.is_name
-        else np.concatenate(
-            [
-                np.full(one.laws, SIZE_LEVELS[-1]),
-                np.full(one.departures, DEPARTURES[2]),
-                np.ones(one.count - one.laws - one.departures),
-            ]
-        )
-    )
+    if not one.is_name:
+        return np.asarray(one.scales()[0][-1])
+    rest = one.count - one.laws - one.departures
+    return np.repeat((SIZE_LEVELS[-1], DEPARTURES[2], 1.0), (one.laws, one.departures, rest))
 
 
 # Names that explain nearly the same rows, compared each at the operating point of its own.
@@ -250,7 +241,7 @@ def rivals(fit: SeriesFit) -> Iterator[tuple[EffectName, EffectName, Weighed]]:
             continue
         seen: set[EffectName] = set()
         for one in fit.found:
-            if one.log < best.log - max(NEARLY * gain, MARGIN):
+            if one.log < best.log - max(REMAINS * gain, MARGIN):
                 break
             own = {terms[k].key for k, _ in one.members}
             new = [key for key in own - fit.names if isinstance(key, EffectName)]

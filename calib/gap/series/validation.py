@@ -11,7 +11,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.gap.effects.catalogue import series_of
 from calib.gap.finding import EffectName
-from calib.gap.posterior.constants import GROWS, LAW_MOST, REMAINS, SPEAKS, SURE_sd
+from calib.gap.posterior.constants import CREDIBLE_LEAST, GROWS, LAW_MOST, REMAINS, SURE_sd
 from calib.gap.posterior.decide import is_exact
 from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.term import SeriesTerm
@@ -19,8 +19,6 @@ from calib.gap.series.blocks import CAMERA
 from calib.gap.series.linear import SeriesFit, left
 from calib.gap.series.outcome import gap
 from calib.gap.series.split import Picked
-
-NEGLIGIBLE = 0.005  # of all weight: a size of it does not count
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +63,7 @@ def members(fit: SeriesFit) -> Iterator[Member]:
         found = [
             (weight, *evidence.estimate(way, best.kappa))
             for weight, way in zip(share.tolist(), ways, strict=True)
-            if weight > NEGLIGIBLE
+            if weight > CREDIBLE_LEAST
         ]
         mean = np.asarray(sum((weight * size[own] for weight, size, _ in found), np.zeros(1)))
         covariance = sum(
@@ -181,7 +179,7 @@ def _explained_over_remainder(
 
     On the rows `reporting`, or on all where it hardly moves those: they do not speak of it.
     """
-    if _strongest(fit, one, reporting) < SPEAKS * _strongest(fit, one, ~reporting):
+    if _strongest(fit, one, reporting) < REMAINS * _strongest(fit, one, ~reporting):
         reporting = np.ones_like(reporting)
     explained, remains, moved = [], [], []
     for cell, columns in one.term.response.items():
