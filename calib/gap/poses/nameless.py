@@ -1,9 +1,9 @@
-"""Nameless blocks: what a joint, the tip or a holding current may follow without anything of the list doing
-it.
+"""Nameless blocks: what a joint, the tip or a holding current may follow without anything of the list doing it.
 
-In: a Scene (the arm at the recorded poses) and the terms that have names. Out: blocks of columns (Term) that
-compete with them, so that an effect which is not in the list is noticed. None is ever reported as an effect;
-where one explains what is left, its words say where.
+In: the arm at the recorded poses and the terms that have names. Out: blocks of columns that compete with them, so that an
+effect which is not in the list is noticed. None is ever reported as an effect; where one explains what is left, its words say
+where. All shapes of one thing that moves, one variable and one manner are variants of one block: a joint may do more than one
+of them. Beside them each block has the smooth function of its variable, columns of one unknown scale.
 """
 
 from __future__ import annotations
@@ -23,13 +23,6 @@ from calib.gap.posterior.term import Block, Term, on_joint, smooth
 from calib.points.points import Points
 from control.model.arm import Arm
 
-# Nameless blocks: what a joint, the tip or a holding current may follow without anything of the list doing
-# it.
-#
-# The single shapes are those of `of_joints` and `of_the_tip`; beside them each block has the smooth
-# function of its variable, columns of one unknown scale.
-
-
 SHARE = 0.1  # of a joint's torque: the size of a block in holding currents
 
 
@@ -40,7 +33,7 @@ def blocks_of(scene: PoseScene, names: Sequence[Term]) -> tuple[Term, ...]:
     if np.isfinite(scene.points.tip_m).all():
         columns = field_of_the_tip(link_frames(ArmModel(scene.arm), scene.arm.dh, scene.points.q_rad).tip_m)
         words = "everywhere: the measured places are off by a smooth field"
-        found.append(Term(Block(0, "place"), words, len(columns), 0, 1.0, slope_m=columns))
+        found.append(Term(Block(0, "place"), words, len(columns), slope_m=columns))
     if np.isfinite(scene.points.current_A).any():
         found += _currents(scene)
     return tuple(found)
@@ -67,36 +60,28 @@ def _smooth(scene: PoseScene) -> Iterator[Term]:
     """Any smooth function of an angle, the load, or time, for each joint; of angle and load by direction."""
     points, load = scene.points, scene.gravity_Nm
     n, time = points.joint_count, points.t_s
+    has_time = bool(np.isfinite(time).all() and np.ptp(time) > 1e-9)
     for j in range(n):
         ways = [
-            (f"q{i + 1}" if i == j else "other angles", points.q_rad[:, i], f"follows q{i + 1} smoothly")
-            for i in range(n)
+            (f"q{i + 1}" if i == j else "other angles", points.q_rad[:, i], f"q{i + 1}") for i in range(n)
         ]
         if load is not None:
-            ways += [
-                (
-                    "load" if i == j else "other loads",
-                    load[:, i],
-                    f"follows the load of joint {i + 1} smoothly",
-                )
-                for i in range(n)
-            ]
-        if np.isfinite(time).all() and np.ptp(time) > 0.0:
-            ways.append(("time", time, "wanders with time"))
+            names = ["load" if i == j else "other loads" for i in range(n)]
+            ways += [(names[i], load[:, i], f"the load of joint {i + 1}") for i in range(n)]
+        if has_time:
             steps = np.array([np.sign(time - edge) for edge in edges(time)])
             yield smooth_of_joint(n, j, "time steps", "steps at several times", steps)
-        for variable, values, words in ways:
+        for variable, values, what in ways:
             if np.ptp(values) > 1e-9:
-                yield smooth_of_joint(n, j, variable, words, smooth(values))
-        last = points.direction[:, j]
-        if len(set(last.tolist())) > 1:
-            own = [("angle", points.q_rad[:, j]), *([] if load is None else [("load", load[:, j])])]
-            for what, values in own:
-                if np.ptp(values) > 1e-9:
-                    both = np.concatenate((last[None], last * smooth(values)))
-                    yield smooth_of_joint(
-                        n, j, "direction", f"follows its last direction and its {what}", both
-                    )
+                yield smooth_of_joint(n, j, variable, f"follows {what} smoothly", smooth(values))
+        if has_time:
+            yield smooth_of_joint(n, j, "time", "wanders with time", smooth(time))
+        last, own = points.direction[:, j], [("angle", points.q_rad[:, j])]
+        own += [] if load is None else [("load", load[:, j])]
+        for what, values in own if np.ptp(last) > 0.0 else ():
+            if np.ptp(values) > 1e-9:
+                both = np.concatenate((last[None], last * smooth(values)))
+                yield smooth_of_joint(n, j, "direction", f"follows its last direction and its {what}", both)
 
 
 def _currents(scene: PoseScene) -> Iterator[Term]:
@@ -114,12 +99,10 @@ def _currents(scene: PoseScene) -> Iterator[Term]:
             words = (
                 f"the holding current of joint {j + 1} follows {name} in a way that no single load explains"
             )
-            yield Term(Block(j + 1, "current"), words, 2, 0, 1.0, slope_Nm=columns)
+            yield Term(Block(j + 1, "current"), words, 2, slope_Nm=columns)
 
 
-# Shapes of joints that have no name: with any angle, direction, time, load and current; those of the tip
-# are `of_the_tip`.
-
+# Shapes of joints.
 
 PER_TURN = "times per turn"
 HARMONICS = (4, 5, 6, 7, 8, 9, 10, 12)  # per turn, of a joint's own angle
@@ -200,17 +183,11 @@ def _of_time(points: Points, j: int) -> Iterator[Term]:
     for periods in TIME_PERIODS:
         courses = harmonic(time, 2.0 * np.pi * periods)
         yield of_joint(n, j, "time", f"swings {periods:g} times in the session", *courses, manner="swings")
-    yield of_joint(n, j, "time", "follows the way that it has gone", _way(points, j))
+    order, way = np.argsort(points.t_s, kind="stable"), np.empty(len(points))
+    way[order] = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points.q_rad[order, j])))))
+    yield of_joint(n, j, "time", "follows the way that it has gone", way)
     for edge in edges(points.t_s):
         yield of_joint(n, j, "time", f"steps at {edge:.0f} s", np.sign(points.t_s - edge), manner="steps")
-
-
-def _way(points: Points, j: int) -> Array:
-    """How far joint j has gone in all before each pose, (m,)."""
-    order = np.argsort(points.t_s, kind="stable")
-    way = np.empty(len(points))
-    way[order] = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points.q_rad[order, j])))))
-    return way
 
 
 def _of_load(points: Points, gravity: Array | None, j: int) -> Iterator[Term]:
@@ -237,9 +214,7 @@ def _of_load(points: Points, gravity: Array | None, j: int) -> Iterator[Term]:
             yield of_joint(n, j, "other loads", f"follows the load of joint {i + 1}", gravity[:, i])
 
 
-# Shapes of the tip that have no name and are no joint's: the camera, boards that are not where they should
-# be, axes that wobble, a tool that is loose.
-
+# Shapes of the tip that are no joint's: the camera, boards that are not where they should be, axes that wobble, a loose tool.
 
 AXES = "xyz"
 ELSEWHERE = "elsewhere"
@@ -396,14 +371,6 @@ def _of_the_tool(arm: Arm, frames: LinkFrames) -> Iterator[Term]:
     yield of_tip("tool", "the tool: gives way to gravity", *hang)
 
 
-# Shapes without a name: what a residual is tested against, so that an effect that is not in the list is
-# noticed.
-#
-# They are never reported as effects. Where one of them explains what is left, its words say where the gap
-# is. All shapes of one thing that moves, one variable and one manner are variants of one block: a joint may
-# do more than one of them.
-
-
 SIZE_rad = 0.003  # typical, at the shape's own scale
 SIZE_m = 0.001
 STEPS_COUNT = 24  # of times and of angles where something may have changed
@@ -413,13 +380,13 @@ def of_joint(n: int, j: int, variable: str, words: str, *courses: Array, manner:
     """`courses` (m,) scaled to SIZE_rad, acting on joint j (0-based) of n."""
     scaled = [SIZE_rad * course / max(1e-12, float(np.abs(course).max())) for course in courses]
     key, slope = Block(j + 1, f"{variable} {manner}".strip()), on_joint(np.stack(scaled), j, n)
-    return Term(key, f"joint {j + 1}: {words}", len(courses), 0, 1.0, slope_rad=slope)
+    return Term(key, f"joint {j + 1}: {words}", len(courses), slope_rad=slope)
 
 
 def smooth_of_joint(n: int, j: int, variable: str, words: str, courses: Array) -> Term:
     """Functions (c, m) of a variable, of one unknown scale, acting on joint j (0-based) of n."""
     slope = SIZE_rad * on_joint(courses, j, n)
-    return Term(Block(j + 1, variable), f"joint {j + 1}: {words}", len(courses), 0, 1.0, slope_rad=slope)
+    return Term(Block(j + 1, variable), f"joint {j + 1}: {words}", len(courses), slope_rad=slope)
 
 
 def of_tip(
@@ -441,12 +408,12 @@ def of_tip(
     for k, turn in enumerate(turns):
         turned[k] = sizes[k] * turn
     key = Block(0, f"{variable} {manner}".strip())
-    return Term(key, words, len(slope), 0, 1.0, slope_m=slope, turn_rad=turned if turns else None)
+    return Term(key, words, len(slope), slope_m=slope, turn_rad=turned if turns else None)
 
 
 def of_turns(variable: str, words: str, turns: Array) -> Term:
     """`turns` (c, m, 3) of the measured orientation alone, of one unknown scale."""
-    return Term(Block(0, variable), words, len(turns), 0, 1.0, turn_rad=SIZE_rad * turns)
+    return Term(Block(0, variable), words, len(turns), turn_rad=SIZE_rad * turns)
 
 
 def is_still(one: Term) -> bool:
