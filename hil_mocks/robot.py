@@ -8,8 +8,8 @@ file descriptor.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 from control.model.description import Arm
 from firmware_iface.link import CanFormat
@@ -52,8 +52,7 @@ class MockRobot:
         self._has_bought = bool(self.bought.names)
         self._motor_joints = [j for j in range(len(self._wiring)) if j not in self.bought.joints]
         self.motor_boards = [
-            build_motor_board(self._wiring[j], scenario, partial(self._motor_count, j))
-            for j in self._motor_joints
+            build_motor_board(self._wiring[j], scenario, self._motor_counter(j)) for j in self._motor_joints
         ]
         if arm.gripper is not None and self.gripper is not None and not arm.gripper.board:
             self.motor_boards.append(build_gripper_board(arm.gripper, scenario, self.gripper))
@@ -269,14 +268,20 @@ class MockRobot:
         for j in self.bought.joints:
             self._motors.apply(j, BRAKE, math.inf)
 
-    def _motor_count(self, j: int) -> int:
-        wired = self._wiring[j]
+    def _motor_counter(self, j: int) -> Callable[[], int]:
+        """The encoder input of a motor board: each of its periods reads it."""
+        wired, loose = self._wiring[j], self._loose
+        motor_count = wired.motor_count
         if wired.has_second_encoder:
-            return wired.motor_count(self.plant.motor_rad(j))
-        reading_rad = self._reading_rad[j]
-        if j in self._loose:
-            reading_rad += self._loose[j].slip_rad
-        return wired.motor_count(reading_rad)
+            return lambda: motor_count(self.plant.motor_rad(j))
+
+        def count() -> int:
+            reading_rad = self._reading_rad[j]
+            if j in loose:
+                reading_rad += loose[j].slip_rad
+            return motor_count(reading_rad)
+
+        return count
 
     def _shaft_rad(self, j: int) -> float:
         """The encoder angle of a joint, or of the gripper's motor."""

@@ -51,7 +51,8 @@ class EncoderBoardMock(EncoderBoardHardware):
 
     def preset(self, counts: Sequence[int], is_zero_set: bool) -> None:
         """Set the counters of a board that was powered, and perhaps zeroed, before the simulation started."""
-        for channel, counter, count in zip(self._channels, self._latched().counters, counts, strict=True):
+        counters, _ = self._latched()
+        for channel, counter, count in zip(self._channels, counters, counts, strict=True):
             channel.zero = count - counter
             channel.flags = ZERO_SET if is_zero_set else 0
 
@@ -62,19 +63,21 @@ class EncoderBoardMock(EncoderBoardHardware):
 
     def count(self, at: int) -> int:
         """The count of a channel as reported by the board."""
-        return self._wrapped(self._latched().counters[at] + self._channels[at].zero)
+        counters, _ = self._latched()
+        return self._wrapped(counters[at] + self._channels[at].zero)
 
     def _report(self, due_us: int, latched: Latched, start_s: float) -> None:
         self._send_report(due_us, latched, start_s)
         self._due_us = due_us + self._period_us
 
     def _send_report(self, time_us: int, latched: Latched, start_s: float) -> None:
+        counters, levels = latched
         flags, counts, wrap, half = [0, 0, 0], [0, 0, 0], self._wrap, self._half
         if self.has_frozen_clock:
             time_us = self._frozen_us
         for at, channel in enumerate(self._channels):
-            counts[at] = (latched.counters[at] + channel.zero + half) % wrap - half
-            flags[at] = latched.flags[at] | channel.flags
+            counts[at] = (counters[at] + channel.zero + half) % wrap - half
+            flags[at] = levels[at] | channel.flags
         self._put_content(
             _REPORT.pack(REPORT, self._sequence, time_us & 0xFFFFFFFF, *flags, *counts), start_s
         )
@@ -146,8 +149,8 @@ class EncoderBoardMock(EncoderBoardHardware):
             return BAD_ARGUMENT
         if at in self.lost:
             return NOT_NOW
-        channel = self._channels[at]
-        channel.zero = count - self._latched().counters[at]
+        channel, (counters, _) = self._channels[at], self._latched()
+        channel.zero = count - counters[at]
         channel.flags = (channel.flags | ZERO_SET) & ~(QUADRATURE_ERROR | INDEX_LATCHED)
         channel.latch = None
         self._watch(at, False)

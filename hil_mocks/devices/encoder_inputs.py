@@ -8,7 +8,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 INDEX_LEVEL, INDEX_LATCHED, HOME, ZERO_SET, QUADRATURE_ERROR, SIGNAL_LOST = 1, 2, 4, 8, 16, 32
 
@@ -27,11 +26,8 @@ class EncoderBoardSetup:
     index_spacing_counts: tuple[int, ...] = ()  # true counts of the encoders; empty: `counts_per_turn`
 
 
-class Latched(NamedTuple):
-    """Counters (without wrap) and flags of all channels at one moment."""
-
-    counters: list[int]
-    flags: list[int]
+Latched = tuple[list[int], list[int]]
+"""Counters (without wrap) and flags of all channels at one moment. Not named: a board makes two a cycle."""
 
 
 class EncoderBoardHardware(ABC):
@@ -131,18 +127,20 @@ class EncoderBoardHardware(ABC):
 
     def _latched(self, part: float = 1.0) -> Latched:
         """What the inputs have at `part` of the time from the last tick to this one."""
-        counters, flags = [], []
-        for at, raw in enumerate(self._raw):
-            if part < 1.0:
-                raw = self._before[at] + round((raw - self._before[at]) * part)
-            level = INDEX_LEVEL if (raw - self._index_raw[at]) % self._spacing[at] == 0 else 0
-            if self._is_home[at]:
-                level |= HOME
-            if at in self.lost:
-                level |= SIGNAL_LOST
-            counters.append(raw + self._shift[at])
-            flags.append(level)
-        return Latched(counters, flags)
+        raws = self._raw
+        if part < 1.0:
+            raws = [was + round((raw - was) * part) for was, raw in zip(self._before, raws, strict=True)]
+        flags = [
+            (HOME if is_home else 0)
+            if (raw - index_raw) % spacing
+            else (INDEX_LEVEL | HOME if is_home else INDEX_LEVEL)
+            for raw, index_raw, spacing, is_home in zip(
+                raws, self._index_raw, self._spacing, self._is_home, strict=True
+            )
+        ]
+        if self.lost:
+            flags = [flag | SIGNAL_LOST if at in self.lost else flag for at, flag in enumerate(flags)]
+        return [raw + shift for raw, shift in zip(raws, self._shift, strict=True)], flags
 
     def _board_us(self, now_s: float) -> int:
         return int((now_s - self._started_s) * self._rate * 1e6 + 1e-3)

@@ -32,7 +32,7 @@ _REQUEST = struct.Struct("<BBBBi")
 _OVER_CURRENT_RATIO = 1.5
 _TRIP_S = 1e-3 - 1e-9  # an over-current that lasts as long is a fault
 _VOLTAGE_ENABLED, _WARNING = 0x10, 0x80
-# Members of an enumeration are slow to look up in Python 3.11, and a period looks at the state three times.
+# Members of an enumeration are slow to look up in Python 3.11, and a period looks at the state twice.
 _NOT_READY, _ENABLED, _FAULT_REACTION = MotorState.NOT_READY, MotorState.ENABLED, MotorState.FAULT_REACTION
 
 
@@ -55,8 +55,8 @@ class MotorBoardMock(MotorBoardHardware):
         super().__init__(setup, read_shaft)
 
     def _boot(self) -> None:
-        self.state = MotorState.NOT_READY
         self.pins.reset()
+        self._enter(MotorState.NOT_READY)
         self.faults = 0
         self.values = {index: row.at_power_up for index, row in self._rows.items()}
         self._take_values()
@@ -81,14 +81,11 @@ class MotorBoardMock(MotorBoardHardware):
         self._now_s = now_s
         if can_id == 0:
             self._fault(EMERGENCY_STOP)
-            self._lead_pins()
             return []
         if len(payload) != 8:
             return []
         if can_id == self._command_id:
-            reply = self._command(payload, now_s)
-            self._lead_pins()
-            return [(self._reply_id, reply)]
+            return [(self._reply_id, self._command(payload, now_s))]
         if can_id == REQUEST + self.setup.node:
             return [(ANSWER + self.setup.node, self._parameter(payload))]
         if can_id == DIGITAL_COMMAND + self.setup.node and self.setup.digital_pins:
@@ -96,8 +93,9 @@ class MotorBoardMock(MotorBoardHardware):
         return []
 
     def _period(self, now_s: float, step_s: float) -> list[Frame]:
-        self._now_s = now_s
-        if -self._trip_A <= self._current_A <= self._trip_A:
+        self._now_s, trip_A = now_s, self._trip_A
+        is_over_current = not -trip_A <= self._current_A <= trip_A
+        if not is_over_current:
             self._over_current_since_s = None
         elif self._over_current_since_s is None:
             self._over_current_since_s = now_s
@@ -108,33 +106,33 @@ class MotorBoardMock(MotorBoardHardware):
             self._speed += (rate - self._speed) * step_s / (step_s + self._filter_s)
         self._count_before = shaft_count
         state = self.state
-        if state is _NOT_READY:
-            self.state = MotorState.SWITCH_ON_DISABLED
+        if state is _ENABLED:
+            if (silent_s := now_s - self._last_command_s) > self._soonest_s:
+                if silent_s > self._watchdog_s:
+                    self._expire()
+                elif self._stop is None and self._mode in (1, 2):
+                    self._begin_stop(now_s)
+        elif state is _NOT_READY:
+            self._enter(MotorState.SWITCH_ON_DISABLED)
             self._apply()
             return [(ANSWER + self.setup.node, _REQUEST.pack(0, 0, 0, 0, self.setup.protocol))]
-        if state is _FAULT_REACTION:
-            self.state = MotorState.FAULT
-        elif state is _ENABLED and now_s - self._last_command_s > self._soonest_s:
-            if now_s - self._last_command_s > self._watchdog_s:
-                self._expire()
-            elif self._stop is None and self._mode in (1, 2):
-                self._begin_stop(now_s)
+        elif state is _FAULT_REACTION:
+            self._enter(MotorState.FAULT)
         if (
-            self._over_current_since_s is not None
+            is_over_current
             or self.forced_faults != 0
             or not LOWEST_SUPPLY_V <= self._supply_V <= HIGHEST_SUPPLY_V
             or self._above_ambient_K > self._rated_K
         ) and (causes := self._causes() & ~self.faults):
             self._fault(causes)
-        if (self._mode == 3 and self.state is _ENABLED) or self._holds:
+        if self._holds or (self._mode == 3 and self.state is _ENABLED):
             self._control(step_s)
-        self._lead_pins()
         return []
 
-    def _lead_pins(self) -> None:
-        is_enabled = self.state is _ENABLED
-        if is_enabled is not self.pins.is_enabled:
-            self.pins.follow(is_enabled)
+    def _enter(self, state: MotorState) -> None:
+        """Change the state: the statusword of the replies and the pins follow it."""
+        self.state, self._statusword = state, state.value
+        self.pins.follow(state is _ENABLED)
 
     def _causes(self) -> int:
         """Faults with a present cause; an over-current must last."""
@@ -165,7 +163,7 @@ class MotorBoardMock(MotorBoardHardware):
         first = self.state not in (MotorState.FAULT, MotorState.FAULT_REACTION)
         self.faults |= bits
         if first or bits & EMERGENCY_STOP:
-            self.state = MotorState.FAULT_REACTION
+            self._enter(MotorState.FAULT_REACTION)
         if bits & OVER_CURRENT:
             self._put(OPEN)
         elif (bits & EMERGENCY_STOP and not self.faults & OVER_CURRENT) or first:
@@ -247,7 +245,7 @@ class MotorBoardMock(MotorBoardHardware):
             if lasting:
                 return
         self._holds, self._stop = False, None
-        self.state = new
+        self._enter(new)
         self._mode, self._integral_mV = 0, 0.0
         self._apply()
 
@@ -300,7 +298,7 @@ class MotorBoardMock(MotorBoardHardware):
         return wanted_mV
 
     def _reply(self, mode_and_sequence: int) -> bytes:
-        status = self.state.value
+        status = self._statusword
         if LOWEST_SUPPLY_V <= self._supply_V <= HIGHEST_SUPPLY_V:
             status |= _VOLTAGE_ENABLED
         if self._is_limited or self._is_cut:

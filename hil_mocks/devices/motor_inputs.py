@@ -37,14 +37,6 @@ class Pins(Protocol):
         ...
 
 
-class ReplyReadings(NamedTuple):
-    """What a REPLY has: mA, mV, degrees Celsius."""
-
-    current_mA: int
-    supply_mV: int
-    temperature_degC: int
-
-
 @dataclass(frozen=True, slots=True)
 class MotorBoardSetup:
     """Properties of the board: identity, ratings, measurement noise, thermal path of its power stage."""
@@ -146,8 +138,8 @@ class MotorBoardHardware(ABC):
         self._whole_degC = round(self._temperature_degC)
         self._heat_A2s = self._heated_s = 0.0
 
-    def _readings(self) -> ReplyReadings:
-        """What the next REPLY has, with noise, or with what a fault makes the board say."""
+    def _readings(self) -> tuple[int, int, int]:
+        """What the next REPLY has [mA, mV, degC], with noise, or with what a fault makes the board say."""
         setup, noise, at = self.setup, self._noise, self._replies
         self._replies = (at + 2) % _NOISE_VALUES
         step_A = setup.current_step_A
@@ -165,4 +157,6 @@ class MotorBoardHardware(ABC):
             current_mA = 32767 if current_mA > 0 else -32767
         if not 0 <= supply_mV <= 65535:
             supply_mV = 65535 if supply_mV > 0 else 0
-        return ReplyReadings(current_mA, supply_mV, min(max(temperature_degC, -128), 127))
+        if not -128 <= temperature_degC <= 127:
+            temperature_degC = 127 if temperature_degC > 0 else -128
+        return current_mA, supply_mV, temperature_degC

@@ -85,7 +85,8 @@ class EncoderBoardFirmware(EncoderBoardHardware):
 
     def count(self, at: int) -> int:
         """The count of a channel as reported by the board."""
-        return int(self._code.aw_encoder_count(self._board, at, self._latched().counters[at] & _U32))
+        counters, _ = self._latched()
+        return int(self._code.aw_encoder_count(self._board, at, counters[at] & _U32))
 
     def _report(self, due_us: int, latched: Latched, start_s: float) -> None:
         self._code.aw_encoder_stream(self._board, self._inputs(due_us, latched))
@@ -99,8 +100,9 @@ class EncoderBoardFirmware(EncoderBoardHardware):
         self._code.aw_encoder_quadrature_error(self._board, at)
 
     def _inputs(self, time_us: int, latched: Latched) -> object:
-        counters = (ctypes.c_uint32 * _CHANNELS)(*(counter & _U32 for counter in latched.counters))
-        return ctypes.byref(_Inputs(time_us & _U32, counters, (ctypes.c_uint8 * _CHANNELS)(*latched.flags)))
+        counters, flags = latched
+        low = (ctypes.c_uint32 * _CHANNELS)(*(counter & _U32 for counter in counters))
+        return ctypes.byref(_Inputs(time_us & _U32, low, (ctypes.c_uint8 * _CHANNELS)(*flags)))
 
     def _take(self, now_us: int, now_s: float) -> None:
         """Put what the firmware sends on the line; see what it waits for."""

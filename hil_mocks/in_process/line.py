@@ -21,6 +21,8 @@ class SerialLine:
 
     def read(self) -> bytes:
         """Read everything that the host has written."""
+        if not self.to_board:
+            return b""
         received = bytes(self.to_board)
         self.to_board.clear()
         return received

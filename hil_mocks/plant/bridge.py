@@ -7,6 +7,7 @@ circuit is a huge R with u = 0. One mj_step then does any number of steps in any
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -53,14 +54,16 @@ class Bridges:
         self._gain, self._dynamics = model.actuator_gainprm, model.actuator_dynprm
         self._ctrl, self._act, self._velocity = state.ctrl, state.act, state.actuator_velocity
         self._windings, self._index = tuple(windings), tuple(index)
-        self._constants = [(winding.K_V_s_rad, winding.resistance_ohm) for winding in self._windings]
-        self._nominal_V = [winding.supply_V for winding in self._windings]
+        self._constants = [(w.K_V_s_rad, w.resistance_ohm, w.supply_V) for w in self._windings]
         self._current_at = tuple(int(model.actuator_actadr[k]) for k in index)
         self._supply_ohm = supply_ohm
         count = len(self._windings)
         self._mode, self._command = [OPEN] * count, [0.0] * count
         self._limit_A = [1e9] * count
         self._set_as = [-1] * count
+        self._ctrl_V = [
+            math.nan
+        ] * count  # as it was set last: to write into MuJoCo's array costs more than to compare
         self.supply_V = [winding.supply_V for winding in self._windings]
         self.is_clamped = [False] * count
         self._no_load_V = [winding.supply_V for winding in self._windings]
@@ -81,21 +84,34 @@ class Bridges:
 
     def settle(self, speeds_rad_s: Sequence[float]) -> None:
         """Limit all outputs by the motors' speeds (joint side) and the supply; call it before each run of steps."""
-        if self._supply_ohm > 0.0:
+        is_stiff = self._supply_ohm == 0.0
+        if not is_stiff:
             self._sag()
-        for j, speed in enumerate(speeds_rad_s):
-            if self._mode[j] == VOLTAGE and self._set_as[j] == VOLTAGE and self._supply_ohm == 0.0:
-                # Fast path of the common case: same mode and no limit in reach.
-                voltage, (K, resistance_ohm) = self._command[j], self._constants[j]
-                current_A = (voltage - K * speed) / resistance_ohm
-                limit_A, supply_V = self._limit_A[j], self.supply_V[j]
-                if (
-                    -limit_A <= current_A <= limit_A
-                    and -supply_V <= voltage <= supply_V == self._nominal_V[j]
-                ):
-                    self._ctrl[self._index[j]] = voltage
-                    continue
-            self._settle(j, speed)
+        bridges = zip(
+            speeds_rad_s,
+            self._set_as,
+            self._mode,
+            self._command,
+            self._constants,
+            self._limit_A,
+            self.supply_V,
+            strict=True,
+        )
+        for j, (speed, set_as, mode, voltage, (K, resistance_ohm, nominal_V), limit_A, supply_V) in enumerate(
+            bridges
+        ):
+            # The usual case: same mode and no limit in reach.
+            if (
+                mode == set_as == VOLTAGE
+                and is_stiff
+                and -supply_V <= voltage <= supply_V == nominal_V
+                and -limit_A <= (voltage - K * speed) / resistance_ohm <= limit_A
+            ):
+                if voltage != self._ctrl_V[j]:
+                    self._ctrl_V[j] = self._ctrl[self._index[j]] = voltage
+            else:
+                self._ctrl_V[j] = math.nan
+                self._settle(j, speed)
 
     def currents_A(self) -> list[float]:
         """Currents of all motors now."""
