@@ -84,6 +84,10 @@ class IndexLatches:
             self._arm_next(now_s)
 
     def _ask_for_lost_latches(self, now_s: float, latest: wire.Report | None) -> None:
+        f0, f1, f2 = latest.flags if latest else (0, 0, 0)
+        if not self._latches and not (f0 | f1 | f2) & _INDEX_LATCHED:  # so it is in almost every cycle
+            self._armed = dict.fromkeys(self._armed, now_s)
+            return
         for channel, asked_s in tuple(self._armed.items()):
             if channel in self._latches:
                 del self._armed[channel]
