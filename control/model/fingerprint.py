@@ -9,13 +9,15 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from control.errors import ArmError
 from control.model.arm import Arm, Drive, Effect, Tool
-from control.model.cell import Cell
 from control.model.maps import CorrectionMap
 from control.model.reader import keys_of
+
+if TYPE_CHECKING:
+    from control.model.cell import Cell
 
 NOT_COMPARED: Final = frozenset(
     {
@@ -59,7 +61,7 @@ def fingerprint(arm: Arm) -> str:
     return hashlib.sha256(repr(sorted(content_of(arm).items())).encode()).hexdigest()[:16]
 
 
-def places_of(cell: Cell) -> dict[str, str]:
+def places_of(cell: "Cell") -> dict[str, str]:
     """The compared values of a cell: where each arm's base stands, and what distance is kept."""
     content = {f"cell, {key}": _text(getattr(cell, key)) for key in ("clearance_m", "tool_length_m")}
     for placed in cell.arms:
@@ -69,7 +71,7 @@ def places_of(cell: Cell) -> dict[str, str]:
     return content
 
 
-def require_same(arm: Arm, described: Mapping[str, Any], cell: Cell | None = None) -> None:
+def require_same(arm: Arm, described: Mapping[str, Any], cell: "Cell | None" = None) -> None:
     """AnotherArm names every key in which an arm differs from the runtime's, which has `described` itself (request `arm`).
 
     With a `cell`, in the places of its arms, too; an arm that is served alone has none.

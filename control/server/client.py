@@ -7,16 +7,18 @@ docs/socket.md lists every request.
 
 import contextlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from control.errors import ArmError
-from control.hardware.averaging import Average
 from control.model.arm import Arm
-from control.model.cell import Cell
 from control.model.fingerprint import fingerprint, require_same
 from control.server.channel import Channel, Message, RuntimeGone
+
+if TYPE_CHECKING:
+    from control.hardware.averaging import Average
+    from control.model.cell import Cell
 
 RELAPSE_S = 0.1  # a fault whose cause persists is detected again within some cycles
 AVERAGE_LIMIT_S = 2.0  # an average takes its own time; this much more is a host that was paused
@@ -61,7 +63,7 @@ class ArmClient:
         """Keep control of the arm until the connection closes: others may watch and stop. RequestRefused if another has it."""
         self.ask("control", take=True)
 
-    def require_arm(self, arm: Arm, cell: Cell | None = None) -> None:
+    def require_arm(self, arm: Arm, cell: "Cell | None" = None) -> None:
         """AnotherArm unless the runtime has the same arm, in the same place of the same `cell` if one is given."""
         status = self.status()
         is_placed = cell is not None and "cell" in status
@@ -244,11 +246,13 @@ class ArmClient:
         self.ask("hold")
         self.until(["HOLDING"], 3.0)
 
-    def average(self, duration_s: float) -> Average:
+    def average(self, duration_s: float) -> "Average":
         """Average encoders, currents and camera frames over `duration_s`, starting now.
 
         ArmFaulted if a fault comes in between; ArmLate if the runtime gets no values to average.
         """
+        from control.hardware.averaging import Average  # most clients average nothing
+
         self.ask("average", duration_s=duration_s)
         waited_s = 0.0
         while waited_s < duration_s + AVERAGE_LIMIT_S:

@@ -20,10 +20,10 @@ from calib.iso9283.programme import Extent, PathRun
 from calib.iso9283.workspace import TestCube
 from calib.points.reading import read_points
 from console.main import main
+from control.hardware.averaging import Average
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
-from control.server.client import Average
 from procedures.iso9283 import HOW, plan, rated_speed_m_s, record
 from procedures.mock import SteppedBench
 from procedures.tour import Bench
