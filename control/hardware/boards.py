@@ -6,7 +6,7 @@ Mock boards are connected behind the links; the code here is the same for both.
 import contextlib
 import math
 from collections.abc import Callable, Sequence
-from typing import ParamSpec
+from typing import Any
 
 from control.hardware.interface import Attended, EndBoards, Feedback, Hardware, OutputMode
 from control.hardware.roles import AskedLine, Drives, Encoders, Line
@@ -17,7 +17,6 @@ from firmware_iface.errors import LinkError, LinkLost, Problems
 LOOK_AGAIN_S = 0.1  # until a link that is gone is asked again: half of the boards' usual watchdog
 ATTEND_EVERY_S = 0.00025  # an answer waits so long at most until the next request goes out
 NO_END = EndBoards()
-P = ParamSpec("P")
 
 
 class BoardHardware:
@@ -115,13 +114,13 @@ class BoardHardware:
         for line in self._lines:
             self._try(line.flush)
 
-    def _try(self, step: Callable[P, None], *what: P.args, **named: P.kwargs) -> None:
+    def _try(self, step: Callable[..., None], *what: Any) -> None:
         """Do something at a link. One that is gone is not asked for its error in every cycle, and hides no other."""
         gone = self._gone.get(step) if self._gone else None
         if gone is not None and self._clock.now_s() < gone[1]:
             return
         try:
-            step(*what, **named)
+            step(*what)
         except LinkLost as lost:
             if gone is None:
                 self._problems.append(lost)

@@ -86,13 +86,26 @@ class Measurement:
         angles_rad, speeds_rad_s, lates_s, turned_rad = (
             self.q_rad, self.speed_rad_s, self._late_s, self._turning_point_rad,
         )  # fmt: skip
-        for joint, (count, made_s, at_most_s) in enumerate(zip(counts, counted_at_s, late_s, strict=True)):
-            elapsed_s = made_s - self._last_s[joint]
+        last_s = self._last_s
+        joints = zip(
+            counts,
+            counted_at_s,
+            late_s,
+            self._maps,
+            self._unwrappers,
+            self._unseen_s,
+            self._fastest_rad_s,
+            strict=True,
+        )
+        for joint, (count, made_s, at_most_s, count_map, unwrapper, unseen_s, fastest_rad_s) in enumerate(
+            joints
+        ):
+            elapsed_s = made_s - last_s[joint]
             if elapsed_s == 0.0:
                 continue
-            self._last_s[joint] = made_s
-            self.has_lost_turns[joint] = self._unseen_s[joint] < elapsed_s < math.inf  # inf: the first report
-            q = self._maps[joint].radians(self._unwrappers[joint].update(count))
+            last_s[joint] = made_s
+            self.has_lost_turns[joint] = unseen_s < elapsed_s < math.inf  # inf: the first report
+            q = count_map.radians(unwrapper.update(count))
             if 0.0 < elapsed_s < LONGEST_GAP_S:
                 moved_rad, before_rad_s = q - angles_rad[joint], speeds_rad_s[joint]
                 if at_most_s > SPEED_FILTER_S or lates_s[joint] or elapsed_s < SHORTEST_s:
@@ -103,7 +116,7 @@ class Measurement:
                     speed = min(max(before_rad_s, min(slowest, quickest)), max(slowest, quickest))
                 else:  # the usual cycle, in which both are the same
                     speed = moved_rad / elapsed_s
-                is_leap = not abs(moved_rad) <= self._fastest_rad_s[joint] * (elapsed_s + at_most_s)
+                is_leap = not abs(moved_rad) <= fastest_rad_s * (elapsed_s + at_most_s)
                 self.leap_rad[joint] = moved_rad if is_leap else 0.0
                 gain = elapsed_s / (elapsed_s + SPEED_FILTER_S)
                 speeds_rad_s[joint] = before_rad_s + gain * (speed - before_rad_s)

@@ -20,7 +20,8 @@ from firmware_iface.motor.wire import IdleOutput, MotorParameter, SetpointMode
 ASK_COUNT_S = 0.04  # between two questions for a motor board's own count: 3 % of a 500 Hz bus
 FRESH_CYCLES = 2  # age of a count that is compared with one of another board
 NO_GAINS = Gains(0.0, 0.0, 0.0, 0.001)  # a board without gains brakes
-_ENABLED = DriveState.OPERATION_ENABLED
+# Members of an enumeration are slow to look up in Python 3.11, and each cycle asks for these at every joint.
+_ENABLED, _VOLTAGE = DriveState.OPERATION_ENABLED, OutputMode.VOLTAGE
 FULL_INTEGRAL = 0.5  # of the supply: limit of the board's integral in position mode
 
 
@@ -101,11 +102,14 @@ class ReferenceDrives:
         sent_V, is_on = feedback.sent_V, wanted.is_on
         for joint, motor, sign in self._pairs:
             mode, state = modes[joint], motor.state
-            if is_on and state is _ENABLED:
-                sent_V[joint] = output[joint] if mode is OutputMode.VOLTAGE else math.nan
-                self._command(joint, motor, sign, mode, output[joint], feedforward_V[joint])
+            if is_on and state is _ENABLED and mode is _VOLTAGE:
+                sent_V[joint] = voltage_V = output[joint]
+                motor.command_voltage(sign * voltage_V)
                 continue
             sent_V[joint] = math.nan
+            if is_on and state is _ENABLED:
+                self._command(joint, motor, sign, mode, output[joint], feedforward_V[joint])
+                continue
             target = _ENABLED if wanted is Wanted.ENABLING else DriveState.SWITCH_ON_DISABLED
             if wanted is Wanted.AS_FOUND:
                 motor.ask_state()
@@ -122,7 +126,7 @@ class ReferenceDrives:
     def _command(
         self, joint: int, motor: MotorBoard, sign: float, mode: OutputMode, output: float, forward_V: float
     ) -> None:
-        if mode is OutputMode.VOLTAGE:
+        if mode is _VOLTAGE:
             motor.command_voltage(sign * output)
         elif mode is OutputMode.CURRENT:
             motor.command_current(sign * output)

@@ -15,10 +15,9 @@ class Wanted(Enum):
     ENABLING = "all are taken to OPERATION ENABLED: by a person's request only"
     ENABLED = "those in operation are commanded; one that has left it is not taken back"
 
-    @property
-    def is_on(self) -> bool:
+    def __init__(self, _: str) -> None:
+        self.is_on: bool = self.name in ("ENABLING", "ENABLED")
         """Whether drives in operation are commanded."""
-        return self is Wanted.ENABLING or self is Wanted.ENABLED
 
 
 # Flags of an encoder channel, docs/encoder_board.md.

@@ -19,6 +19,8 @@ from control.motion.setpoint import Motion, at_rest
 from control.safety.monitor import Monitor
 from control.safety.table import CONTROLLED_MODES, Event, Mode
 
+SEARCHING_MODES = frozenset({Mode.HOMING, Mode.JOGGING})
+
 
 class ArmState:
     """State of the arm: measured values, set-points, mode and motion."""
@@ -90,7 +92,7 @@ class ArmState:
     def is_searching(self) -> bool:
         """Whether joints without a known zero are moving."""
         mode = self.monitor.mode
-        return mode is Mode.HOMING or (mode is Mode.JOGGING and not self.monitor.is_homed)
+        return mode in SEARCHING_MODES and (mode is Mode.HOMING or not self.monitor.is_homed)
 
     def is_still(self) -> bool:
         """Whether the arm has come to rest in its present mode."""

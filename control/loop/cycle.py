@@ -35,6 +35,11 @@ from firmware_iface.errors import AnotherHost, BoardReset, LinkError
 PAYLOAD_RATE_kg_s = 1.0
 RECORDING_LOOK_cycles = 50  # 0.1 s at 500 Hz; asking costs a system call
 UNRECORDED_STOPS = (Mode.MOVING, Mode.HOMING)
+UNWATCHED = frozenset({Mode.OFF, Mode.HELD})  # nothing is commanded, so nothing is compared with it
+UNLOADED = UNWATCHED | {Mode.BRAKED}  # nothing depends on the model's masses
+MOTION_MODES = frozenset({Mode.MOVING, Mode.PAUSED, Mode.STOPPING})
+BY_BOARDS = (Reaction.HOLD, Reaction.BRAKE)
+OPEN_MODES = frozenset({Mode.GUIDING, Mode.OFF})  # whose voltages are no commands
 HOMING_CURRENT_FRACTION = 0.5  # during homing, and while joints without a zero are jogged
 
 
@@ -76,7 +81,7 @@ class Cycle(ArmState):
         except Exception as error:  # whatever fails here, the arm must not be left moving
             self._break_down(error)
         self._record(late_s)
-        return not (self.bound is Bound.QUIT and shutdown.has_left(self))
+        return not (self.bound.is_off and self.bound is Bound.QUIT and shutdown.has_left(self))
 
     def _control(self, missed_in_row: int) -> None:
         if self.bridge is not None:
@@ -120,13 +125,9 @@ class Cycle(ArmState):
             for fault in wrong:
                 self.fail(fault)
             return
-        if (
-            self.monitor.mode is Mode.HELD
-            and shutdown.is_left_held(self)
-            and not self.parts.hardware.has_torque()
-        ):
-            self.on(Event.RELEASED)
-        if self.monitor.mode in (Mode.OFF, Mode.HELD):
+        if self.monitor.mode in UNWATCHED:
+            if shutdown.is_left_held(self) and not self.parts.hardware.has_torque():
+                self.on(Event.RELEASED)
             return
         aim, paused_s = self.aim, self.elapsed_s - self.parts.period_s
         q_set_rad: Sequence[float] = aim.q_rad
@@ -159,7 +160,7 @@ class Cycle(ArmState):
             return []
         faults = checks.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
         faults += checks.leads.look(parts.motor_leads.lead_rad, parts.measurement.speed_rad_s)
-        if self.monitor.reaction in (Reaction.HOLD, Reaction.BRAKE):
+        if self.monitor.reaction in BY_BOARDS:
             checks.motors.forget()
             return [] if self.monitor.is_zero_doubted else faults  # the counts are all that is left to doubt
         if self.has_missed:
@@ -184,7 +185,7 @@ class Cycle(ArmState):
 
     def _advance(self) -> None:
         mode = self.monitor.mode
-        if mode in (Mode.MOVING, Mode.PAUSED, Mode.STOPPING) or self.monitor.is_held_fault:
+        if mode in MOTION_MODES or self.monitor.is_held_fault:
             motion_modes.follow_motion(self)
         elif mode is Mode.JOGGING:
             motion_modes.follow_jog(self)
@@ -197,7 +198,7 @@ class Cycle(ArmState):
 
     def _follow_loads(self) -> None:
         """Let the model's masses follow tool and payload as stated: at once while nothing depends on them, else slowly."""
-        if self.monitor.mode in (Mode.OFF, Mode.HELD, Mode.BRAKED):
+        if self.monitor.mode in UNLOADED:
             self.parts.loads.take_at_once()
         else:
             self.parts.loads.follow(PAYLOAD_RATE_kg_s * self.elapsed_s)
@@ -343,7 +344,7 @@ def row_of(state: ArmState, late_s: float) -> list[float]:
         min(switches, COUNT_MOST), age_s if age_s < math.inf else math.nan, state.stated_payload_kg, *state.new_camera_m,
     ]  # fmt: skip
     joints = set_points.joint_rad(state) if state.parts.joint_side is not None else None
-    is_open = mode in (Mode.GUIDING, Mode.OFF)
+    is_open = mode in OPEN_MODES
     for joint in range(feedback.joint_count):
         row += (
             measured.q_rad[joint], aim.q_rad[joint],

@@ -28,15 +28,16 @@ class Bound(Enum):
     OFF = "switched off"
     QUIT = "switched off, and the runtime ends"
 
-    @property
-    def is_hold(self) -> bool:
+    def __init__(self, _: str) -> None:
+        self.is_hold: bool = self.name in ("ON", "HOLD")
         """Whether the arm will hold."""
-        return self is Bound.ON or self is Bound.HOLD
-
-    @property
-    def is_off(self) -> bool:
+        self.is_off: bool = self.name in ("OFF", "QUIT")
         """Whether the drives will go off."""
-        return self is Bound.OFF or self is Bound.QUIT
+
+
+# Members of an enumeration are slow to look up in Python 3.11, and each cycle asks for these.
+_OFF, _FAULT, _HELD = Mode.OFF, Mode.FAULT, Mode.HELD
+_DISABLED, _ENABLING, _ENABLED = Wanted.DISABLED, Wanted.ENABLING, Wanted.ENABLED
 
 
 def drives_wanted(mode: Mode, bound: Bound, before: Wanted, is_taken_over: bool = False) -> Wanted:
@@ -45,13 +46,13 @@ def drives_wanted(mode: Mode, bound: Bound, before: Wanted, is_taken_over: bool 
     In HELD boards go on by themselves until a take-over begins, which goes to its end; in FAULT what was off stays off.
     `is_taken_over`: boards that held the arm are, and have not all confirmed it.
     """
-    if mode is Mode.OFF:
-        return Wanted.DISABLED
-    if mode in (Mode.FAULT, Mode.HELD) and not before.is_on:
+    if mode is _OFF:
+        return _DISABLED
+    if not before.is_on and (mode is _FAULT or mode is _HELD):
         return before
-    if mode is Mode.HELD or is_taken_over or (mode is not Mode.FAULT and bound.is_hold):
-        return Wanted.ENABLING
-    return Wanted.ENABLED
+    if mode is _HELD or is_taken_over or (bound.is_hold and mode is not _FAULT):
+        return _ENABLING
+    return _ENABLED
 
 
 class DriveStates:
@@ -69,9 +70,9 @@ class DriveStates:
 
     def want(self, now_s: float, wanted: Wanted) -> Wanted:
         """What is wanted from now on; ENABLING of drives that are all in operation is done."""
-        if wanted is Wanted.ENABLING and self.is_ready and self.wanted.is_on:
-            wanted = Wanted.ENABLED
-        self.is_taken_over &= wanted is Wanted.ENABLING
+        if wanted is _ENABLING and self.is_ready and self.wanted.is_on:
+            wanted = _ENABLED
+        self.is_taken_over &= wanted is _ENABLING
         if wanted is not self.wanted:
             self._since_s = now_s
             self._unwanted_since_s = [math.inf] * len(self._names)
@@ -96,7 +97,7 @@ class DriveStates:
 
     def follow(self, now_s: float, feedback: Feedback) -> list[Fault]:
         """Look at the latest states: faults of each drive that is in FAULT on its way on, or too late on its way on or off."""
-        if self.wanted is Wanted.DISABLED:
+        if self.wanted is _DISABLED:
             return self._still_on(now_s, feedback)
         if self.is_ready or not self.wanted.is_on:
             return []

@@ -23,6 +23,8 @@ WORKSPACE_REMEDY = (
     "move or jog the arm away; [limits] and [table] of arm.toml say where floor, table and base are, cell.toml where other"
     " arms are"
 )
+# Members of an enumeration are slow to look up in Python 3.11, and each cycle asks for these.
+_MOVING, _PAUSED = Mode.MOVING, Mode.PAUSED
 
 
 def follow_motion(state: ArmState) -> None:
@@ -70,9 +72,10 @@ def take_up(state: ArmState, bridge: Bridge) -> None:
 
 
 def _wanted_pace(state: ArmState) -> float:
-    if state.monitor.mode is Mode.PAUSED or state.stops_along:
+    mode = state.monitor.mode
+    if mode is _PAUSED or state.stops_along:
         return 0.0
-    return state.override if state.monitor.mode is Mode.MOVING else 1.0
+    return state.override if mode is _MOVING else 1.0
 
 
 def follow_jog(state: ArmState) -> None:

@@ -155,10 +155,12 @@ class Watch:
 
     def _allow_lag(self, now_s: float, speed_set_rad_s: Sequence[float]) -> None:
         elapsed_s, self._lag_at_s = now_s - self._lag_at_s, now_s
-        for joint, limit in enumerate(self._limits.joints):
-            self._lag_rad[joint] = allowed_lag(
-                speed_set_rad_s[joint], limit.following_error_per_speed_s, self._lag_rad[joint], elapsed_s
+        self._lag_rad = [
+            allowed_lag(speed, limit.following_error_per_speed_s, before_rad, elapsed_s)
+            for speed, limit, before_rad in zip(
+                speed_set_rad_s, self._limits.joints, self._lag_rad, strict=True
             )
+        ]
 
     def miscounts(
         self, leap_rad: Sequence[float], has_lost_turns: Sequence[bool], is_homed: bool
@@ -218,16 +220,12 @@ class Watch:
         q_set_rad: Sequence[float],
         is_homed: bool,
     ) -> bool:
-        for joint, limit in enumerate(self._limits.joints):
-            q, allowed_rad = q_rad[joint], limit.following_error_rad + self._lag_rad[joint]
+        joints = zip(self._limits.joints, q_rad, speed_rad_s, q_set_rad, self._lag_rad, strict=True)
+        for limit, q, speed, q_set, lag_rad in joints:
             if not (
-                abs(speed_rad_s[joint]) <= limit.speed_rad_s
-                and abs(q_set_rad[joint] - q) <= allowed_rad
-                and (
-                    not is_homed
-                    or limit.lower_rad <= q <= limit.upper_rad
-                    or limit.holds(q, q_set_rad[joint])
-                )
+                abs(speed) <= limit.speed_rad_s
+                and abs(q_set - q) <= limit.following_error_rad + lag_rad
+                and (not is_homed or limit.lower_rad <= q <= limit.upper_rad or limit.holds(q, q_set))
             ):
                 return False
         return True

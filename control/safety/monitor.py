@@ -27,52 +27,30 @@ class IllegalTransition(ArmError):
 
 
 class Monitor:
-    """Mode, faults and homing of one arm. Independent of time and hardware: the loop raises events and follows the mode."""
+    """Mode, faults and homing of one arm. Independent of time and hardware: the loop raises events and follows the mode.
 
-    __slots__ = ("_faults", "_is_at_rest", "_is_homed", "_is_zero_doubted", "_mode", "_reaction")
+    Only its methods write its attributes. They are no properties: each cycle asks for them some thirty times.
+    """
+
+    __slots__ = ("faults", "is_at_rest", "is_homed", "is_zero_doubted", "mode", "reaction")
 
     def __init__(self) -> None:
-        self._mode = Mode.OFF
-        self._faults: tuple[Fault, ...] = ()
-        self._reaction: Reaction | None = None
-        self._is_homed = False
-        self._is_zero_doubted = False
-        self._is_at_rest = True
-
-    @property
-    def mode(self) -> Mode:
-        """The present mode."""
-        return self._mode
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """Faults not yet acknowledged, the first one first."""
-        return self._faults
-
-    @property
-    def reaction(self) -> Reaction | None:
-        """The reaction to the present faults; None if there are none."""
-        return self._reaction
-
-    @property
-    def is_at_rest(self) -> bool:
-        """Whether the stop after a fault has ended; before that it cannot be acknowledged."""
-        return self._is_at_rest
-
-    @property
-    def is_homed(self) -> bool:
-        """Whether every joint is homed."""
-        return self._is_homed
-
-    @property
-    def is_zero_doubted(self) -> bool:
-        """Whether the boards' own zeros are not to be used: a count went wrong, and homing must find them anew."""
-        return self._is_zero_doubted
+        self.mode = Mode.OFF
+        self.faults: tuple[Fault, ...] = ()
+        """Not yet acknowledged, the first one first."""
+        self.reaction: Reaction | None = None
+        """To the present faults; None if there are none."""
+        self.is_homed = False
+        """Every joint is."""
+        self.is_zero_doubted = False
+        """The boards' own zeros are not to be used: a count went wrong, and homing must find them anew."""
+        self.is_at_rest = True
+        """The stop after a fault has ended; before that it cannot be acknowledged."""
 
     @property
     def is_held_fault(self) -> bool:
         """Whether the arm is in FAULT under position control (stopping or holding), not at 0 V."""
-        return self._mode is Mode.FAULT and self._reaction is Reaction.CONTROLLED
+        return self.mode is Mode.FAULT and self.reaction is Reaction.CONTROLLED
 
     def on(self, event: Event) -> Mode:
         """Take `event` and return the new mode.
@@ -82,45 +60,45 @@ class Monitor:
         """
         following = self.require(event)
         self._note(event)
-        self._mode = following
+        self.mode = following
         return following
 
     def require(self, event: Event) -> Mode:
         """Return the mode that `event` leads to; raises as `on` and changes nothing."""
         if event in _FAULT_EVENTS or event in _ACKNOWLEDGED.values():
             raise self._refusal(event.name, "use fault() and acknowledge()")
-        following = TRANSITIONS.get((self._mode, event))
+        following = TRANSITIONS.get((self.mode, event))
         if following is None:
             raise self._refusal(event.name)
         if event is Event.CONNECT:
             self.require_no_faults(event.name)
-        if event is Event.MOVE and not self._is_homed:
+        if event is Event.MOVE and not self.is_homed:
             raise self._refusal(event.name, "not every joint is homed, home the arm first (`armwright home`)")
         return following
 
     def require_no_faults(self, event: str) -> None:
         """Raise IllegalTransition for `event` while faults are unacknowledged."""
-        if self._faults:
+        if self.faults:
             raise self._refusal(event, "faults are not acknowledged (`armwright acknowledge`)")
 
     def fault(self, fault: Fault) -> Mode:
         """Go to FAULT, list `fault` (once per code and place), use the more severe reaction. Always legal."""
         # The boards hold only what the loop controlled before, or what they hold already.
-        can_control = self._mode in CONTROLLED_MODES or self._reaction in (Reaction.CONTROLLED, Reaction.HOLD)
+        can_control = self.mode in CONTROLLED_MODES or self.reaction in (Reaction.CONTROLLED, Reaction.HOLD)
         wanted = fault.reaction if can_control else Reaction.BRAKE
-        if self._mode is Mode.HELD:
+        if self.mode is Mode.HELD:
             wanted = max(fault.reaction, Reaction.HOLD)
-        if self._mode is not Mode.FAULT:
+        if self.mode is not Mode.FAULT:
             # Even at rest the loop plans a stop, and ends it with STOPPED at once.
-            self._is_at_rest = False
-        if all((known.code, known.where) != (fault.code, fault.where) for known in self._faults):
-            self._faults = (*self._faults, fault)
+            self.is_at_rest = False
+        if all((known.code, known.where) != (fault.code, fault.where) for known in self.faults):
+            self.faults = (*self.faults, fault)
         if fault.code in LOSES_ZERO:
-            self._is_homed, self._is_zero_doubted = False, True
-        self._reaction = wanted if self._reaction is None else max(self._reaction, wanted)
-        event = Event.FAULT_CONTROLLED if self._reaction is Reaction.CONTROLLED else Event.FAULT_BRAKE
-        self._mode = TRANSITIONS[(self._mode, event)]
-        return self._mode
+            self.is_homed, self.is_zero_doubted = False, True
+        self.reaction = wanted if self.reaction is None else max(self.reaction, wanted)
+        event = Event.FAULT_CONTROLLED if self.reaction is Reaction.CONTROLLED else Event.FAULT_BRAKE
+        self.mode = TRANSITIONS[(self.mode, event)]
+        return self.mode
 
     def acknowledge(self, uncontrolled: Mode = Mode.BRAKED) -> tuple[Fault, ...]:
         """Clear and return the faults. The mode becomes HOLDING if the loop held the arm, else `uncontrolled`; OFF stays.
@@ -130,35 +108,33 @@ class Monitor:
         Raises:
             IllegalTransition: there is no fault, or the controlled stop has not ended; nothing changes.
         """
-        if not self._faults:
+        if not self.faults:
             raise self._refusal("ACKNOWLEDGE", "there is no fault")
-        if self.is_held_fault and not self._is_at_rest:
+        if self.is_held_fault and not self.is_at_rest:
             raise self._refusal("ACKNOWLEDGE", "the stop has not ended, try again when the arm is at rest")
-        leads_to = (
-            Mode.OFF if self._mode is Mode.OFF else Mode.HOLDING if self.is_held_fault else uncontrolled
-        )
-        self._mode = TRANSITIONS[(self._mode, _ACKNOWLEDGED[leads_to])]
-        cleared, self._faults, self._reaction = self._faults, (), None
+        leads_to = Mode.OFF if self.mode is Mode.OFF else Mode.HOLDING if self.is_held_fault else uncontrolled
+        self.mode = TRANSITIONS[(self.mode, _ACKNOWLEDGED[leads_to])]
+        cleared, self.faults, self.reaction = self.faults, (), None
         return cleared
 
     def forget_home(self) -> None:
         """Note that a board lost its zero (power, broken wire): MOVE is refused until HOMED."""
-        self._is_homed = False
+        self.is_homed = False
 
     def next_towards_off(self, is_still: bool) -> Event | None:
         """The next event of a shutdown, see `control.safety.table.next_towards_off`."""
-        return next_towards_off(self._mode, is_still, self.is_held_fault)
+        return next_towards_off(self.mode, is_still, self.is_held_fault)
 
     def _note(self, event: Event) -> None:
         """Effects of an event beyond the mode."""
         if event is Event.HOMED:
-            self._is_homed, self._is_zero_doubted = True, False
+            self.is_homed, self.is_zero_doubted = True, False
         elif event is Event.HOME:
-            self._is_homed = False
+            self.is_homed = False
         elif event is Event.STOPPED:
-            self._is_at_rest = True
-        elif event is Event.BRAKE and self._mode is Mode.FAULT:
-            self._reaction = Reaction.BRAKE
+            self.is_at_rest = True
+        elif event is Event.BRAKE and self.mode is Mode.FAULT:
+            self.reaction = Reaction.BRAKE
 
     def _refusal(self, event: str, why: str = "") -> IllegalTransition:
-        return IllegalTransition(self._mode, event, legal_events(self._mode), why)
+        return IllegalTransition(self.mode, event, legal_events(self.mode), why)

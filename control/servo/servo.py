@@ -18,6 +18,8 @@ from control.motion.setpoint import SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import voltage_range
 
+# Members of an enumeration are slow to look up in Python 3.11, and each cycle asks for these at every joint.
+_POSITION, _CURRENT = OutputMode.POSITION, OutputMode.CURRENT
 FADE_S = 2.0  # slow compared with the boards' integrals: the arm moves by only a tenth of a milliradian
 
 
@@ -151,7 +153,7 @@ class Servo:
             amperes = joint_Nm * motor.amperes_per_Nm
             model_A.append(amperes)
             volts = amperes * resistance_ohm + volts_per_rad_s * goal_rad_s
-            if mode is OutputMode.POSITION:
+            if mode is _POSITION:
                 output[joint] = goal_rad
                 self.feedforward_V[joint] = commanded_V[joint] = min(
                     max(volts, -motor.supply_V), motor.supply_V
@@ -161,7 +163,7 @@ class Servo:
             error, error_rate = share * (goal_rad - q_rad[joint]), share * (goal_rad_s - here_rad_s)
             limit_A = motor.current_limit_A * current_fraction
             back_emf_V = volts_per_rad_s * here_rad_s
-            if mode is OutputMode.CURRENT:
+            if mode is _CURRENT:
                 amperes = self._pids[joint].update(error, error_rate, amperes, -limit_A, limit_A)
                 output[joint] = amperes
                 commanded_V[joint] = amperes * resistance_ohm + back_emf_V
