@@ -36,8 +36,7 @@ from control.server.client import ArmClient
 from hil_mocks.scenario import EffectTable, Scenario, load_scenario
 from procedures.gap.recording import record_on_mock
 from procedures.mock import SteppedBench, scenario_bytes
-from procedures.verify.models import Model
-from procedures.verify.survey import SurveyedPath, track_of
+from procedures.verify.survey import Model, SurveyedPath, track_of
 
 SORTS = ("demo", "play", "worn")
 AREA_m = (0.3, 0.3, 0.2)

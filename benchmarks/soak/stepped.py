@@ -24,7 +24,7 @@ from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, board_targets, fingerprint
 from calib.session.residual_watch import ResidualWatch
-from procedures.drills.stage import Stage, stage
+from procedures.drills.drill import Stage, stage
 from procedures.ports import HandPort, MockHandSeat, RuntimePort
 
 POINTS = ("1", "5", "9", "13", "17", "21")

@@ -82,8 +82,7 @@ def _job(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> str:
 def _paper(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> str:
     """The experiment of SpringerPlus 5:1771, and two further steps."""
     from procedures.demo import paper
-    from procedures.demo.paper_page import findings
-    from procedures.demo.paper_result import table_text, widths_text
+    from procedures.demo.paper_page import findings, table_text, widths_text
 
     outcome = paper.run(arm, bench, out, advance)
     table = table_text(outcome.replay)
@@ -99,8 +98,7 @@ def _paper(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> str:
 def _gap(given: argparse.Namespace) -> int:
     """Hide an effect, find it, add it to the model and correct it; exit status 1 if it was not found."""
     from procedures.demo import gap
-    from procedures.demo.gap_hidden import beyond_known, drawn, with_known_friction
-    from procedures.demo.gap_page import findings, write_page
+    from procedures.demo.gap import beyond_known, drawn, findings, with_known_friction, write_page
 
     for name in ("scenario", "realtime", "boards"):
         if getattr(given, name):
@@ -158,7 +156,7 @@ def _camera(given: argparse.Namespace) -> int:
 def _two_arms(given: argparse.Namespace) -> int:
     """Calibrate a mock pair where its tips touch."""
     from procedures.demo import two_arms
-    from procedures.demo.two_arms_page import findings, write_page
+    from procedures.demo.two_arms import findings, write_page
 
     for name in ("realtime", "effect", "joint", "boards"):
         if getattr(given, name):

@@ -6,7 +6,7 @@ import sys
 from control.errors import ArmError
 from hil_mocks.firmware.choice import choose
 from procedures.drills.catalogue import drills, drills_named
-from procedures.drills.table import header, in_words, listing, row, verdict
+from procedures.drills.drill import header, in_words, listing, row, verdict
 
 
 def run(given: argparse.Namespace) -> int:

@@ -15,9 +15,9 @@ from control.files import NotWritten, write_whole
 from control.model.description import parse_arm, supplied_text
 from control.model.plausible import OVERRIDE
 from control.model.rules import LONGEST_NAME, is_file_name
+from procedures.new_arm.answers import Asker, Given, answers_for, ask_shape
 from procedures.new_arm.composing import NewArm, compose
-from procedures.new_arm.questions import Asker, Given, answers_for, ask_shape
-from procedures.new_arm.stretched import stretched_arm
+from procedures.new_arm.motors import stretched_arm
 from procedures.new_arm.writing import commented_text
 
 NAME: Final = re.compile(r'^name = ".*?"', re.MULTILINE)

@@ -19,8 +19,7 @@ from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.closing import Closing
 from firmware_iface.errors import LinkError, MisuseError
-from procedures.bringup.operator import BringupOperator, Stopped
-from procedures.bringup.workbench import Channel, DriveLimits, SafetyTrip, Sample
+from procedures.bringup.workbench import BringupOperator, Channel, DriveLimits, SafetyTrip, Sample, Stopped
 
 ENABLE_S = 1.0
 SETTLE_S = 0.05  # after enabling, and until values have come

@@ -1,19 +1,34 @@
-"""Diagnosis of a joint from its measurements: changed keys of arm.toml, notes, and faults.
-
-Two scales are separate. There is one index per motor turn, so the spacing of index pulses is exactly the counts per turn.
-The operator's readings against counts give counts per joint turn, hence the gear ratio. The back-EMF gives the motor
-constant from the motor's own speed, independent of the gear.
-"""
+"""From a joint's measurements to its drive: figures, messages for the operator, and where it cannot go on."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from statistics import fmean, median
 
 from control.hardware.words import QUADRATURE_ERROR, SIGNAL_LOST
 from control.model.arm import Drive, Home
-from procedures.bringup.findings import Diagnosis
 from procedures.bringup.measuring import ODD_RATIO, JointMeasurements, has_two_indices
 from procedures.bringup.wiring import MeasuredWiring
+
+
+@dataclass(slots=True)
+class Diagnosis:
+    """The diagnosis of one joint. `drive` is the draft's with the measured values; problems prevent a new arm.toml."""
+
+    drive: Drive
+    figures: dict[str, float] = field(default_factory=dict)
+    changes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    coulomb_Nm: float = math.nan
+    viscous_Nm_s_rad: float = math.nan
+
+
+# Diagnosis of a joint from its measurements: changed keys of arm.toml, notes, and faults.
+#
+# Two scales are separate. There is one index per motor turn, so the spacing of index pulses is exactly the counts per turn.
+# The operator's readings against counts give counts per joint turn, hence the gear ratio. The back-EMF gives the motor
+# constant from the motor's own speed, independent of the gear.
+
 
 READING_SD_RAD = 0.004  # of a protractor, including the reading error
 SCALE_TOLERANCE = 0.015  # of the gear ratio; a wrong gear is off by more

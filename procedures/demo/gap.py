@@ -7,32 +7,156 @@ the end, to check the name.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import datetime
+import math
+import random
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from calib.design.candidates import spread_poses
+from calib.errors import CalibrationError
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.plan.collision_free_box import collision_free_box
 from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
+from calib.gap.report import GapReport, gap_parts
 from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
+from calib.report.page import Section, list_section, page, paragraph, table, tiles, verdict
+from calib.report.report_sections import paths_section, verification_section
 from calib.validation.verify import Comparison, TrackPair
 from control.errors import ArmError
+from control.files import write_whole
 from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
-from control.model.arm import Arm
+from control.model.arm import Arm, Effect
 from control.progress import Advance
 from control.server.client import ArmClient
 from procedures import tour
-from procedures.demo.gap_hidden import Hidden
-from procedures.demo.handover import shut_down, start_again
+from procedures.demo.job import shut_down, start_again
 from procedures.gap.recording import record
 from procedures.mock import MockBench
-from procedures.verify.models import Model
-from procedures.verify.places import Place, ways
-from procedures.verify.survey import Programme, Survey, compared, paired, recorded
+from procedures.verify.survey import Model, Place, Programme, Survey, compared, paired, recorded, ways
+
+# The effect that is hidden: effect, joint and size, drawn by a seed or chosen.
+
+Range = tuple[float, float]
+GEOMETRY = {
+    "d_m": 0.002,
+    "theta_rad": 0.01,
+    "L_m": 0.002,
+    "alpha_rad": 0.01,
+}  # also hidden, within these bounds
+# Sizes that matter in practice. Joint 1 is vertical: nothing loads its spring at rest.
+SIZES: Mapping[str, tuple[tuple[int, ...], Mapping[str, Range]]] = {
+    "backlash": ((1, 2, 3), {"width_rad": (0.003, 0.008)}),
+    "joint_compliance": ((2, 3), {"stiffness_Nm_rad": (250.0, 600.0)}),
+    "encoder_scale": ((1, 2, 3), {"scale": (0.004, 0.010)}),
+    "encoder_eccentricity": ((1, 2, 3), {"amplitude_rad": (0.003, 0.006), "phase_rad": (-3.0, 3.0)}),
+    "belt_coupling": ((), {"ratio": (0.006, 0.015)}),
+    "thermal_drift": ((1, 2, 3), {"final_rad": (0.004, 0.008), "time_constant_s": (40.0, 90.0)}),
+    "coulomb_friction": ((1, 2, 3), {"torque_Nm": (0.4, 1.0)}),
+    "viscous_friction": ((1, 2, 3), {"coefficient_Nm_s_rad": (0.5, 1.5)}),
+    "stribeck_friction": ((1, 2, 3), {"torque_Nm": (0.5, 1.0), "speed_rad_s": (0.03, 0.08)}),
+    "load_friction": ((2, 3), {"fraction": (0.10, 0.20)}),
+    "asymmetric_friction": ((1, 2, 3), {"torque_Nm": (0.2, 0.5)}),
+    "cogging": ((1, 2, 3), {"amplitude_Nm": (0.3, 0.6), "order": (4.0, 10.0), "phase_rad": (-3.0, 3.0)}),
+    "torque_constant": ((1, 2, 3), {"scale": (0.92, 0.96)}),
+    "link_inertia": ((2, 3), {"mass_kg": (0.15, 0.35)}),
+    "payload": ((), {"mass_kg": (0.12, 0.30)}),
+    "command_delay": ((), {"delay_s": (0.002, 0.004)}),
+    "supply_sag": ((), {"resistance_ohm": (0.05, 0.12)}),
+}  # fmt: skip
+WHOLE = ("order",)  # integer parameters
+# The demo draws from these by default: effects that the loop corrects or feeds forward, so the result shows on the arm.
+DRAWN = (
+    "backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "viscous_friction",
+    "coulomb_friction", "load_friction",
+)  # fmt: skip
+ON_TIP = (
+    "backlash",
+    "joint_compliance",
+    "encoder_scale",
+    "encoder_eccentricity",
+    "belt_coupling",
+    "thermal_drift",
+)
+KNOWN = (
+    (1.0, 1.2),
+    (1.2, 1.5),
+    (0.7, 0.8),
+)  # Coulomb [N m] and viscous [N m s/rad] friction in the arm's file
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """The effect in the mock arm, unknown to the run."""
+
+    effect: str
+    joint: int | None
+    parameters: Mapping[str, float]
+
+    def __str__(self) -> str:
+        """As `backlash on joint 2 (width_rad = 0.0051)`."""
+        where = (
+            f" on {'link' if self.effect == 'link_inertia' else 'joint'} {self.joint}" if self.joint else ""
+        )
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in self.parameters.items())
+        return f"{self.effect}{where} ({values})"
+
+    def as_scenario(self, name: str, seed: int) -> str:
+        """TOML of a scenario with this effect and small geometric errors."""
+        joint = f"joint = {self.joint}\n" if self.joint else ""
+        values = ", ".join(f"{key} = {value!r}" for key, value in self.parameters.items())
+        geometry = "".join(f"{key} = {value}\n" for key, value in GEOMETRY.items())
+        return (
+            f'name = "{name}"\nseed = {seed}\n\n[plant]\ntimestep_s = 0.0005\n\n[true_dh]\n{geometry}\n'
+            f'[[effect]]\neffect = "{self.effect}"\n{joint}parameters = {{ {values} }}\n'
+        )
+
+
+def drawn(seed: int, effect: str | None, joint: int | None) -> Hidden:
+    """Draw the effect: as chosen, the rest by the seed. CalibrationError if the effect cannot act on the joint."""
+    draw = random.Random(f"gap {seed}")
+    name = effect or draw.choice(DRAWN)
+    if name not in SIZES:
+        raise CalibrationError(f'--effect: expected one of {", ".join(SIZES)}, got "{name}"')
+    joints, sizes = SIZES[name]
+    if joint is not None and joint not in joints:
+        places = f"joint {' or '.join(map(str, joints))}" if joints else "no joint (it acts on the whole arm)"
+        raise CalibrationError(f"--joint: expected {places} for {name}, got {joint}")
+    at = joint or (draw.choice(joints) if joints else None)
+    values = {key: draw.uniform(*between) for key, between in sizes.items()}
+    rounded = {
+        key: float(round(value)) if key in WHOLE else float(f"{value:.4g}") for key, value in values.items()
+    }
+    return Hidden(name, at, rounded)
+
+
+def with_known_friction(arm: Arm) -> Arm:
+    """The arm with known friction, as any gear has; the hidden effect is added to it."""
+    has = {effect.effect for effect in arm.effects}
+    added = [
+        Effect(name, j + 1, {key: KNOWN[min(j, len(KNOWN) - 1)][k]})
+        for j in range(arm.joint_count)
+        for k, (name, key) in enumerate(
+            (("coulomb_friction", "torque_Nm"), ("viscous_friction", "coefficient_Nm_s_rad"))
+        )
+        if name not in has
+    ]
+    return dataclasses.replace(arm, effects=(*arm.effects, *added))
+
+
+def beyond_known(hidden: Hidden, arm: Arm) -> Hidden:
+    """The plant's effect: if the file has a part of it, the sum."""
+    for known in arm.effects:
+        if (known.effect, known.joint) == (hidden.effect, hidden.joint):
+            total = {key: value + known.parameters.get(key, 0.0) for key, value in hidden.parameters.items()}
+            return Hidden(hidden.effect, hidden.joint, total)
+    return hidden
+
 
 PLACES = 10
 TURN_rad = 1.2  # of joint 1 to either side: places visible to the camera
@@ -219,3 +343,116 @@ def _newest(out: Path) -> Path:
     if not found:
         raise ArmError(f"{out / 'log'}: the runtime writes no recording")
     return found[-1]
+
+
+# The report of `armwright demo gap`: from the measurements to the corrected arm.
+
+
+def findings(circle: Circle) -> tuple[str, ...]:
+    """Sentences: the named effects, whether they are correct, and the improvement."""
+    named = ", ".join(str(one.name) for one in circle.named) or "nothing"
+    right = "correct" if circle.is_right else "not correct"
+    alone, after = (
+        1e3 * summary.mean_m
+        for summary in (circle.geometry_alone.of("all").before, circle.corrected.of("all").after)
+    )
+    before = 1e3 * circle.corrected.of("all").before.mean_m
+    found = circle.outcome.finding
+    gap_after = f"{found.gap_after:.2f}" if math.isfinite(found.gap_after) else "not measured"
+    notes = [
+        f"Named by the run: {named}. Hidden: {circle.hidden}. The result is {right}.",
+        f"The gap on {found.judged_on}: {found.gap_before:.2f} times the noise before, {gap_after} after.",
+        f"Mean tip error at {len(circle.corrected.point)} held-out places: {before:.2f} mm with the nominal model,"
+        f" {alone:.2f} mm with identified geometry and the correction off, {after:.2f} mm with the correction on.",
+    ]
+    following = tuple(1e3 * value for value in circle.following_rad)
+    if circle.hidden.effect not in ON_TIP:
+        notes.append(
+            f"Following error on the paths: {following[0]:.3f} mrad before, {following[1]:.3f} mrad with the named"
+            " effects fed forward."
+        )
+    return tuple(notes)
+
+
+def write_page(circle: Circle, out: Path) -> Path:
+    """report.html."""
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    program = f"armwright {version('armwright')}"
+    path = out / "report.html"
+    about = f"{date} · {program} · mock arm with a hidden effect"
+    content = page("The gap, closed on the arm", circle.nominal.name, about, _parts(circle, date, program))
+    write_whole(path, content)
+    return path
+
+
+def _parts(circle: Circle, date: str, program: str) -> Iterator[Section | str]:
+    yield verdict(findings(circle))
+    yield tiles(_tiles(circle))
+    yield list_section("Procedure", _steps(circle))
+    yield _revealed(circle)
+    yield verification_section(
+        circle.geometry_alone,
+        "at held-out places: correction off (before) and on (after)",
+    )
+    yield paths_section(circle.paths)
+    outcome = circle.outcome
+    notes = (*outcome.agreement, *outcome.warnings)
+    yield from gap_parts(GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program))
+
+
+def _tiles(circle: Circle) -> Iterator[tuple[str, str, str]]:
+    yield (
+        "before",
+        f"{1e3 * circle.corrected.of('all').before.mean_m:.2f} mm",
+        "mean tip error, nominal model",
+    )
+    yield (
+        "before",
+        f"{1e3 * circle.geometry_alone.of('all').before.mean_m:.2f} mm",
+        "geometry identified, correction off",
+    )
+    yield "after", f"{1e3 * circle.corrected.of('all').after.mean_m:.2f} mm", "correction on"
+    yield (
+        "after",
+        f"{1e3 * circle.following_rad[1]:.3f} mrad",
+        (f"following error on the paths ({1e3 * circle.following_rad[0]:.3f} before)"),
+    )
+
+
+def _steps(circle: Circle) -> Iterator[str]:
+    minutes = sum(plan.duration_s for plan in circle.plans) / 60.0
+    motions = sum(len(plan.runs) for plan in circle.plans)
+    more = f", then {motions} motions, since the poses named no effect" if motions else ""
+    yield (
+        f"Recorded {len(circle.plans[0].visits)} poses on the mock arm with the nominal model{more}: {minutes:.1f}"
+        " minutes of arm time."
+    )
+    yield "Moved to held-out places and along a circle and a line with the nominal model; the camera measured."
+    yield (
+        "Analysed the recordings with the nominal arm.toml alone; named the missing effects and added them to a new"
+        " arm.toml."
+    )
+    yield "Started the runtime with the new arm.toml and moved to the same places with the correction off, then on."
+
+
+def _revealed(circle: Circle) -> Section:
+    found = {one.name.effect: one for one in circle.named if one.name.joint == circle.hidden.joint}
+    same = found.get(circle.hidden.effect)
+    rows = []
+    for key, value in circle.hidden.parameters.items():
+        known, sd = (
+            same.parameters.get(key, (float("nan"), float("nan"))) if same else (float("nan"), float("nan"))
+        )
+        rows.append(
+            (
+                ("text", key),
+                f"{value:.4g}",
+                "–" if known != known else f"{known:.4g}",
+                "–" if sd != sd else f"{sd:.2g}",
+            )
+        )
+    head = (("text", "parameter"), "hidden", "found", "sd")
+    return Section(
+        "Hidden effect",
+        paragraph(f"{circle.hidden}; the run had no access to it.") + table(head, rows),
+    )

@@ -26,12 +26,26 @@ from control.model import table as tables
 from control.model.arm import Arm, Table
 from control.progress import Advance
 from control.server.client import ArmClient
-from procedures.demo.handover import shut_down, start_again
 from procedures.mock import MockBench
 from procedures.ports import HandPort, RuntimePort
-from procedures.verify.models import Model
-from procedures.verify.places import SETUPS, places, ways
-from procedures.verify.survey import Programme, Survey, compared, paired
+from procedures.verify.survey import SETUPS, Model, Programme, Survey, compared, paired, places, ways
+
+
+def shut_down(arm: Arm, bench: MockBench, client: ArmClient) -> Path:
+    """Move to the rest pose, if there is one, and end the runtime there, with the tip held; returns its recording."""
+    if arm.rest is not None:
+        client.move_joints(arm.rest.q_rad, bench.speed)
+    HandPort(bench.rig.hand, bench.wait).seat(bench.rig.tip_m())
+    return bench.stop()
+
+
+def start_again(arm: Arm, bench: MockBench) -> ArmClient:
+    """Start a runtime with the model `arm`; its drives hold, homed, before the operator lets go."""
+    client = bench.start(arm)
+    client.enable()
+    bench.rig.hand.let_go()
+    client.home()  # at once where the boards still have their zeros
+    return client
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,11 +26,21 @@ from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table
 from control.progress import Advance
-from procedures.demo.paper_models import PaperModel, commands, models_of, table_says, with_friction
-from procedures.demo.paper_moves import GentlePose, Mover
-from procedures.demo.paper_page import paper_page
-from procedures.demo.paper_poses import SETUPS, Target, free_poses, other_trajectory, verification_targets
-from procedures.demo.paper_result import PaperReplay, document
+from procedures.demo.paper_models import (
+    SETUPS,
+    GentlePose,
+    Goal,
+    Mover,
+    PaperModel,
+    commands,
+    free_poses,
+    models_of,
+    other_trajectory,
+    table_says,
+    verification_targets,
+    with_friction,
+)
+from procedures.demo.paper_page import PaperReplay, document, paper_page
 from procedures.mock import MockBench
 
 BEFORE_SHARE, TABLE_SHARE, FREE_SHARE = 0.1, 0.42, 0.54  # share of the total time at the end of each part
@@ -82,7 +92,7 @@ class _Visits:
     """Moves the tip to the targets by a model of the arm and measures it with the camera."""
 
     mover: Mover
-    targets: Sequence[Target]
+    targets: Sequence[Goal]
     out: Path
     advance: Advance
 

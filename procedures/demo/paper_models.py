@@ -1,8 +1,9 @@
-"""The identified models of the replay, and the encoder angles that move their tips to targets."""
+"""What the replay of the paper does: its targets, how the arm is moved to them, and the models that are identified."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -12,11 +13,167 @@ from calib.arrays import Array
 from calib.calibration.outcome import calibrated_arm
 from calib.identify.identification import Identification, identify
 from calib.points.points import Points, make_points
+from calib.points.writer import PointsWriter, Record
+from calib.session.plan import Target
+from calib.session.sequence import BoardPoint
+from calib.session.take import SessionSettings, take
 from control.dynamics.static_pose import friction_Nm, gravity_Nm, resting, torque_per_A
 from control.kinematics.inverse import InverseKinematics
-from control.model.arm import Arm, Effect
-from procedures.demo.paper_moves import GentlePose
-from procedures.demo.paper_poses import SETUPS, Target
+from control.kinematics.kinematics import ForwardKinematics
+from control.model import table as tables
+from control.model.arm import Arm, Effect, Table, Vector3
+from control.server.client import ArmClient
+from procedures.mock import MockBench
+from procedures.ports import HandPort, RuntimePort
+
+SETUPS: Final = ("normal", "roll", "pitch")
+OTHER: Final = "other trajectory"
+HEIGHT_m: Final = 0.05  # above the board: an uncalibrated arm is some 3 cm off
+RADIUS_m: Final = 0.06
+POINTS: Final = 6  # "points 1-6" of the paper's verification trajectory
+STOPS: Final = 10
+FREE_COUNT: Final = 12
+CANDIDATES: Final = 2000
+FREE_HEIGHT_m: Final = 0.2  # of the tip above the base
+SHARE_OF_RANGE: Final = 0.85
+YAW_rad: Final = 1.2  # in front of the arm, visible to the camera
+TURNING: Final = 0.25  # of a joint's largest gravity torque: above this, friction does not change the flank
+
+Goal = tuple[str, str, Vector3]  # setup, point, tip in the base frame
+
+
+def verification_targets(table: Table) -> tuple[Goal, ...]:
+    """Between the cavities and above each tilt of the board; none of them is a calibration point."""
+    found = []
+    for setup in SETUPS:
+        for number in range(POINTS):
+            angle = 2.0 * np.pi * (number + 0.5) / POINTS
+            place = (RADIUS_m * float(np.cos(angle)), RADIUS_m * float(np.sin(angle)), HEIGHT_m)
+            found.append((setup, f"v{number + 1}", tables.to_base(table, setup, place)))
+    return tuple(found)
+
+
+def other_trajectory(table: Table) -> tuple[Goal, ...]:
+    """Stops on a slanting ellipse over the board, larger than it and higher: the paper's Table 6 and Fig. 10."""
+    turn = 2.0 * np.pi * np.arange(STOPS) / STOPS
+    place = np.column_stack((0.1 * np.cos(turn), 0.15 * np.sin(turn), 0.14 + 0.06 * np.sin(turn + 0.7)))
+    centre = np.array(tables.board_origin(table))
+    return tuple(
+        (OTHER, f"t{k + 1}", (float(x), float(y), float(z))) for k, (x, y, z) in enumerate(centre + place)
+    )
+
+
+def free_poses(arm: Arm, seed: int = 0) -> Array:
+    """Joint angles (FREE_COUNT, n) spread over the workspace, including poses where gravity changes sign.
+
+    Each next pose is the candidate farthest from those chosen, in joint angles and in gravity torques, where only
+    those near 0 differ.
+    """
+    lower, upper = np.clip(np.array(arm.limits_rad), -np.pi, np.pi).T
+    middle, half = 0.5 * (lower + upper), 0.5 * SHARE_OF_RANGE * (upper - lower)
+    half[0] = min(half[0], YAW_rad)
+    q = np.random.default_rng(seed).uniform(middle - half, middle + half, (CANDIDATES, arm.joint_count))
+    q = q[ForwardKinematics(arm).tips(q)[:, 2] > FREE_HEIGHT_m]
+    gravity = gravity_Nm(arm, q)
+    scale = np.maximum(TURNING * np.abs(gravity).max(axis=0), 1e-6)
+    turning = np.clip(gravity / scale, -1.0, 1.0)
+    features = np.hstack(((q - middle) / half, turning))
+    taken = [int(np.argmin(np.linalg.norm(features, axis=1)))]
+    distance = np.full(len(q), np.inf)
+    while len(taken) < FREE_COUNT:
+        distance = np.minimum(distance, np.linalg.norm(features - features[taken[-1]], axis=1))
+        taken.append(int(np.argmax(distance)))
+    return np.asarray(q[taken])
+
+
+# Motions and recording of the replay: poses approached gently from a given side, and cavities with the tip seated by hand.
+
+
+APPROACH_rad: Final = 0.06  # last approach of every joint: several times the backlash
+# Of the joints' limits, for the approach. At full speed the links' inertia throws the gears onto the other flank when the arm
+# brakes, which neither currents nor directions show; at 0.3, link friction brakes harder than the motors.
+GENTLE: Final = 0.3
+ABOVE_m: Final = 0.06  # an uncalibrated arm is some 3 cm off
+DIP_m: Final = 0.02  # below both ends: a path that dips lower goes over the rest pose
+
+
+@dataclass(frozen=True, slots=True)
+class GentlePose:
+    """Target encoder angles, and the sign of each joint's last motion."""
+
+    setup: str
+    point: str
+    q_rad: tuple[float, ...]
+    direction: tuple[int, ...]
+    repeat: int = 1
+
+
+class Mover:
+    """The bench's arm, commanded in encoder angles: its runtime knows the nominal arm; identified errors are corrected here."""
+
+    def __init__(self, arm: Arm, bench: MockBench, client: ArmClient) -> None:
+        self._arm, self._client = arm, client
+        self._inverse = InverseKinematics(arm)
+        self._port = RuntimePort(client, bench.speed, as_encoders=True)
+        self._gentle = RuntimePort(client, GENTLE * bench.speed, as_encoders=True)
+        self._hand = HandPort(bench.rig.hand, bench.wait)
+
+    @property
+    def q_rad(self) -> tuple[float, ...]:
+        """The pose by the encoders."""
+        return tuple(self._client.status()["q_rad"])
+
+    def visit(self, poses: Sequence[GentlePose], writer: PointsWriter) -> Iterator[Record]:
+        """Approach each pose gently; read encoders, motors and camera."""
+        for pose in poses:
+            start = inside(self._arm, np.array(pose.q_rad) - APPROACH_rad * np.array(pose.direction))
+            self._go(start)
+            self._gentle.move_to_q(pose.q_rad)
+            yield self._recorded(pose.setup, pose.point, pose.repeat, None, writer)
+
+    def seat(self, points: Sequence[BoardPoint], writer: PointsWriter) -> Iterator[Record]:
+        """Each cavity: move above it by the nominal model, then by hand with the drives off, as the authors did."""
+        for point in points:
+            x, y, z = (p + ABOVE_m * n for p, n in zip(point.tip_m, point.normal, strict=True))
+            above = self._inverse.nearest((x, y, z), self.q_rad)
+            self._port.move_to_q(above)
+            try:
+                self._port.release()
+                self._hand.seat(point.tip_m)
+                self._port.hold()
+                record = self._recorded(point.setup, point.point, point.repeat, point.tip_m, writer)
+            finally:
+                self._port.hold()
+                self._hand.let_go()
+            self._port.move_to_q(above)
+            yield record
+
+    def _go(self, q_rad: Array) -> None:
+        """Move quickly; over the rest pose if the straight path in joint angles dips towards the table."""
+        here = np.array(self.q_rad)
+        way = here + np.linspace(0.0, 1.0, 30)[:, None] * (q_rad - here)
+        height_m = self._inverse.kinematics.tips(way)[:, 2]
+        if self._arm.rest is not None and height_m.min() < min(height_m[0], height_m[-1]) - DIP_m:
+            self._port.move_to_q(self._arm.rest.q_rad)
+        self._port.move_to_q(q_rad.tolist())
+
+    def _recorded(
+        self, setup: str, point: str, repeat: int, tip_m: Vector3 | None, writer: PointsWriter
+    ) -> Record:
+        camera = self._port if tip_m is None else None
+        record = take(Target(setup, point, repeat), tip_m, self._port, SessionSettings(), camera)
+        writer.append(record)
+        return record
+
+
+def inside(arm: Arm, q_rad: Array) -> Array:
+    """The angles within the joints' limits."""
+    lower, upper = np.array(arm.limits_rad).T
+    return np.clip(q_rad, lower, upper)
+
+
+# The identified models of the replay, and the encoder angles that move their tips to targets.
+
 
 TILTS, FREE, BACKLASH = "all tilts", "tilts and free", "with backlash"
 
@@ -85,7 +242,7 @@ def with_friction(model: PaperModel, arm: Arm, points: Points) -> Arm:
     return dataclasses.replace(model.arm, effects=(*model.arm.effects, *shown))
 
 
-def commands(arm: Arm, targets: Sequence[Target], start_rad: Sequence[float]) -> tuple[GentlePose, ...]:
+def commands(arm: Arm, targets: Sequence[Goal], start_rad: Sequence[float]) -> tuple[GentlePose, ...]:
     """Encoder angles for tips, by the arm's own model; each joint comes from where it was.
 
     If the model has backlash, the angles are corrected for the predicted flank; a joint whose flank is

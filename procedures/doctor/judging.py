@@ -9,8 +9,8 @@ from control.loop.watch import DRIVE_FAULTS
 from control.model.arm import Arm, Drive
 from control.model.can_bus import FRAME_bits
 from firmware_iface.encoder import wire
+from procedures.doctor.boards import BoardSamples, EncoderSamples, MotorSamples
 from procedures.doctor.finding import Finding, Level, graded, percentile
-from procedures.doctor.sampling import BoardSamples, EncoderSamples, MotorSamples
 
 REPLY_S = 0.0005  # within which a board replies
 CLOCK_LIMITS_ppm = (500.0, 5000.0)  # speeds are computed by board time: half a percent off is bad

@@ -28,9 +28,20 @@ from hil_mocks.devices.odrive import OdriveMock
 from hil_mocks.devices.roboclaw import RoboClawLineMock
 from hil_mocks.devices.vesc import VescMock
 from hil_mocks.scenario import FaultTable
-from procedures.drills.drill import LOOKED, WATCHED_S
-from procedures.drills.promise import GOES_ON, DrillOutcome, Promise, length_m, stood_s
-from procedures.drills.stage import REST, UNDER_WAY_S, Stage, TO_rad, stage
+from procedures.drills.drill import (
+    GOES_ON,
+    LOOKED,
+    REST,
+    UNDER_WAY_S,
+    WATCHED_S,
+    DrillOutcome,
+    Promise,
+    Stage,
+    TO_rad,
+    length_m,
+    stage,
+    stood_s,
+)
 from procedures.on_boards import on_boards
 
 HOLDING = ("dynamixel", "feetech", "odrive", "cia402", "moteus")

@@ -1,22 +1,271 @@
-"""All drills, by name. docs/drills.md has what each measured, docs/safety.md what is promised."""
+"""All drills by name, and what can be done to an arm on the stage: the mock's faults, a man in the middle on its wires, a
+host that is away.
+"""
 
-from collections.abc import Iterator
+import random
+import struct
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+import msgspec
 
 from control.errors import ArmError
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
-from procedures.drills import injectors as do
+from control.motion.plan import plan_path
+from control.server.messages import asked
+from firmware_iface.link import FrameLink
+from firmware_iface.motor.wire import COMMAND_ID, SetpointMode
+from hil_mocks.assembly import build_motor_board
+from hil_mocks.wiring import wiring_of
 from procedures.drills.boards import BoardsDrill
-from procedures.drills.drill import Drill
-from procedures.drills.files import FileDrill
-from procedures.drills.injectors import MOTORS, Inject, fault
+from procedures.drills.drill import GOES_ON, HOME, MOVE, PERIOD_S, REST, SESSION, Drill, Promise, Stage
+from procedures.drills.files import GONE, DiskDrill, EmptiedDrill, FileDrill, LookedAtDrill, RealTimeDrill
 from procedures.drills.pair import PairDrill
-from procedures.drills.promise import GOES_ON, Promise
-from procedures.drills.realtime import GONE, DiskDrill, EmptiedDrill, LookedAtDrill, RealTimeDrill
 from procedures.drills.session import SessionDrill
-from procedures.drills.stage import HOME, MOVE, REST, SESSION
+
+Inject = Callable[[Stage], None]
+MOTORS = ("motor1", "motor2", "motor3")
+HOST_MOST_ID = 0x27F  # COMMAND 0x100, PARAMETER_REQUEST 0x200, emergency stop 0: docs/motor_board.md
+ENABLE_OPERATION = 0x0F
+PASSIVE_AFTER_S = 0.01  # of errors: a controller leaves the bus soon
+SEED = 1
+GUEST = 1  # another connection than the drill's own
+NAN = float("nan")
+_VALUES: tuple[Any, ...] = (None, NAN, 1e308, -1e308, "0.1", True, [], {}, [[0.0]], 10**30)
+NONSENSE: tuple[dict[str, Any], ...] = (
+    *({"do": "move_joints", "q_rad": [value, 0.0, 0.0]} for value in _VALUES if value is not True),
+    *({"do": "jog", "joint": value, "speed": 0.1} for value in _VALUES if value is not True),
+    *({"do": "override", "fraction": value} for value in _VALUES),
+    *({"do": "payload", "mass_kg": value} for value in _VALUES),
+    {"do": "move_joints", "q_rad": [0.0, 0.0]},
+    {"do": "move_joints", "q_rad": [9.0, 0.0, 0.0]},
+    {"do": "run_path", "path": {"spline": 1}},
+    {"do": "run_joints", "path": {}},
+    {"do": "explode"},
+)
+COMMANDS: tuple[dict[str, Any], ...] = (
+    {"do": "move_joints", "q_rad": [0.5, -0.3, 0.4]},
+    {"do": "jog", "joint": 1, "speed": 0.1},
+    {"do": "home", "again": True},
+    {"do": "guide"},
+    {"do": "override", "fraction": 0.5},
+    {"do": "payload", "mass_kg": 1.0},
+    {"do": "enable"},
+    {"do": "resume"},
+    {"do": "control", "take": True},
+)
+CONTRADICTING: tuple[dict[str, Any], ...] = (*COMMANDS[:4], {"do": "hold"})
+MEETING: tuple[dict[str, Any], ...] = (
+    {"do": "move_joints", "q_rad": [0.0, -1.9, -0.6]},  # the tip through the table
+    {"do": "move_joints", "q_rad": [-0.8, -1.8, 0.2]},  # beside it, through the floor
+    {"do": "move_joints", "q_rad": [2.5, -1.9, -1.1]},  # on the far side of the base
+)
+UNREACHABLE = ((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), (0.0, 0.0, -0.5), (0.05, 0.0, 0.1))
+
+
+def fault(kind: str, *boards: str, **keys: float) -> Inject:
+    """A fault of docs/mock_robot.md on some boards."""
+
+    def inject(played: Stage) -> None:
+        for board in boards:
+            played.inject(kind, board, **keys)
+
+    return inject
+
+
+def both(*injects: Inject) -> Inject:
+    """Several at once."""
+
+    def inject(played: Stage) -> None:
+        for one in injects:
+            one(played)
+
+    return inject
+
+
+def away(duration_s: float) -> Inject:
+    """The loop is paused, or dead and another one looks later."""
+    return lambda played: played.away(duration_s)
+
+
+def stop_at(delay_s: float) -> Inject:
+    """Somebody presses stop."""
+
+    def inject(played: Stage) -> None:
+        played.run(delay_s)
+        played.client.ask("stop")
+
+    return inject
+
+
+def brake(played: Stage) -> None:
+    """Somebody has the arm braked."""
+    played.client.ask("brake")
+
+
+def payload(mass_kg: float) -> Inject:
+    """A mass at the tip that the runtime is not told of."""
+
+    def inject(played: Stage) -> None:
+        played.rig.set_payload(mass_kg)
+        played.undo.callback(played.rig.set_payload, 0.0)
+
+    return inject
+
+
+def let_go(mass_kg: float) -> Inject:
+    """The drives carry the arm for a hand that guides it, but not this mass at its tip."""
+
+    def inject(played: Stage) -> None:
+        payload(mass_kg)(played)
+        played.client.guide(weightless=True)
+
+    return inject
+
+
+def serial_gone(played: Stage) -> None:
+    """The serial port vanishes."""
+    played.rig.wires.serial[0].vanish()
+
+
+def bus_off(played: Stage) -> None:
+    """The host's CAN controller leaves the bus."""
+    for board in MOTORS:
+        played.inject("silent", board)
+    played.rig.wires.bus_off()
+
+
+def serial_noise(most_bytes: int) -> Inject:
+    """Bursts of noise between the frames of the encoder board."""
+
+    def inject(played: Stage) -> None:
+        source = random.Random(SEED)
+        wire = played.rig.wires.serial[0]
+        played.each_cycle.append(lambda: wire.write(source.randbytes(source.randrange(most_bytes))))
+
+    return inject
+
+
+def can_flood(frames_a_cycle: int) -> Inject:
+    """Frames of other devices on the bus: any id that no board of ours listens to or sends."""
+
+    def inject(played: Stage) -> None:
+        source, guest = random.Random(SEED), _guest(played)
+
+        def send() -> None:
+            for _ in range(frames_a_cycle):
+                guest.send(source.randrange(0x400, 0x800), source.randbytes(8))  # above those of digital pins
+
+        played.each_cycle.append(send)
+
+    return inject
+
+
+def can_full(played: Stage) -> None:
+    """No frame of the host gets onto the bus."""
+    played.undo.enter_context(played.rig.wires.full_bus())
+
+
+def wrong_bit_rate(played: Stage) -> None:
+    """A device at another bit rate is plugged in: nothing but errors, until the controllers leave the bus."""
+    for board in MOTORS:
+        played.inject("silent", board)
+    wires, begun_s = played.rig.wires, played.now_s
+
+    def errors() -> None:
+        if played.now_s - begun_s < PASSIVE_AFTER_S:
+            wires.bit_error()
+        else:
+            wires.bus_off()
+
+    played.each_cycle.append(errors)
+
+
+def second_board(joint: int) -> Inject:
+    """A board fresh from its box, with the node id of another one, is plugged in."""
+
+    def inject(played: Stage) -> None:
+        guest, wired = _guest(played), wiring_of(played.arm, played.rig.scenario)[joint]
+        board = build_motor_board(wired, played.rig.scenario, lambda: 0)
+
+        def answer() -> None:
+            board.tick(played.now_s, 0.0, 24.0, False)
+            for can_id, payload in guest.receive():
+                if can_id & 0xF == wired.motor_node and can_id <= HOST_MOST_ID:
+                    for reply_id, reply in board.receive(can_id, payload, played.now_s):
+                        guest.send(reply_id, reply)
+
+        played.each_cycle.append(answer)
+
+    return inject
+
+
+def another_host(node: int, volts: float) -> Inject:
+    """Another program commands a board, cycle after cycle."""
+    command = struct.pack("<BBih", ENABLE_OPERATION, SetpointMode.VOLTAGE, round(volts * 1e3), 0)
+
+    def inject(played: Stage) -> None:
+        guest = _guest(played)
+        played.each_cycle.append(lambda: guest.send(COMMAND_ID + node, command))
+
+    return inject
+
+
+def clock_stepped(step_s: float) -> Inject:
+    """The time of day is set, by hand or by the network."""
+
+    def inject(played: Stage) -> None:
+        was_s = time.time
+        played.undo.enter_context(patch.object(time, "time", lambda: was_s() + step_s))
+
+    return inject
+
+
+def refused(requests: Sequence[dict[str, Any]], client: int | None = None) -> Inject:
+    """Requests that must all be refused; one that is served is a fault of its own."""
+
+    def inject(played: Stage) -> None:
+        for request in requests:
+            if client is None:
+                answer = played.request(request)
+            else:
+                answer = played.assembly.requests.handle(asked(msgspec.json.encode(request)), client)
+            if answer["ok"]:
+                played.found = (*played.found, f"served: {request}")
+            played.run(PERIOD_S)
+
+    return inject
+
+
+def unplanned(goals: Sequence[Sequence[float]]) -> Inject:
+    """Tip goals, by a straight line, that no plan may reach."""
+
+    def inject(played: Stage) -> None:
+        q_rad = played.client.status()["joint_rad"]
+        start = ForwardKinematics(played.arm).tip(*q_rad)
+        for goal in goals:
+            with suppress(ArmError):
+                plan_path(played.arm, [start, goal], 0.2, q_near_rad=q_rad)
+                played.found = (*played.found, f"planned: {goal}")
+
+    return inject
+
+
+def _guest(played: Stage) -> FrameLink:
+    """Another device on the bus."""
+    guest = played.rig.wires.guest()
+    played.undo.callback(guest.close)
+    return guest
+
+
+# All drills, by name. docs/drills.md has what each measured, docs/safety.md what is promised.
+
 
 SUFFIX = {REST: "rest", MOVE: "motion", HOME: "homing", SESSION: "session"}
 
@@ -85,20 +334,20 @@ def _frames() -> Iterator[Promise]:
     yield from _each("serial-late", "encoder reports 30 ms late", late, "encoder_stale")
     late = fault("delay_frames", "motor2", value=0.03)
     yield from _each("can-late", "replies 30 ms late", late, "drive_silent")
-    yield from _each("serial-noise", "noise between the encoder's frames", do.serial_noise(40), "")
-    yield from _each("can-flood", "20 foreign frames a cycle", do.can_flood(20), "")
+    yield from _each("serial-noise", "noise between the encoder's frames", serial_noise(40), "")
+    yield from _each("can-flood", "20 foreign frames a cycle", can_flood(20), "")
 
 
 def _buses() -> Iterator[Promise]:
-    yield from _each("serial-gone", "serial port vanishes", do.serial_gone, "link")
-    yield from _each("bus-off", "CAN bus off", do.bus_off, "link")
-    yield from _each("bus-full", "CAN transmit buffer full", do.can_full, "link")
+    yield from _each("serial-gone", "serial port vanishes", serial_gone, "link")
+    yield from _each("bus-off", "CAN bus off", bus_off, "link")
+    yield from _each("bus-full", "CAN transmit buffer full", can_full, "link")
     says = "a device at a wrong bit rate on the bus"
-    yield from _each("bit-rate", says, do.wrong_bit_rate, "link")
+    yield from _each("bit-rate", says, wrong_bit_rate, "link")
     says = "another board with the id of motor board 2"
-    yield from _each("same-id", says, do.second_board(1), "link", most=BRAKES)
+    yield from _each("same-id", says, second_board(1), "link", most=BRAKES)
     says = "another program commands 6 V to motor board 2"
-    yield from _each("another-host", says, do.another_host(2, 6.0), "link", most=BRAKES, during=(REST, MOVE))
+    yield from _each("another-host", says, another_host(2, 6.0), "link", most=BRAKES, during=(REST, MOVE))
 
 
 def _boards() -> Iterator[Promise]:
@@ -122,7 +371,7 @@ def _boards() -> Iterator[Promise]:
         during=(REST, MOVE, HOME, SESSION),
     )  # fmt: skip
     for board, most in (("encoder", HOLDS), ("motor2", BRAKES)):
-        swapped = do.both(fault("board_reset", board), fault("wrong_identity", board, value=4711))
+        swapped = both(fault("board_reset", board), fault("wrong_identity", board, value=4711))
         name, says = f"{board.rstrip('2')}-swapped", f"another {board.rstrip('2')} board is plugged in"
         for drill in _each(name, says, swapped, "link", during=(REST, MOVE), most=most):
             assert isinstance(drill, Drill)
@@ -190,7 +439,7 @@ def _motors() -> Iterator[Promise]:
     says, jammed = "the gear of joint 1 jams", fault("stuck_joint", "motor1")
     yield from _each("jammed", says, jammed, RESISTED, most=YIELDS, during=(MOVE, HOME, SESSION))
     says = "3 kg of unstated payload at the tip"
-    yield from _each("payload", says, do.payload(3.0), "unexplained_torque", most=YIELDS)
+    yield from _each("payload", says, payload(3.0), "unexplained_torque", most=YIELDS)
     trip = "motor board 2 trips"
     inject = fault("over_current", "motor2")
     # Not in a session: the mock has no table, through which the arm would fall.
@@ -216,36 +465,34 @@ def _host() -> Iterator[Promise]:
     for pause_s in (0.02, 0.05, 0.1, 0.17, 0.19):
         says = f"loop paused {pause_s * 1e3:.0f} ms"
         codes = "loop_late" if pause_s > 0.18 else ""
-        yield from _each(f"pause-{pause_s * 1e3:.0f}", says, do.away(pause_s), codes)
-    killed = do.away(1.9)
+        yield from _each(f"pause-{pause_s * 1e3:.0f}", says, away(pause_s), codes)
+    killed = away(1.9)
     yield from _each("killed", "loop killed, another 1.9 s later", killed, "drive_fault", 2.0)
     for step_s in (-3600.0, 3600.0):
         name = "clock-back" if step_s < 0.0 else "clock-ahead"
         says = f"time of day stepped by {step_s / 3600.0:+.0f} h"
-        yield from _each(name, says, do.clock_stepped(step_s), "")
+        yield from _each(name, says, clock_stepped(step_s), "")
     for delay_s in (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7):
         name, says = f"stop-{delay_s * 1e3:.0f}-motion", f"stop pressed {delay_s * 1e3:.0f} ms later"
-        yield Drill(name, says, MOVE, GOES_ON, most_mm=2.0, inject=do.stop_at(delay_s))
-    yield from _each("brake", "brake pressed", do.brake, "brake", most=BRAKES, during=(MOVE, HOME))
+        yield Drill(name, says, MOVE, GOES_ON, most_mm=2.0, inject=stop_at(delay_s))
+    yield from _each("brake", "brake pressed", brake, "brake", most=BRAKES, during=(MOVE, HOME))
     says = "guided by hand with gravity compensation and 1.5 kg of unstated payload, and let go"
-    yield from _each("guided-payload", says, do.let_go(1.5), "guided_too_fast", 0.5, FALLS, (REST,))
-    yield Drill(
-        "stop-homing", "stop pressed while homing", HOME, GOES_ON, most_mm=2.0, inject=do.stop_at(0.2)
-    )
+    yield from _each("guided-payload", says, let_go(1.5), "guided_too_fast", 0.5, FALLS, (REST,))
+    yield Drill("stop-homing", "stop pressed while homing", HOME, GOES_ON, most_mm=2.0, inject=stop_at(0.2))
 
 
 def _requests() -> Iterator[Promise]:
     every = (REST, MOVE, HOME)
     yield from _each("nonsense", "40 requests with wrong types, NaN, values out of range",
-                     do.refused(do.NONSENSE), "", during=every)  # fmt: skip
-    yield from _each("contradiction", "requests that do not fit what goes on", do.refused(do.CONTRADICTING), "",
+                     refused(NONSENSE), "", during=every)  # fmt: skip
+    yield from _each("contradiction", "requests that do not fit what goes on", refused(CONTRADICTING), "",
                      during=(MOVE, HOME))  # fmt: skip
-    yield from _each("two-clients", "a second client commands", do.refused(do.COMMANDS, do.GUEST), "",
+    yield from _each("two-clients", "a second client commands", refused(COMMANDS, GUEST), "",
                      during=(MOVE, HOME))  # fmt: skip
     yield from _each("table-in-the-way", "moves that would meet the table, the floor or the base",
-                     do.refused(do.MEETING), "", during=(REST,))  # fmt: skip
+                     refused(MEETING), "", during=(REST,))  # fmt: skip
     yield from _each("singularity", "lines out of reach, and through a singularity",
-                     do.unplanned(do.UNREACHABLE), "", during=(REST,))  # fmt: skip
+                     unplanned(UNREACHABLE), "", during=(REST,))  # fmt: skip
 
 
 def _in_real_time() -> Iterator[Promise]:

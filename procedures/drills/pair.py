@@ -22,9 +22,19 @@ from control.server.client import ArmClient
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
 from hil_mocks.scenario import FaultTable, Start, load_scenario
-from procedures.drills.drill import LOOKED
-from procedures.drills.promise import DrillOutcome, Promise, length_m, stood_s
-from procedures.drills.stage import REST, SETTLED_S, THINNED, UNDER_WAY_S, off_way_m, wired_as_real
+from procedures.drills.drill import (
+    LOOKED,
+    REST,
+    SETTLED_S,
+    THINNED,
+    UNDER_WAY_S,
+    DrillOutcome,
+    Promise,
+    length_m,
+    off_way_m,
+    stood_s,
+    wired_as_real,
+)
 from procedures.guiding import PERIOD_S as FOLLOWS_S
 from procedures.guiding import Following
 from procedures.mock import CellBench

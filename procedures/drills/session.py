@@ -25,9 +25,18 @@ from control.errors import ArmError
 from control.safety.table import Mode
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
-from procedures.drills.drill import WATCHED_S
-from procedures.drills.promise import DrillOutcome, Promise, length_m, stood_s
-from procedures.drills.stage import PERIOD_S, THINNED, Stage, off_way_m, stage
+from procedures.drills.drill import (
+    PERIOD_S,
+    THINNED,
+    WATCHED_S,
+    DrillOutcome,
+    Promise,
+    Stage,
+    length_m,
+    off_way_m,
+    stage,
+    stood_s,
+)
 from procedures.ports import HandPort, MockHandSeat, RuntimePort
 
 POINTS = ("1", "5")

@@ -19,8 +19,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
 from control.model.board_kinds import KINDS
 from procedures.new_arm.answers import Answers, ChosenParts
-from procedures.new_arm.motors import SERVOS, JointLoad, WITHOUT_LIMIT_rad, drives, loads, range_of
-from procedures.new_arm.stretched import is_level
+from procedures.new_arm.motors import SERVOS, JointLoad, WITHOUT_LIMIT_rad, drives, is_level, loads, range_of
 from procedures.on_boards import on_boards, serial_lines
 
 NO_FLOOR_z_m = -10.0  # below every arm: the lowest that arm.toml takes

@@ -27,8 +27,7 @@ from control.model import table as tables
 from control.model.arm import Arm, Effect
 from control.progress import Advance
 from control.server.client import ArmClient
-from procedures.verify.models import Model, ModelPair
-from procedures.verify.survey import Programme, Survey, compared, paired, raw_points
+from procedures.verify.survey import Model, ModelPair, Programme, Survey, compared, paired, raw_points
 
 
 @dataclass(slots=True)

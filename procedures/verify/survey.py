@@ -1,19 +1,20 @@
-"""One model's part of a verification: planned before anything moves, then visits of the points and runs of the paths.
+"""One model's part of a verification: places and paths, planned before anything moves, then visited and run.
 
 The arm is moved by either model, whichever the runtime uses, and the camera measures. Points and paths go to the runtime as
 joint angles by the model's inverse kinematics, which need no geometry in the loop.
-
-Only the runtime can correct effects between joints and encoders (backlash, springs, belt, encoder errors). For a model with
-the same effects as the runtime's, motions are given in joint angles; for one without any, in encoder angles.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from calib.arm_problem.assembly import base_frame_of
+from calib.arm_problem.frames import Frame
 from calib.arrays import frozen
 from calib.points.points import Points, joined, make_points
 from calib.points.reading import read_points
@@ -21,8 +22,14 @@ from calib.points.writer import PointsWriter
 from calib.session.plan import Target
 from calib.session.take import SessionSettings
 from calib.validation.verify import Comparison, Track, TrackPair, compare_repeated
-from control.errors import ArmError
-from control.model.arm import Arm
+from control.dynamics.joint_side import SIDE_EFFECTS
+from control.errors import ArmError, MissingModel
+from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import ForwardKinematics
+from control.model import table as tables
+from control.model.arm import Arm, Table, Vector3
+from control.model.description import arm_names, load_arm
+from control.model.fingerprint import fingerprint
 from control.motion.guard import Guard
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
@@ -33,10 +40,200 @@ from control.recording.frame_decoder import row_type
 from control.recording.parts import parts_from
 from control.recording.reading import Recording
 from control.safety.table import Mode
+from control.server.channel import Message
 from control.server.client import ArmClient
 from procedures.tour import Bench, How, Stop, tour
-from procedures.verify.models import Model
-from procedures.verify.places import Place, Way
+
+
+class Model:
+    """One model of the arm, and what is needed to move the tip in the frame of table and camera."""
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.frame: Frame = base_frame_of(arm)
+
+    @cached_property
+    def kinematics(self) -> ForwardKinematics:
+        """Forward kinematics of this model."""
+        return self.inverse.kinematics
+
+    @cached_property
+    def inverse(self) -> InverseKinematics:
+        """Inverse kinematics of this model."""
+        return InverseKinematics(self.arm)
+
+    @cached_property
+    def gears(self) -> frozenset[tuple[object, ...]]:
+        """Effects of the model between joints and encoders."""
+        return frozenset(
+            (e.effect, e.joint, *sorted(e.parameters.items()))
+            for e in self.arm.effects
+            if e.effect in SIDE_EFFECTS
+        )
+
+    def has_gears_of(self, runtime_model: "Model") -> bool:
+        """Whether a runtime with the other model corrects exactly this model's gear effects."""
+        return self.gears == runtime_model.gears
+
+    def in_base(self, point_m: Sequence[float]) -> Vector3:
+        """A point of the frame of table and camera, in the model's base frame."""
+        x, y, z = self.frame.to_base(np.array([point_m]))[0].tolist()
+        return x, y, z
+
+    def tips(self, q_rad: np.ndarray) -> np.ndarray:
+        """Tips (m, 3) of poses (m, n), in the frame of table and camera."""
+        return self.seen(self.kinematics.tips(q_rad))
+
+    def seen(self, base_m: np.ndarray) -> np.ndarray:
+        """Points (m, 3) of the model's base frame, in the frame of table and camera."""
+        return np.asarray((base_m - self.frame.origin_m) @ self.frame.rotation)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelPair:
+    """The two models that are compared."""
+
+    nominal: Model
+    calibrated: Model
+
+
+def nominal_of(calibrated: Arm, against: str | None) -> Arm:
+    """The arm that a calibrated one is compared with: the given one, or the one that it was calibrated from.
+
+    ArmError if its file does not name one, the file is missing, or the two have other joints. Fixed rows and the convention may
+    differ: each model predicts by its own.
+    """
+    nominal = load_arm(against or _source_of(calibrated))
+    if nominal.joint_count != calibrated.joint_count:
+        shapes = [
+            f"{arm.joint_count} joints, {len(arm.links)} links and {arm.dh_convention} DH"
+            for arm in (nominal, calibrated)
+        ]
+        raise ArmError(f"{calibrated.path} has {shapes[1]}, {nominal.path} {shapes[0]}: not the same arm")
+    return nominal
+
+
+def _source_of(calibrated: Arm) -> str:
+    if calibrated.calibration is None:
+        raise ArmError(
+            f"{calibrated.path}: has no [calibration], so its nominal arm is unknown; give it with --against"
+        )
+    source = calibrated.calibration.source
+    beside = (calibrated.path or Path()).parent / source
+    for candidate in (beside, Path(source)):
+        if candidate.is_file() and (calibrated.path is None or not candidate.samefile(calibrated.path)):
+            return str(candidate)
+    if Path(source).stem in arm_names():
+        return Path(source).stem
+    raise ArmError(
+        f"{calibrated.path}: its nominal arm {source} was found neither beside it nor in this folder; give it with"
+        " --against"
+    )
+
+
+def active_model(status: Message, pair: ModelPair) -> Model:
+    """The model of the pair that the runtime uses. ArmError if neither."""
+    if not status["is_homed"] or status["tip_m"] is None:
+        raise ArmError("the arm is not homed, so its angles are unknown: run `armwright home`")
+    for model in (pair.calibrated, pair.nominal):
+        if fingerprint(model.arm) == status["fingerprint"]:
+            return model
+    raise ArmError(
+        f"the runtime uses another arm than {pair.calibrated.arm.path} or {pair.nominal.arm.path}, so its tip"
+        " positions would differ; start `armwright serve` with one of the two"
+    )
+
+
+# Places of a verification: points between the cavities and paths above every tilt of the board, 5 cm up.
+#
+# No pose here is one of calibration's, which are in the cavities. The board need not be present.
+
+
+SETUPS = ("normal", "roll", "pitch")
+HEIGHT_m = 0.05  # above the board: an uncalibrated arm is some 3 cm off
+POINTS = 6
+POINTS_RADIUS = 2.0 / 3.0  # of the outermost cavity's
+CIRCLE_POINTS = 24
+LINE_POINTS = 9
+_LEAST_RADIUS_m = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A verification point: the wanted tip position in the frame of table and camera.
+
+    `near_rad`: the posture near which an arm with free joints reaches it; None: that of the point before.
+    """
+
+    setup: str
+    point: str
+    tip_m: Vector3
+    near_rad: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A path to run: its name, the tilt of the board that it is parallel to, way-points in the frame of table and camera."""
+
+    name: str
+    setup: str
+    waypoints: Waypoints
+
+
+def places(table: Table, setups: Sequence[str], height_m: float = HEIGHT_m) -> tuple[Place, ...]:
+    """Six points on a circle above each tilt, between the cavities. MissingModel if the board's pose is unknown."""
+    radius = POINTS_RADIUS * _radius_m(table)
+    return tuple(
+        Place(setup, f"v{number + 1}", _above(table, setup, radius, (number + 0.5) / POINTS, height_m))
+        for setup in setups
+        for number in range(POINTS)
+    )
+
+
+def ways(table: Table, setups: Sequence[str], height_m: float = HEIGHT_m) -> tuple[Way, ...]:
+    """A circle, and a straight line across the board's own, above each tilt."""
+    return tuple(
+        Way(name, setup, Waypoints(tuple(points), None))
+        for setup in setups
+        for name, points in (
+            ("circle", _circle(table, setup, height_m)),
+            ("line", _line(table, setup, height_m)),
+        )
+    )
+
+
+def _circle(table: Table, setup: str, height_m: float) -> list[Vector3]:
+    radius = _radius_m(table)
+    turns = [number / CIRCLE_POINTS for number in range(CIRCLE_POINTS)]
+    return [_above(table, setup, radius, turn, height_m) for turn in (*turns, 0.0)]
+
+
+def _line(table: Table, setup: str, height_m: float) -> list[Vector3]:
+    """Along the board's y axis; the cavities' line runs along x."""
+    radius = _radius_m(table)
+    shares = [2.0 * number / (LINE_POINTS - 1) - 1.0 for number in range(LINE_POINTS)]
+    return [tables.to_base(table, setup, (0.0, share * radius, height_m)) for share in shares]
+
+
+def _above(table: Table, setup: str, radius_m: float, turn: float, height_m: float) -> Vector3:
+    angle = 2.0 * math.pi * turn
+    return tables.to_base(table, setup, (radius_m * math.cos(angle), radius_m * math.sin(angle), height_m))
+
+
+def _radius_m(table: Table) -> float:
+    """Distance of the outermost cavity from the board's centre."""
+    radius = max((math.hypot(x, y) for x, y, _ in tables.board_cavities(table).values()), default=0.0)
+    if radius < _LEAST_RADIUS_m:
+        raise MissingModel(
+            f"the table's cavities reach {radius:.3f} m from the board's centre, expected at least {_LEAST_RADIUS_m}"
+            " m for the verification points and paths"
+        )
+    return radius
+
+
+# Only the runtime can correct effects between joints and encoders (backlash, springs, belt, encoder errors). For a model with
+# the same effects as the runtime's, motions are given in joint angles; for one without any, in encoder angles.
+
 
 AVERAGE_s = 0.2  # 20 camera frames
 

@@ -37,7 +37,7 @@ from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
 from control.recording.reading import Recording
 from hil_mocks.scenario import load_scenario
-from procedures.bringup.journal import Journal
+from procedures.bringup.procedure import Journal
 from procedures.gap.recording import RunFile
 from procedures.session.operator import BadCommand, parse_command
 

@@ -27,7 +27,7 @@ from firmware_iface.encoder import wire
 from firmware_iface.mocap import qtm_wire
 from firmware_iface.motor import wire as motor_wire
 from hil_mocks.devices.mocap import NatNetMock, QtmMock
-from procedures.bringup.journal import Journal
+from procedures.bringup.procedure import Journal
 from tests.calib.capture.recordings import both, c3d_bytes, vicon_csv
 from tests.firmware_iface.mocap.test_bodies import VICON
 from tests.firmware_iface.mocap.test_streams import NATNET_3, NATNET_41, QTM, SCENE, SETUP

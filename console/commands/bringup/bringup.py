@@ -10,11 +10,17 @@ from pathlib import Path
 from control.errors import ArmError
 from control.model.arm import Arm, Drive
 from control.model.description import save_arm
-from procedures.bringup.findings import Diagnosis
-from procedures.bringup.journal import Journal, brought_up
-from procedures.bringup.opening import Setting, open_bench, opened
-from procedures.bringup.operator import BringupOperator, Stopped, TerminalOperator
-from procedures.bringup.procedure import BringupOptions, BringupOutcome, bring_up, caution_of
+from procedures.bringup.bench import Setting, open_bench, opened
+from procedures.bringup.diagnosis import Diagnosis
+from procedures.bringup.procedure import (
+    BringupOptions,
+    BringupOutcome,
+    Journal,
+    bring_up,
+    brought_up,
+    caution_of,
+)
+from procedures.bringup.workbench import BringupOperator, Stopped, TerminalOperator
 from procedures.folders import require_writable
 
 FASTEST_rad_s = 1.0
@@ -66,7 +72,7 @@ def _options(given: argparse.Namespace, arm: Arm, journal: Journal) -> BringupOp
 @contextlib.contextmanager
 def _operator(given: argparse.Namespace, setting: Setting) -> Iterator[BringupOperator]:
     if setting.rig is not None:
-        from procedures.bringup.operator import MockOperator
+        from procedures.bringup.workbench import MockOperator
 
         yield MockOperator(setting.rig)
         return

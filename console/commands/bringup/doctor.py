@@ -11,14 +11,11 @@ from pathlib import Path
 from control.errors import ArmError
 from control.model.arm import Arm
 from firmware_iface.clock import Clock
-from procedures.bringup.opening import opened
-from procedures.doctor.boards import open_boards
+from procedures.bringup.bench import opened
+from procedures.doctor.boards import open_boards, sample
 from procedures.doctor.finding import Finding, Level, as_json, as_text, verdict, worst
-from procedures.doctor.host import look_at_host
+from procedures.doctor.host import look_at_host, look_at_last_recording, look_at_links, look_at_ports
 from procedures.doctor.judging import judge
-from procedures.doctor.links import look_at_links, look_at_ports
-from procedures.doctor.recordings import look_at_last_recording
-from procedures.doctor.sampling import sample
 
 LONGEST_S = 600.0
 

@@ -9,7 +9,7 @@ from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import save_arm
-from procedures.bringup.opening import opened
+from procedures.bringup.bench import opened
 from procedures.folders import require_writable
 from procedures.tuning.procedure import NotTuned, TuningOptions, TuningResult, tunable, tune
 
@@ -70,7 +70,7 @@ def _allowed(arm: Arm, options: TuningOptions) -> bool:
 def _write(result: TuningResult, draft: Arm, out: Path, page: Path) -> None:
     from dataclasses import replace
 
-    from procedures.tuning.report import header, rows, worst_pose, write_report
+    from procedures.tuning.procedure import header, rows, worst_pose, write_report
 
     pids = {drive.joint: drive.pid for drive in result.arm.drives}
     drives = tuple(replace(drive, pid=pids[drive.joint]) for drive in draft.drives)

@@ -22,8 +22,8 @@ from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_writable
-from procedures.gap.captured import on_one_clock, with_tips
 from procedures.gap.recording import log_text
+from procedures.gap.timing import on_one_clock, with_tips
 
 
 def run(given: argparse.Namespace) -> int:

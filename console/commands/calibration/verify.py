@@ -22,10 +22,17 @@ from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import free_folder, require_writable
 from procedures.ports import camera_said
-from procedures.verify.models import Model, ModelPair, active_model, nominal_of
-from procedures.verify.places import places, ways
 from procedures.verify.procedure import SurveyPair, driven, on_recorded, write
-from procedures.verify.survey import Programme, wait_until_recorded
+from procedures.verify.survey import (
+    Model,
+    ModelPair,
+    Programme,
+    active_model,
+    nominal_of,
+    places,
+    wait_until_recorded,
+    ways,
+)
 
 REAL_SPEED = 0.5  # of a real arm's joint limits
 

@@ -16,10 +16,16 @@ from control.model.cell import Cell, load_cell
 from control.server.client import ArmClient
 from hil_mocks.scenario import load_scenario
 from procedures.folders import require_writable
-from procedures.session.interface import SPEED, Interface, last_s, ready, require_same, since_start_s
-from procedures.session.mock_session import SCENARIO, mock_pair
-from procedures.session.operator import ContactWords
-from procedures.session.pair_station import MockPairHand, Names, pair_station
+from procedures.session.mock_session import SCENARIO, MockPairHand, Names, mock_pair, pair_station
+from procedures.session.operator import (
+    SPEED,
+    ContactWords,
+    Interface,
+    last_s,
+    ready,
+    require_same,
+    since_start_s,
+)
 from procedures.session.planning import OPTIONS
 
 OF_BOTH = ("seat",)  # options that both kinds of session have

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from console.commands.bringup.bringup import figures_in_words
-from procedures.bringup.findings import Diagnosis
+from procedures.bringup.diagnosis import Diagnosis
 from tests.cell import RIGHT
 
 

@@ -17,7 +17,7 @@ from control.safety.table import Mode
 from control.server.server import CLIENT_LIMIT, STOP_PLACES, Server
 from firmware_iface.errors import LinkLost
 from hil_mocks.firmware.library import compiler
-from procedures.drills.injectors import COMMANDS, NONSENSE
+from procedures.drills.catalogue import COMMANDS, NONSENSE
 from tests.cell import PERIOD_S, Cell, holding_cell, open_cell, scenario
 from tests.kinds import ON_BOARDS
 from tests.leftovers import nothing_left_for_the_collector

@@ -13,10 +13,16 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
-from procedures.bringup.journal import Journal, brought_up
-from procedures.bringup.opening import open_bench
-from procedures.bringup.operator import MockOperator
-from procedures.bringup.procedure import BringupOptions, BringupOutcome, bring_up, caution_of
+from procedures.bringup.bench import open_bench
+from procedures.bringup.procedure import (
+    BringupOptions,
+    BringupOutcome,
+    Journal,
+    bring_up,
+    brought_up,
+    caution_of,
+)
+from procedures.bringup.workbench import MockOperator
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 from tests.procedures.bringup.test_bringup import said_of, short

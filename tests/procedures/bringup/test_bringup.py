@@ -26,13 +26,17 @@ from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
 from procedures.bringup import measuring
 from procedures.bringup.bench import ReferenceBench
-from procedures.bringup.diagnosis import place_limits, rewired
-from procedures.bringup.findings import Diagnosis
-from procedures.bringup.journal import Journal, brought_up
+from procedures.bringup.diagnosis import Diagnosis, place_limits, rewired
 from procedures.bringup.measuring import JointMeasurements
-from procedures.bringup.operator import MockOperator, Stopped
-from procedures.bringup.procedure import BringupOptions, BringupOutcome, bring_up, caution_of
-from procedures.bringup.workbench import DriveLimits, SafetyTrip
+from procedures.bringup.procedure import (
+    BringupOptions,
+    BringupOutcome,
+    Journal,
+    bring_up,
+    brought_up,
+    caution_of,
+)
+from procedures.bringup.workbench import DriveLimits, MockOperator, SafetyTrip, Stopped
 from tests.cell import RIGHT, scenario, wired_to, with_drive
 from tests.places import RIGHT_TOML
 

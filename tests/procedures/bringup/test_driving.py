@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from control.model.description import load_arm
-from procedures.bringup.driving import (
+from procedures.bringup.measuring import (
     HOST_PAUSE_S,
     STALL_WINDOW_S,
     START_S,
@@ -16,7 +16,7 @@ from procedures.bringup.driving import (
     MotionEnd,
     has_stalled,
 )
-from procedures.bringup.survey import Caution
+from procedures.bringup.wiring import Caution
 from procedures.bringup.workbench import DriveLimits, Sample
 from tests.firmware_iface.scripted import FakeClock
 

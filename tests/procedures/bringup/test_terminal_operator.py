@@ -9,7 +9,7 @@ import termios
 
 import pytest
 
-from procedures.bringup.operator import Stopped, TerminalOperator
+from procedures.bringup.workbench import Stopped, TerminalOperator
 
 
 def answering(monkeypatch: pytest.MonkeyPatch, text: str) -> TerminalOperator:

@@ -17,8 +17,7 @@ from control.model.description import load_arm
 from control.model.effects import EFFECTS
 from hil_mocks.assembly import build_plant
 from hil_mocks.scenario import Scenario, parse_scenario
-from procedures.demo.gap import programme_of
-from procedures.demo.gap_hidden import DRAWN, SIZES, Hidden, beyond_known, drawn, with_known_friction
+from procedures.demo.gap import DRAWN, SIZES, Hidden, beyond_known, drawn, programme_of, with_known_friction
 
 RIGHT = load_arm("right")
 

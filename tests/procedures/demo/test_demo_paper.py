@@ -16,9 +16,17 @@ from control.model import table as tables
 from control.model.description import load_arm
 from procedures.demo import paper
 from procedures.demo.paper import PaperOutcome
-from procedures.demo.paper_models import BACKLASH, FREE, TILTS, commands
-from procedures.demo.paper_poses import OTHER, SETUPS, free_poses, verification_targets
-from procedures.demo.paper_result import improvement, table_text
+from procedures.demo.paper_models import (
+    BACKLASH,
+    FREE,
+    OTHER,
+    SETUPS,
+    TILTS,
+    commands,
+    free_poses,
+    verification_targets,
+)
+from procedures.demo.paper_page import improvement, table_text
 from tests.procedures.demo.quasi_static import QuasiStaticBench
 
 ARM = load_arm("right")

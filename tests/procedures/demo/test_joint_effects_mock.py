@@ -15,7 +15,7 @@ from calib.points.writer import PointsWriter
 from control.dynamics.static_pose import resting
 from control.errors import MissingModel
 from control.model.description import load_arm
-from procedures.demo.paper_moves import GentlePose, Mover
+from procedures.demo.paper_models import GentlePose, Mover
 from procedures.mock import SteppedBench
 
 ARM = load_arm("right")

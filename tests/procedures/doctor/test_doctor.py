@@ -22,13 +22,19 @@ from firmware_iface.serial_link import PortHere
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
 from procedures.doctor import host
-from procedures.doctor.boards import AnsweringBoards, open_boards
+from procedures.doctor.boards import AnsweringBoards, open_boards, sample
 from procedures.doctor.finding import Finding, Level, as_text, graded, percentile, verdict, worst
-from procedures.doctor.host import judge_lateness, judge_strain, lateness, look_at_disk, look_at_kernel
+from procedures.doctor.host import (
+    judge_can,
+    judge_lateness,
+    judge_serial,
+    judge_strain,
+    lateness,
+    look_at_disk,
+    look_at_kernel,
+    look_at_last_recording,
+)
 from procedures.doctor.judging import clock_drift, judge
-from procedures.doctor.links import judge_can, judge_serial
-from procedures.doctor.recordings import look_at_last_recording
-from procedures.doctor.sampling import sample
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
 from tests.recordings import write_recording

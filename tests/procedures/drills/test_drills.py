@@ -13,10 +13,8 @@ import pytest
 from console.main import main
 from hil_mocks.firmware.choice import VARIABLE
 from procedures.drills.catalogue import drills
-from procedures.drills.drill import Drill
+from procedures.drills.drill import HEADER, Drill, gripping_stage, header, off_way_m, row, stage, verdict
 from procedures.drills.files import Disk, PowerLost
-from procedures.drills.stage import gripping_stage, off_way_m, stage
-from procedures.drills.table import HEADER, header, row, verdict
 from tests.firmware import needs_compiler
 from tests.leftovers import nothing_left_for_the_collector
 

@@ -12,7 +12,7 @@ import pytest
 from control.errors import ArmError
 from firmware_iface.installation import PACKAGES
 from procedures.drills.catalogue import drills, drills_named
-from procedures.drills.promise import Promise
+from procedures.drills.drill import Promise
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "safety.md").read_text("utf-8")

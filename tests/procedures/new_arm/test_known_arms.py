@@ -20,10 +20,9 @@ from control.model.servos import SERVOS
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import load_scenario
 from procedures.arm_sheet import sheet, warnings
-from procedures.doctor.boards import open_boards
+from procedures.doctor.boards import open_boards, sample
 from procedures.doctor.finding import Level, as_text, worst
 from procedures.doctor.judging import judge
-from procedures.doctor.sampling import sample
 from tests.cell import open_cell, wired_to
 from tests.thirds import third_of
 

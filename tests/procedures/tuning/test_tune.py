@@ -16,11 +16,10 @@ from control.model.arm import DrivePid
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from procedures.on_boards import on_boards
-from procedures.tuning import multisine as signal
 from procedures.tuning import procedure, session
-from procedures.tuning.multisine import MeasuredResponse, PoorResponse, evaluate, multisine, usable
-from procedures.tuning.procedure import NotTuned, TuningOptions, inertia_ratios, tune
-from procedures.tuning.report import write_report
+from procedures.tuning import session as signal
+from procedures.tuning.procedure import NotTuned, TuningOptions, inertia_ratios, tune, write_report
+from procedures.tuning.session import MeasuredResponse, PoorResponse, evaluate, multisine, usable
 from tests.cell import RIGHT, scenario, wired_to, with_drive, with_drives
 
 pytestmark = pytest.mark.usefixtures("nobody_below")

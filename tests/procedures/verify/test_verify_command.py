@@ -22,19 +22,23 @@ from control.model.arm import Arm, Calibration, Effect, Link, Tool
 from control.model.description import load_arm, save_arm
 from control.model.fingerprint import fingerprint
 from control.recording.record import FileSink, Layout
-from procedures.verify import places as verify_places
 from procedures.verify import procedure
-from procedures.verify.models import Model, ModelPair, active_model, nominal_of
-from procedures.verify.places import places, ways
+from procedures.verify import survey as verify_places
 from procedures.verify.survey import (
     MOVING,
+    Model,
+    ModelPair,
     SurveyedPath,
+    active_model,
+    nominal_of,
+    places,
     planned,
     planned_tips_m,
     poses_at,
     recorded,
     track_of,
     wait_until_recorded,
+    ways,
 )
 from procedures.verify.survey import run as run_way
 from tests.places import ARMS
