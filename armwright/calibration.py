@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import datetime
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,6 +22,7 @@ from calib.points.points import Points
 from calib.points.points import make_points as made_points
 from calib.points.reading import read_points as points_of
 from calib.report.report import write_report
+from calib.results import made_today
 from calib.validation.verify import Comparison, compare_arms
 from control.model.arm import Arm
 
@@ -84,14 +83,12 @@ class CalibrationResult:
                 raise CalibrationError(
                     f"{out / name} exists already and is never overwritten: choose another folder"
                 )
-        made, program = self.calibrated, f"armwright {version('armwright')}"
-        date = datetime.datetime.now(datetime.UTC).date().isoformat()
+        made, provenance = self.calibrated, made_today()
         nominal, found = made.nominal, made.found
-        write_calibrated_arm(out / "arm.toml", nominal, found, {}, date, program)
-        write_calibration_json(
-            out / "calibration.json", nominal.name, found, {}, date, program, more=judgement_json(made)
-        )
-        write_report(out / "report.html", calibration_report(made, (), date, program))
+        write_calibrated_arm(out / "arm.toml", nominal, found, provenance)
+        more = judgement_json(made)
+        write_calibration_json(out / "calibration.json", nominal.name, found, provenance, more=more)
+        write_report(out / "report.html", calibration_report(made, provenance))
 
     def __str__(self) -> str:
         return summary_text(self.calibrated)

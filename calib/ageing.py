@@ -28,6 +28,7 @@ from calib.errors import CalibrationError
 from calib.gap.finding import EffectName, GapFinding
 from calib.identify.determinability import RANK_TOLERANCE, determinability
 from calib.identify.identification import Identification
+from calib.results import entries
 from control.files import NotWritten, append_whole, open_to_append, read_bytes, require_writable
 from control.model.arm import Arm
 
@@ -385,18 +386,6 @@ def step_of(arm: Arm, entries: Sequence[Entry], line: DriftLine) -> ZeroStep | N
 def _excess(line: DriftLine) -> float:
     """Chi-squared beyond what the calibrations' own intervals explain."""
     return max(0.0, line.chi_squared - line.freedom)
-
-
-def step_json(step: ZeroStep) -> dict[str, object]:
-    """For programs; SI units."""
-    return {
-        "between": [one.measured.isoformat() for one in (step.before, step.after)],
-        "changes": [
-            {"name": one.name, "change": one.change, "half_interval": one.half, "is_sure": one.drifts}
-            for one in step.changes
-        ],
-        "other_geometry": step.has_rest,
-    }
 
 
 # What drifts and how fast, with intervals: zeros of joints from calibrations, parameters of effects from
@@ -781,29 +770,30 @@ def trend_json(trend: Trend) -> dict[str, object]:
         "arm": trend.arm,
         "entries": len(trend.entries),
         "rates": [
-            {
-                "name": one.name,
-                "value": one.value,
-                "per_year": _finite(one.change),
-                "half_interval": _finite(one.half),
-                "drifts": one.drifts,
-                "records": one.count,
-            }
+            entries(one, "name", "value", "drifts")
+            | {"per_year": one.change, "half_interval": one.half, "records": one.count}
             for one in trend.rates
         ],
-        "step": step_json(trend.step) if trend.step else None,
+        "step": trend.step
+        and {
+            "between": [one.measured.isoformat() for one in (trend.step.before, trend.step.after)],
+            "changes": [
+                {"name": one.name, "change": one.change, "half_interval": one.half, "is_sure": one.drifts}
+                for one in trend.step.changes
+            ],
+            "other_geometry": trend.step.has_rest,
+        },
         "scatter": found.line.scatter if found else None,
         "other_geometry_drifts": found.rest_drifts if found else None,
         "tolerance_m": trend.tolerance_m,
-        "due": None
-        if trend.due is None
-        else {
+        "due": trend.due
+        and {
             "days": trend.due.days,
             "median_days": trend.due.middle_days,
             "not_said_beyond_days": trend.due.furthest_days,
             "now_rms_m": trend.due.now_m,
         },
-        "in_words": list(sentences(trend)),
+        "in_words": sentences(trend),
     }
 
 
@@ -817,7 +807,3 @@ def _rate(one: Rate) -> str:
 
 def _value(one: Rate) -> str:
     return f"{MILLI * one.value:.4g} mrad" if one.unit == "rad" else f"{one.value:.4g}"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

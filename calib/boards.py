@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,7 +19,7 @@ from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, RegistrationError
 from calib.points.points import COVARIANCE, ORIENTATION, TIP
 from calib.points.reading import IMPORT
-from calib.points.writer import replace_file
+from calib.results import Provenance, write_json
 from control.files import parsed_json, read_text
 from control.tables import TableColumn, TableFormat, read_table
 
@@ -29,7 +28,8 @@ from control.tables import TableColumn, TableFormat, read_table
 
 FORMAT = "boards/1"
 SD_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-ROTATION_TOLERANCE = 1e-6  # of rotation @ rotation.T - 1: the file holds 12 decimals
+DECIMALS = 12
+ROTATION_TOLERANCE = 1e-6  # of rotation @ rotation.T - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,24 +44,21 @@ class BoardPose:
         return np.asarray(board_m @ self.rotation.T + self.origin_m)
 
 
-def write_boards(
-    path: Path,
-    arm: str,
-    found: Mapping[str, Registration],
-    inputs: Mapping[str, str],
-    date: str,
-    program: str,
-) -> None:
-    """Write the poses with residuals and standard deviations; `inputs` maps files to their SHA-256."""
-    content = {
-        "format": FORMAT,
-        "arm": arm,
-        "date": date,
-        "program_version": program,
-        "inputs": dict(inputs),
-        "boards": {setup: _board(one) for setup, one in found.items()},
+def write_boards(path: Path, arm: str, found: Mapping[str, Registration], made: Provenance) -> None:
+    """Write the poses with residuals and standard deviations."""
+    boards = {
+        setup: {
+            "origin_m": one.origin_m.round(DECIMALS),
+            "rotation": one.rotation.round(DECIMALS),
+            "sd": dict(zip(SD_KEYS, one.sd.round(DECIMALS), strict=True)),
+            "noise_m": round(one.noise_m, DECIMALS),
+            "residual_m": dict(zip(one.names, one.residual_m.round(DECIMALS), strict=True)),
+            "outliers": one.outliers,
+            "notes": one.notes,
+        }
+        for setup, one in found.items()
     }
-    replace_file(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
+    write_json(path, made.heading(FORMAT, arm=arm) | {"boards": boards})
 
 
 def read_boards(path: Path) -> dict[str, BoardPose]:
@@ -79,24 +76,6 @@ def read_boards(path: Path) -> dict[str, BoardPose]:
     if not isinstance(boards, dict) or not boards:
         raise RegistrationError(f"{path}, boards: expected one entry per setup, got {boards!r}")
     return {setup: _pose(path, setup, entry) for setup, entry in boards.items()}
-
-
-def _board(found: Registration) -> dict[str, object]:
-    return {
-        "origin_m": _numbers(found.origin_m),
-        "rotation": [_numbers(row) for row in found.rotation],
-        "sd": dict(zip(SD_KEYS, _numbers(found.sd), strict=True)),
-        "noise_m": round(found.noise_m, 12),
-        "residual_m": {
-            name: _numbers(residual) for name, residual in zip(found.names, found.residual_m, strict=True)
-        },
-        "outliers": list(found.outliers),
-        "notes": list(found.notes),
-    }
-
-
-def _numbers(values: Array) -> list[float]:
-    return [round(float(value), 12) for value in values]
 
 
 def _pose(path: Path, setup: str, entry: object) -> BoardPose:

@@ -31,6 +31,7 @@ from calib.gap.plan.plan import (
     static_poses,
 )
 from calib.points.points import Points, joined, make_points
+from calib.results import entries
 from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.posterior import linearised, loose_play_m2, posterior_of
 from control.dynamics.static_pose import resting
@@ -461,19 +462,14 @@ def decision_json(found: CheckupDecision) -> dict[str, object]:
         "probability": found.probability,
         "open": [{"action": action, "probability": share} for action, share in found.open],
         "causes": [
-            {
-                "kind": one.cause.kind,
-                "number": one.cause.number or None,
-                "probability": one.probability,
-                "amplitudes": one.amplitudes.tolist(),
-                "shift_rms_m": one.shift_m,
-            }
+            {"kind": one.cause.kind, "number": one.cause.number or None, "shift_rms_m": one.shift_m}
+            | entries(one, "probability", "amplitudes")
             for one in found.causes
         ],
         "visits": found.poses_count,
         "expected_rms_m": found.expected_m,
         "left_rms_m": found.left_m,
-        "in_words": list(sentences(found)),
+        "in_words": sentences(found),
     }
 
 

@@ -8,16 +8,13 @@ goes on; then iso9283.json and iso9283.html.
 from __future__ import annotations
 
 import contextlib
-import datetime
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from calib.inputs import InputFile, input_file
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import write_page
@@ -29,6 +26,7 @@ from calib.points.arm_points import require_recorded_of
 from calib.points.points import TIP
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter, cell
+from calib.results import input_file, made_today
 from calib.session.take import SessionSettings
 from control.files import KeptLines
 from control.kinematics.inverse import InverseKinematics
@@ -261,7 +259,9 @@ def evaluate_files(
         *(input_file(other, "poses of another arm") for other in others),
         *([input_file(programme, "test programme")] if programme is not None else []),
     ]
-    _write(arm, found, inputs, out)
+    made = made_today(*inputs)
+    write_document(out / "iso9283.json", found, arm.name, made)
+    write_page(out / "iso9283.html", found, arm.name, made)
     return found, warnings
 
 
@@ -273,17 +273,3 @@ def _poses(
     points, warnings = read_points(path, also=BESIDE)
     groups, notes = pose_groups(replace(points, is_as_given=is_as_given), arm, path)
     return groups, notes, warnings
-
-
-def _write(arm: Arm, found: Evaluation, inputs: Sequence[InputFile], out: Path) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    program = f"armwright {version('armwright')}"
-    about = {
-        "arm": arm.name,
-        "date": date,
-        "program_version": program,
-        "inputs": {entry.name: entry.sha256 for entry in inputs},
-    }
-    write_document(out / "iso9283.json", found, about)
-    write_page(out / "iso9283.html", found, arm.name, date, program, inputs)

@@ -15,11 +15,10 @@ from calib.arm_problem.frames import Frame, rotation_vector
 from calib.arrays import frozen
 from calib.calibration.calibrate import Calibrated
 from calib.identify.estimates import Estimate
-from calib.identify.outliers import Outlier
-from calib.inputs import InputFile
 from calib.report.page import Section, bullets, paragraph, table
 from calib.report.report import ReportData
 from calib.report.report_sections import NO_EFFECT, frames_section, of_the_arm
+from calib.results import Provenance, entries
 from calib.validation.holdout import HeldOut
 from calib.validation.statistics import mean_half_width
 from calib.validation.verify import Comparison, compare
@@ -94,33 +93,19 @@ def _frame_line(frame: Frame) -> str:
 
 def judgement_json(made: Calibrated) -> dict[str, object]:
     """Entries of calibration.json besides the identification."""
-    return {
-        "verdict": {
-            "grade": made.verdict.grade,
-            "sentences": list(made.verdict.sentences),
-            "next_steps": list(made.verdict.next_steps),
-        },
-        "noise_floor": None
-        if made.floor is None
-        else {"axis_m": made.floor.axis_m, "mean_m": made.floor.mean_m, "source": made.floor.source},
-        "held_out": None if made.held is None else _held(made.held),
-        "outliers": [_outlier(one) for one in made.suspects.outliers],
-        "shifted_setups": [one.setup for one in made.suspects.setups],
-        "suspicious": list(made.suspects.in_words()),
-        "accuracy": _accuracy(made),
-        "warnings": list(made.warnings),
-    }
-
-
-def _accuracy(made: Calibrated) -> dict[str, object] | None:
     accuracy = made.found.accuracy
-    if accuracy is None:
-        return None
     return {
-        "limit_m": accuracy.limit_m,
-        "mean_m": accuracy.mean_m,
-        "least_m": accuracy.least_m,
-        "is_met": accuracy.is_met,
+        "verdict": made.verdict,
+        "noise_floor": made.floor and entries(made.floor, "axis_m", "mean_m", "source"),
+        "held_out": None if made.held is None else _held(made.held),
+        "outliers": [
+            {"pose": one.row + 1} | entries(one, "setup", "point", "distance_m", "score", "words")
+            for one in made.suspects.outliers
+        ],
+        "shifted_setups": [one.setup for one in made.suspects.setups],
+        "suspicious": made.suspects.in_words(),
+        "accuracy": accuracy and entries(accuracy, "limit_m", "mean_m", "least_m", "is_met"),
+        "warnings": made.warnings,
     }
 
 
@@ -129,53 +114,27 @@ def _held(held: HeldOut) -> dict[str, object]:
         "by": held.by,
         "mean_before_m": float(held.before_m.mean()),
         "mean_after_m": float(held.after_m.mean()),
-        "mean_after_half_width_m": _known(mean_half_width(held.after_m)),
+        "mean_after_half_width_m": mean_half_width(held.after_m),
         "improvement_percent": held.improvement_percent,
         "folds": [
-            {
-                "left_out": fold.name,
-                "points": len(fold.rows),
-                "measure": fold.measure,
-                "mean_before_m": fold.mean_before_m,
-                "mean_after_m": fold.mean_after_m,
-                "rms_after_m": fold.rms_after_m,
-                "max_after_m": fold.max_after_m,
-            }
+            {"left_out": fold.name, "points": len(fold.rows)}
+            | entries(fold, "measure", "mean_before_m", "mean_after_m", "rms_after_m", "max_after_m")
             for fold in held.folds
         ],
-    }
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _outlier(one: Outlier) -> dict[str, object]:
-    return {
-        "pose": one.row + 1,
-        "setup": one.setup,
-        "point": one.point,
-        "distance_m": one.distance_m,
-        "score": one.score,
-        "words": one.words,
     }
 
 
 # report.html of a calibration: the verdict, its evidence, and what the points determine.
 
 
-def calibration_report(
-    made: Calibrated, inputs: tuple[InputFile, ...], date: str, program_version: str
-) -> ReportData:
+def calibration_report(made: Calibrated, provenance: Provenance) -> ReportData:
     """The report of a calibration."""
     found = made.found
     return ReportData(
         title="Calibration",
         arm=made.nominal.name,
-        date=date,
-        program_version=program_version,
+        made=provenance,
         steps=_steps(made),
-        inputs=inputs,
         identification=found,
         calibration=_comparison(made),
         arms=(made.nominal, made.arm),

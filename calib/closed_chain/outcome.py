@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,15 +15,11 @@ from calib.closed_chain.calibrate import PairFound
 from calib.closed_chain.pair_problem import names_of
 from calib.identify.estimates import Estimate
 from calib.identify.open_combinations import open_in_words
-from control.files import write_whole
+from calib.results import Provenance, entries, write_json
 from control.kinematics.rotation import quaternion_of, quaternions
-from control.model.arm import Arm, Calibration
+from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.model.description import save_arm
-
-if TYPE_CHECKING:
-    from calib.closed_chain.calibrate import PairFound
-
 
 FORMAT = "pair/1"
 SCALE = (
@@ -113,73 +107,49 @@ def write_pair(
     nominal: tuple[Arm, Arm],
     found: PairFound,
     objective: str,
-    inputs: Mapping[str, str],
-    date: str,
-    program: str,
+    made: Provenance,
 ) -> list[Path]:
     """Write NAME.toml of both arms and pair.json; return the files."""
-    files = []
-    for name, arm, made in zip(names_of(nominal), nominal, found.arms, strict=True):
-        source = arm.path.name if arm.path is not None else arm.name
-        provenance = Calibration(source, dict(inputs), date, objective, program)
-        files.append(out / f"{name}.toml")
-        save_arm(dataclasses.replace(made, calibration=provenance), files[-1])
-    files.append(out / "pair.json")
-    content = {
-        "format": FORMAT,
-        "date": date,
-        "program_version": program,
-        "inputs": dict(inputs),
-        **pair_json(nominal, found),
-    }
-    write_whole(files[-1], json.dumps(content, indent=2, allow_nan=False) + "\n")
+    files = [out / f"{name}.toml" for name in (*names_of(nominal), "pair")]
+    files[-1] = files[-1].with_suffix(".json")
+    for file, arm, calibrated in zip(files[:-1], nominal, found.arms, strict=True):
+        save_arm(dataclasses.replace(calibrated, calibration=made.of_arm(arm, objective)), file)
+    write_json(files[-1], made.heading(FORMAT) | pair_json(nominal, found))
     return files
 
 
 def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
-    """The result for other programs. SI units; missing numbers are null."""
-    held = len(found.held_after_m) > 0
+    """The result for other programs."""
     return {
-        "arms": list(names_of(nominal)),
+        "arms": names_of(nominal),
         "contacts": len(found.after_m),
-        "mean_error_m": {"before": float(found.before_m.mean()), "after": float(found.after_m.mean())},
+        "mean_error_m": {"before": found.before_m.mean(), "after": found.after_m.mean()},
         "held_out": {
-            "mean_before_m": float(found.held_before_m.mean()),
-            "mean_after_m": float(found.held_after_m.mean()),
-            "max_after_m": float(found.held_after_m.max()),
+            "mean_before_m": found.held_before_m.mean(),
+            "mean_after_m": found.held_after_m.mean(),
+            "max_after_m": found.held_after_m.max(),
         }
-        if held
+        if len(found.held_after_m)
         else None,
         "rank": found.known.rank,
-        "condition_number": _number(found.known.condition_number),
+        "condition_number": found.known.condition_number,
         "parameters": {
-            one.parameter.name: {
-                "unit": one.parameter.unit,
-                "nominal": one.parameter.nominal,
-                "value": one.value,
-                "sd": _number(one.sd),
-                "is_determined": one.is_determined,
-                "is_at_bound": one.is_at_bound,
-            }
+            one.parameter.name: entries(one.parameter, "unit", "nominal")
+            | entries(one, "value", "sd", "is_determined", "is_at_bound")
             for one in found.estimates
             if one.parameter.has_bound or "_tool_" in one.parameter.name
         },
         "second_base": {
-            "origin_m": found.base.origin_m.tolist(),
-            "orientation": quaternions(found.base.rotation[None])[0].tolist(),
+            "origin_m": found.base.origin_m,
+            "orientation": quaternions(found.base.rotation[None])[0],
         },
         "undetermined": [
-            {"names": list(group.names), "freedoms": group.freedoms_count}
-            for group in found.known.undetermined
+            {"names": group.names, "freedoms": group.freedoms_count} for group in found.known.undetermined
         ],
         "joined_angle_rms_rad": _rms(found.angles_rad) if len(found.angles_rad) else None,
         "remarks": list(remarks(found)),
-        "in_words": list(open_in_words(found.known.undetermined)),
+        "in_words": open_in_words(found.known.undetermined),
     }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 # What a reader of a pair's calibration must know: whether it explains the contacts, which the others contradict, bounds.

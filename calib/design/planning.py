@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +43,8 @@ from calib.design.information import (
 )
 from calib.errors import CalibrationError
 from calib.points.points import Points, make_points
-from calib.points.writer import replace_file, write_points
+from calib.points.writer import write_points
+from calib.results import entries, write_json
 from control.model.arm import Arm
 from control.model.table import SETUPS
 
@@ -302,7 +301,7 @@ def write_plan(folder: Path, plan: Plan, arm: str) -> tuple[Path, Path]:
     points = plan.points
     nowhere = np.full((len(points), 3), np.nan)  # tips are yet to be measured
     write_points(table, make_points(points.setup, points.point, points.repeat, points.q_rad, nowhere))
-    replace_file(text, (json.dumps(plan_json(plan, arm), indent=2, allow_nan=False) + "\n").encode())
+    write_json(text, plan_json(plan, arm))
     return table, text
 
 
@@ -313,43 +312,33 @@ def plan_json(plan: Plan, arm: str) -> dict[str, object]:
         "arm": arm,
         "criterion": plan.criterion,
         "noise_m": plan.noise_m,
-        "candidates": dict(plan.candidates),
+        "candidates": plan.candidates,
         "combinations": plan.combinations_count,
         "is_tied_to_base": plan.is_tied,
         "before": _state(plan.before),
         "after": _state(plan.after),
         "points": [
-            {
-                "setup": pose.setup,
-                "point": pose.point,
-                "repeat": pose.repeat,
-                "q_rad": list(pose.q_rad),
-                "visit": pose.visit,
-                "log_det_gain": pose.gain,
-                "after": _state(pose.after),
-            }
+            entries(pose, "setup", "point", "repeat", "q_rad", "visit")
+            | {"log_det_gain": pose.gain, "after": _state(pose.after)}
             for pose in plan.poses
         ],
         "alternatives": [
             {"setup": one.setup, "points": one.count, "log_det_gain": one.gain, "after": _state(one.after)}
             for one in plan.alternatives
         ],
-        "not_clear_between": [list(pair) for pair in plan.blocked],
-        "in_words": list(in_words(plan)),
+        "not_clear_between": plan.blocked,
+        "in_words": in_words(plan),
     }
 
 
 def _state(state: Uncertainty) -> dict[str, object]:
     return {
         "points": state.points_count,
-        "log_det": state.log_det,
         "observability": state.indices.as_dict(),
-        "rank": state.rank,
-        "tip_m": state.tip_m,
-        "tip_worst_m": state.tip_worst_m,
+        **entries(state, "log_det", "rank", "tip_m", "tip_worst_m"),
         "least_known": {
             "name": state.least_known,
-            "sd": state.least_known_sd if math.isfinite(state.least_known_sd) else None,
+            "sd": state.least_known_sd,
             "unit": state.least_known_unit,
         },
     }

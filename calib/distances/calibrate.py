@@ -308,15 +308,12 @@ def distances_json(made: DistancesFound) -> dict[str, object]:
         "held_out": None
         if not len(made.held_m)
         else {
-            "mean_before_m": float(np.abs(made.before_m).mean()),
-            "mean_after_m": float(np.abs(made.held_m).mean()),
-            "max_after_m": float(np.abs(made.held_m).max()),
+            "mean_before_m": np.abs(made.before_m).mean(),
+            "mean_after_m": np.abs(made.held_m).mean(),
+            "max_after_m": np.abs(made.held_m).max(),
         },
         "devices": {
-            device.name: {
-                "direction" if device.kind == GAUGE else "point_m": place.tolist(),
-                "zero_m": zero_m,
-            }
+            device.name: {"direction" if device.kind == GAUGE else "point_m": place, "zero_m": zero_m}
             for device, place, zero_m in zip(made.devices, made.places, made.zero_m, strict=True)
             if device.kind != BETWEEN
         },

@@ -44,9 +44,9 @@ from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.report import GapReport, gap_page
 from calib.gap.series.find import examine
 from calib.gap.series.outcome import DynamicOutcome
-from calib.inputs import input_file
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
+from calib.results import input_file
 from control.errors import ArmError
 from control.files import write_whole
 from control.model.arm import Arm, Calibration

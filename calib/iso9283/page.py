@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array, norms
-from calib.inputs import InputFile
 from calib.iso9283.criteria.pose import pose_repeatability
 from calib.iso9283.result import Criterion, Evaluation, Figure, PathTrace, SettlingTrace
 from calib.report.drawing import PLANNED, svg
 from calib.report.page import Cell, Section, bullets, page, table
+from calib.report.report_sections import inputs_section
+from calib.results import Provenance
 from control.files import write_whole
 
 if TYPE_CHECKING:
@@ -24,15 +25,13 @@ if TYPE_CHECKING:
 SHOWN = {"m": (1e3, "mm", 3), "m/s": (1.0, "m/s", 4), "m/N": (1e6, "µm/N", 3), "rad": (1e3, "mrad", 3)}
 
 
-def write_page(
-    path: Path, evaluation: Evaluation, arm: str, date: str, program: str, inputs: Sequence[InputFile]
-) -> None:
+def write_page(path: Path, evaluation: Evaluation, arm: str, made: Provenance) -> None:
     """Write iso9283.html."""
     title = "Performance criteria of ISO 9283:1998"
-    write_whole(path, page(title, arm, f"{date} · {program}", _sections(evaluation, inputs)))
+    write_whole(path, page(title, arm, made.line, _sections(evaluation, made)))
 
 
-def _sections(evaluation: Evaluation, inputs: Sequence[InputFile]) -> Iterator[Section]:
+def _sections(evaluation: Evaluation, made: Provenance) -> Iterator[Section]:
     criteria = evaluation.criteria
     had = sum(bool(c.figures) for c in criteria)
     yield Section(f"{had} of {len(criteria)} criteria", _summary(criteria) + bullets(evaluation.notes))
@@ -44,13 +43,7 @@ def _sections(evaluation: Evaluation, inputs: Sequence[InputFile]) -> Iterator[S
     if evaluation.settling:
         yield Section("Coming to rest", settling_picture(evaluation.settling))
     yield Section("Every figure", _figures(criteria))
-    yield Section(
-        "Inputs",
-        table(
-            ("file", "what it is", "SHA-256"),
-            [(i.name, ("text", i.what), ("text", i.sha256)) for i in inputs],
-        ),
-    )
+    yield inputs_section(made.inputs)
 
 
 def shown(value: float, unit: str) -> str:

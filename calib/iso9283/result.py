@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from calib.arrays import Array
-from control.files import write_whole
+from calib.results import Provenance, entries, write_json
 
 FORMAT = "iso9283/1"
 
@@ -116,39 +114,17 @@ def with_headlines(figures: Sequence[Figure], symbols: Sequence[str] | None = No
     ]
 
 
-def document(evaluation: Evaluation, about: Mapping[str, Any]) -> dict[str, Any]:
-    """iso9283.json as plain values; SI units, radians."""
-    return {
-        "format": FORMAT,
-        **about,
-        "criteria": [
-            {
-                "number": c.number,
-                "name": c.name,
-                "clause": c.clause,
-                "values": {
-                    f.symbol: {"value": f.value, "unit": f.unit, "where": f.where} for f in c.headlines
-                },
-                "figures": [
-                    {
-                        "symbol": f.symbol,
-                        "value": f.value,
-                        "unit": f.unit,
-                        "where": f.where,
-                        "count": f.count,
-                        **({"remark": f.remark} if f.remark else {}),
-                    }
-                    for f in c.figures
-                ],
-                "needs": list(c.needs),
-            }
-            for c in evaluation.criteria
-        ],
-        "notes": list(evaluation.notes),
-    }
-
-
-def write_document(path: Path, evaluation: Evaluation, about: Mapping[str, Any]) -> None:
-    """Write iso9283.json."""
-    text = json.dumps(document(evaluation, about), indent=2, ensure_ascii=False, allow_nan=False)
-    write_whole(path, text + "\n")
+def write_document(path: Path, evaluation: Evaluation, arm: str, made: Provenance) -> None:
+    """Write iso9283.json; SI units, radians."""
+    criteria = [
+        entries(one, "number", "name", "clause", "needs")
+        | {
+            "values": {f.symbol: entries(f, "value", "unit", "where") for f in one.headlines},
+            "figures": [
+                entries(f, "symbol", "value", "unit", "where", "count", *(("remark",) if f.remark else ()))
+                for f in one.figures
+            ],
+        }
+        for one in evaluation.criteria
+    ]
+    write_json(path, made.heading(FORMAT, arm=arm) | {"criteria": criteria, "notes": evaluation.notes})

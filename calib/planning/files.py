@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from calib.gap.plan.plan import GENTLE
-from calib.inputs import InputFile
 from calib.planning.path import PathPlan, WayOfPath
 from calib.planning.search import NOWHERE, Cost
 from calib.planning.stops import StopsPlan, WayOfStops
 from calib.points.points import make_points
 from calib.points.writer import replace_file, write_points
+from calib.results import Provenance, entries, write_json
 from calib.session.plan import FREE
 from calib.trust.prediction import Reliability
 from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, SPEED_COLUMN, Waypoints
@@ -25,14 +24,13 @@ FORMAT: Final = "task/1"
 PATH, POSES, SCRIPT, RESULT = "path.csv", "poses.csv", "script.txt", "task.json"
 RESULTS: Final = (PATH, POSES, SCRIPT, RESULT)
 DWELL_s: Final = 0.5  # at a stop
+COSTS: Final = ("rms_m", "known_m", "unknown_m", "scatter_m")
 
 Tasks = tuple[Reliability, Reliability] | None
 
 
-def write_plan(
-    folder: Path, plan: Plan, tasks: Tasks, about: Mapping[str, object], inputs: Sequence[InputFile]
-) -> None:
-    """Write path.csv or poses.csv, script.txt and task.json; `about` has date and program_version."""
+def write_plan(folder: Path, plan: Plan, tasks: Tasks, made: Provenance) -> None:
+    """Write path.csv or poses.csv, script.txt and task.json."""
     if isinstance(plan, PathPlan):
         replace_file(folder / PATH, waypoints_text(plan.chosen.waypoints).encode())
         lines = path_lines(plan.chosen, folder / PATH)
@@ -40,9 +38,7 @@ def write_plan(
         _write_poses(folder / POSES, plan.chosen)
         lines = stop_lines(plan.chosen)
     replace_file(folder / SCRIPT, "".join(f"{line}\n" for line in lines).encode())
-    content = {"format": FORMAT, "arm": plan.plain.arm.name, **about}
-    content |= {"inputs": {one.name: one.sha256 for one in inputs}} | plan_json(plan, tasks)
-    replace_file(folder / RESULT, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
+    write_json(folder / RESULT, made.heading(FORMAT, arm=plan.plain.arm.name) | plan_json(plan, tasks))
 
 
 def waypoints_text(waypoints: Waypoints) -> str:
@@ -90,41 +86,27 @@ def plan_json(plan: Plan, tasks: Tasks) -> dict[str, object]:
     """The plan for programs; SI units, way-points by their number in the file."""
     chosen = plan.chosen
     found: dict[str, object] = {
-        "as_given": _cost(plan.plain.cost),
-        "as_planned": _cost(chosen.cost),
+        "as_given": entries(plan.plain.cost, *COSTS),
+        "as_planned": entries(chosen.cost, *COSTS),
         "choices": [{"choice": name, "rms_m": error_m} for name, error_m in plan.steps],
-        "shift_m": list(chosen.shift_m),
+        "shift_m": chosen.shift_m,
     }
     if isinstance(chosen, WayOfPath):
-        found |= {
-            "lead_in_rad": list(chosen.lead_in_rad),
-            "branch": chosen.plan.branch,
-            "is_reversed": chosen.is_reversed,
-            "pace": chosen.pace,
-        }
+        found |= {"branch": chosen.plan.branch} | entries(chosen, "lead_in_rad", "is_reversed", "pace")
     else:
         found["stops"] = [_stop(chosen, row) for row in chosen.order]
     if tasks is not None:
         found["tolerance_m"] = tasks[0].tolerance_m
         found["probability"] = {"as_given": tasks[0].probability, "as_planned": tasks[1].probability}
-    return found | {"in_words": list(sentences(plan, tasks))}
+    return found | {"in_words": sentences(plan, tasks)}
 
 
 def _stop(way: WayOfStops, row: int) -> dict[str, object]:
     return {
         "waypoint": row + 1,
-        "q_rad": way.poses.q_rad[row].tolist(),
-        "direction": way.poses.direction[row].astype(int).tolist(),
-        "lead_in_rad": way.lead_in_rad[row].tolist() if way.has_lead_in[row] else None,
-    }
-
-
-def _cost(cost: Cost) -> dict[str, float]:
-    return {
-        "rms_m": cost.rms_m,
-        "known_m": cost.known_m,
-        "unknown_m": cost.unknown_m,
-        "scatter_m": cost.scatter_m,
+        "q_rad": way.poses.q_rad[row],
+        "direction": way.poses.direction[row].astype(int),
+        "lead_in_rad": way.lead_in_rad[row] if way.has_lead_in[row] else None,
     }
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.identify.identification import Identification
-from calib.inputs import InputFile
 from calib.report.page import Section, page, tiles, verdict
 from calib.report.report_sections import (
     calibration_section,
@@ -22,6 +21,7 @@ from calib.report.report_sections import (
     paths_section,
     verification_section,
 )
+from calib.results import Provenance
 from calib.validation.verify import Comparison, TrackPair
 from control.files import write_whole
 from control.model.arm import Arm
@@ -42,10 +42,8 @@ class ReportData:
 
     title: str
     arm: str
-    date: str
-    program_version: str
+    made: Provenance
     steps: tuple[str, ...]
-    inputs: tuple[InputFile, ...] = ()
     paths: tuple[TrackPair, ...] = ()
     identification: Identification | None = None
     calibration: Comparison | None = None
@@ -64,8 +62,7 @@ def write_report(path: Path, report: ReportData) -> None:
 
 def report_html(report: ReportData) -> str:
     """The whole page."""
-    about = f"{report.date} · {report.program_version}"
-    return page(report.title, report.arm, about, _parts(report))
+    return page(report.title, report.arm, report.made.line, _parts(report))
 
 
 def _parts(report: ReportData) -> Iterator[Section | str]:
@@ -84,8 +81,8 @@ def _parts(report: ReportData) -> Iterator[Section | str]:
         yield parameters_section(report.identification)
     if report.calibration is not None:
         yield calibration_section(report.calibration)
-    if report.inputs:
-        yield inputs_section(report.inputs)
+    if report.made.inputs:
+        yield inputs_section(report.made.inputs)
 
 
 def _results(report: ReportData) -> Iterator[tuple[str, str, str]]:

@@ -12,9 +12,9 @@ from calib.arm_problem.parallel_axes import in_the_same_rows
 from calib.arrays import norms
 from calib.identify.estimates import Estimate
 from calib.identify.identification import Identification
-from calib.inputs import InputFile
 from calib.report.page import Cell, Section, bullets, escaped, folded, heading, pair, paragraph, table
 from calib.report.pictures import histogram_picture, path_picture, setup_picture, vector_picture
+from calib.results import InputFile
 from calib.validation.statistics import ErrorSummary, digits_mm
 from calib.validation.verify import (
     PARTS,

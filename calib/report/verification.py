@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.arrays import Array, norms
-from calib.inputs import InputFile
+import numpy as np
+
+from calib.arrays import Array
 from calib.report.report import UNUSED, ReportData, write_report
-from calib.validation.statistics import Difference, ErrorSummary, PairedFinding
+from calib.results import Provenance, entries, write_json
+from calib.validation.statistics import Difference, PairedFinding
 from calib.validation.verify import (
     ALL,
     Comparison,
@@ -21,7 +20,6 @@ from calib.validation.verify import (
     compare_tracks,
     findings,
 )
-from control.files import write_whole
 from control.model.arm import Arm
 
 FORMAT = "verify/1"
@@ -38,12 +36,10 @@ class Verification:
     calibrated: Arm
     comparison: Comparison
     paths: tuple[TrackPair, ...]
-    inputs: tuple[InputFile, ...]
     how: tuple[str, ...]
     warnings: tuple[str, ...]
     is_driven: bool
-    date: str
-    program_version: str
+    made: Provenance
     used_count: int = 0
     turns: TurnComparison | None = None
 
@@ -93,10 +89,8 @@ def write_verification_report(path: Path, verification: Verification) -> None:
         ReportData(
             title="Verification of a calibrated arm",
             arm=of.name,
-            date=verification.date,
-            program_version=verification.program_version,
+            made=verification.made,
             steps=verification.how,
-            inputs=verification.inputs,
             paths=verification.paths,
             verification=verification.comparison,
             arms=(verification.nominal, of),
@@ -108,63 +102,43 @@ def write_verification_report(path: Path, verification: Verification) -> None:
 
 
 def write_verification_json(path: Path, verification: Verification) -> None:
-    """Write verify.json. SI units; missing numbers are null."""
+    """Write verify.json."""
     compared, along = verification.comparison, compare_tracks(verification.paths)
+    heading = verification.made.heading(FORMAT, arm=verification.calibrated.name)
     content = {
-        "format": FORMAT,
-        "arm": verification.calibrated.name,
-        "date": verification.date,
-        "program_version": verification.program_version,
         "driven": verification.is_driven,
-        "inputs": {file.name: file.sha256 for file in verification.inputs},
         "verdict": {
             "finding": compared.of(ALL).difference.finding.name.lower(),
             "is_worse": verification.is_worse,
             "used_poses": verification.used_count,
-            "in_words": list(verification.verdict),
-            "by_setup": list(findings(compared)),
+            "in_words": verification.verdict,
+            "by_setup": findings(compared),
         },
-        "warnings": list(verification.warnings),
+        "warnings": verification.warnings,
         "by_setup": comparison_figures(compared),
         "points": _points(compared),
         "orientation": None if verification.turns is None else verification.turns.as_dict(),
         "trajectories": None
         if along is None
         else {"by_setup": comparison_figures(along), "parts": _points(along)},
-        "dh": {"before": verification.nominal.dh.tolist(), "after": verification.calibrated.dh.tolist()},
+        "dh": {"before": verification.nominal.dh, "after": verification.calibrated.dh},
         "tool_m": {
-            "before": list(verification.nominal.tool.position_m),
-            "after": list(verification.calibrated.tool.position_m),
+            "before": verification.nominal.tool.position_m,
+            "after": verification.calibrated.tool.position_m,
         },
     }
-    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_json(path, heading | content)
 
 
 def comparison_figures(comparison: Comparison) -> dict[str, object]:
     """Figures of each setup, and of all."""
     return {
-        entry.setup: {
-            "before": _summary(entry.before),
-            "after": _summary(entry.after),
-            "improvement_percent": entry.improvement_percent,
-            "difference": _difference(entry.difference),
+        entry.setup: entries(entry, "before", "after", "improvement_percent")
+        | {
+            "difference": entries(entry.difference, "mean_m", "lower_m", "upper_m")
+            | {"finding": entry.difference.finding.name.lower()}
         }
         for entry in comparison.by_setup()
-    }
-
-
-def _summary(summary: ErrorSummary) -> dict[str, float | None]:
-    return {
-        key: value if key == "count" else _number(value) for key, value in dataclasses.asdict(summary).items()
-    }
-
-
-def _difference(difference: Difference) -> dict[str, object]:
-    return {
-        "mean_m": difference.mean_m,
-        "lower_m": _number(difference.lower_m),
-        "upper_m": _number(difference.upper_m),
-        "finding": difference.finding.name.lower(),
     }
 
 
@@ -173,7 +147,7 @@ def _points(comparison: Comparison) -> list[dict[str, object]]:
         {
             "setup": comparison.setup[k],
             "point": comparison.point[k],
-            "tip_m": comparison.tip_m[k].tolist(),
+            "tip_m": comparison.tip_m[k],
             "before": _point(comparison.before_m[k], comparison.before_half_width_m[k]),
             "after": _point(comparison.after_m[k], comparison.after_half_width_m[k]),
         }
@@ -182,12 +156,4 @@ def _points(comparison: Comparison) -> list[dict[str, object]]:
 
 
 def _point(error_m: Array, half_width_m: float) -> dict[str, object]:
-    return {
-        "error_m": error_m.tolist(),
-        "distance_m": float(norms(error_m[None])[0]),
-        "half_width_m": _number(half_width_m),
-    }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return {"error_m": error_m, "distance_m": np.linalg.norm(error_m), "half_width_m": half_width_m}

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +14,7 @@ from calib.boards import Registration, markers_text, write_boards
 from calib.errors import RegistrationError
 from calib.points.points import STREAM_FRAME, Points
 from calib.points.writer import Record, replace_file
+from calib.results import made_today
 from calib.session.boards_known import Boards, markers_of
 from calib.session.conversation import (
     Answer,
@@ -285,15 +284,9 @@ class BoardSurvey:
             return
         before = self._found.get(setup)
         self._found[setup] = found
-        self._write()
+        write_boards(self._folder.path / BOARDS, self._folder.plan.arm, self._found, made_today())
         if before is None or before.outliers != found.outliers:
             yield Message(_described(setup, found), is_warning=bool(found.outliers))
-
-    def _write(self) -> None:
-        date = datetime.datetime.now(datetime.UTC).date().isoformat()
-        arm = self._folder.plan.arm
-        program = f"armwright {version('armwright')}"
-        write_boards(self._folder.path / BOARDS, arm, self._found, {}, date, program)
 
 
 def _observations(points: Points, boards: Boards) -> list[tuple[object, TipObservation]]:

@@ -12,6 +12,7 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
 from calib.report.page import Section, bullets, page, pair, paragraph, table, verdict
+from calib.results import Provenance
 from calib.tolerances.result import Made, cost_rows, costliest, sentences, stage_heading, stage_rows
 from calib.tolerances.study import COST_ARMS, STAGES
 
@@ -111,7 +112,7 @@ COSTS = (
 
 
 def tolerances_report(
-    made: Made, tolerance_m: float | None, warnings: Sequence[str], date: str, program_version: str
+    made: Made, tolerance_m: float | None, warnings: Sequence[str], provenance: Provenance
 ) -> str:
     """The page."""
     head = ("tolerance", "error less by", "left [mm]")
@@ -127,4 +128,4 @@ def tolerances_report(
     ]
     if warnings:
         parts.append(Section("Warnings", bullets(warnings)))
-    return page("Arms made to these tolerances", made.design.arm.name, f"{date} · {program_version}", parts)
+    return page("Arms made to these tolerances", made.design.arm.name, provenance.line, parts)

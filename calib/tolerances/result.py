@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import io
-import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -226,24 +225,6 @@ def write_map(file: Path, made: Made) -> None:
     replace_file(file, content.getvalue())
 
 
-def write_json(
-    file: Path,
-    made: Made,
-    tolerance_m: float | None,
-    about: Mapping[str, object],
-    inputs: Mapping[str, str],
-) -> None:
-    """tolerances.json: `about` has date and program_version; `inputs` a hash by name."""
-    content = {
-        "format": FORMAT,
-        "arm": made.design.arm.name,
-        **about,
-        "inputs": dict(inputs),
-    }
-    content |= made_json(made, tolerance_m)
-    replace_file(file, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
-
-
 def made_json(made: Made, tolerance_m: float | None) -> dict[str, object]:
     """The result for programs; SI units."""
     design = made.design
@@ -254,19 +235,19 @@ def made_json(made: Made, tolerance_m: float | None) -> dict[str, object]:
         "share_of_poses": SHARE,
         "tolerance_m": tolerance_m,
         "stages": [_stage(made, stage, tolerance_m) for stage in range(len(STAGES))],
-        "in_words": list(sentences(made, tolerance_m)),
+        "in_words": sentences(made, tolerance_m),
     }
 
 
 def _stage(made: Made, stage: int, tolerance_m: float | None) -> dict[str, object]:
-    kept = {f"{100 * share:g} %": asdict(made.kept(stage, share)) for share in PERCENTILES}
+    kept = {f"{100 * share:g} %": made.kept(stage, share) for share in PERCENTILES}
     return {
         "stage": STAGES[stage],
         "kept_m": kept,
         "rms_m": made.rms_m(stage),
-        "share_within_tolerance": None if tolerance_m is None else asdict(made.within(stage, tolerance_m)),
+        "share_within_tolerance": None if tolerance_m is None else made.within(stage, tolerance_m),
         "costs": [
-            {"name": one.name, "share": asdict(one.share[stage]), "left_rms_m": one.left_m[stage]}
+            {"name": one.name, "share": one.share[stage], "left_rms_m": one.left_m[stage]}
             for one in made.costs
         ],
     }

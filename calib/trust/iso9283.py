@@ -113,22 +113,21 @@ def pose_json(found: Sequence[PoseFigures]) -> list[dict[str, object]]:
         {
             "where": one.where,
             "visits": one.visits,
-            "AP_p_m": _document(one.accuracy_m, one.measured_accuracy_m),
-            "RP_l_m": _document(one.repeatability_m, one.measured_repeatability_m),
+            **{
+                name: {
+                    "predicted": predicted and predicted.value,
+                    "lower": predicted and predicted.lower,
+                    "upper": predicted and predicted.upper,
+                    "measured": measured,
+                }
+                for name, predicted, measured in (
+                    ("AP_p_m", one.accuracy_m, one.measured_accuracy_m),
+                    ("RP_l_m", one.repeatability_m, one.measured_repeatability_m),
+                )
+            },
         }
         for one in found
     ]
-
-
-def _document(predicted: IntervalFigure | None, measured: float | None) -> dict[str, float | None]:
-    if predicted is None:
-        return {"predicted": None, "lower": None, "upper": None, "measured": measured}
-    return {
-        "predicted": predicted.value,
-        "lower": predicted.lower,
-        "upper": predicted.upper,
-        "measured": measured,
-    }
 
 
 def _interval(figure: IntervalFigure | None) -> str:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import io
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.inputs import InputFile
 from calib.points.writer import replace_file
 from calib.report.drawing import AFTER, PLANNED, svg
 from calib.report.page import Section, bullets, page, pair, paragraph, table, verdict
+from calib.results import Provenance, entries
 from calib.trust.iso9283 import PoseFigures, pose_json, pose_rows
 from calib.trust.prediction import Reliability
 from calib.trust.trust import Trust, share_within
@@ -33,8 +32,7 @@ def trust_report(
     trust: Trust,
     tasks: Sequence[Reliability],
     poses: Sequence[PoseFigures],
-    date: str,
-    program_version: str,
+    made: Provenance,
 ) -> str:
     """The page."""
     parts: list[Section | str] = [verdict(sentences(trust))]
@@ -53,7 +51,7 @@ def trust_report(
     ]
     if trust.warnings:
         parts.append(Section("Warnings", bullets(trust.warnings)))
-    return page("How far the arm can be trusted", trust.arm.name, f"{date} · {program_version}", parts)
+    return page("How far the arm can be trusted", trust.arm.name, made.line, parts)
 
 
 # Pictures of the error map: from above and from the side, in space, by payload, and what costs most.
@@ -257,40 +255,20 @@ def write_map(file: Path, trust: Trust) -> None:
     replace_file(file, content.getvalue())
 
 
-def write_json(
-    file: Path,
-    trust: Trust,
-    tasks: Sequence[Reliability],
-    poses: Sequence[PoseFigures],
-    about: Mapping[str, object],
-    inputs: Sequence[InputFile],
-) -> None:
-    """trust.json: `about` has date and program_version."""
-    content = {
-        "format": FORMAT,
-        "arm": trust.arm.name,
-        **about,
-        "inputs": {one.name: one.sha256 for one in inputs},
-    }
-    content |= trust_json(trust, tasks, poses)
-    replace_file(file, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
-
-
 def trust_json(trust: Trust, tasks: Sequence[Reliability], poses: Sequence[PoseFigures]) -> dict[str, object]:
     """The result for programs; SI units."""
     reach, tolerance = trust.within_95_m, trust.request.tolerance_m
     found = trust.coverage
     return {
         "poses": len(reach),
-        "within_95_m": {"median": float(np.median(reach)), "largest": float(reach.max())},
+        "within_95_m": {"median": np.median(reach), "largest": reach.max()},
         "tolerance_m": tolerance,
         "share_within_tolerance": share_within(reach, tolerance) if tolerance is not None else None,
         "noise_m": trust.posterior.noise_m,
         "measuring_noise_m": trust.measuring_noise_m,
         "is_tied_to_base": trust.predictor.is_tied,
-        "held_out": None
-        if found is None
-        else {
+        "held_out": found
+        and {
             "points": found.count,
             "inside_95": found.inside,
             "nominal_rms_m": found.without_m,
@@ -298,35 +276,23 @@ def trust_json(trust: Trust, tasks: Sequence[Reliability], poses: Sequence[PoseF
             "predicted_rms_m": found.predicted_m,
         },
         "causes": [
-            {
-                "name": one.name,
-                "expected_m": one.expected_m,
-                "uncertain_m": one.uncertain_m,
-                "without_m": one.without_m,
-            }
-            for one in trust.importances
+            entries(one, "name", "expected_m", "uncertain_m", "without_m") for one in trust.importances
         ],
-        "sizes": {
-            source.name: float(size)
-            for source, size in zip(trust.discrepancy.sources, trust.posterior.sizes, strict=True)
-        },
+        "sizes": dict(
+            zip((one.name for one in trust.discrepancy.sources), trust.posterior.sizes, strict=True)
+        ),
         "tasks": [_task_json(one) for one in tasks],
         "iso9283": pose_json(poses),
         "in_words": [*sentences(trust), *(line for one in tasks for line in task_sentences(one))],
-        "warnings": list(trust.warnings),
+        "warnings": trust.warnings,
     }
 
 
 def _task_json(one: Reliability) -> dict[str, object]:
     low, high = one.interval
-    return {
-        "tolerance_m": one.tolerance_m,
-        "probability": one.probability,
+    return entries(one, "tolerance_m", "probability", "draws", "worst_time_s", "duration_s") | {
         "lower": low,
         "upper": high,
-        "draws": one.draws,
-        "largest_median_m": float(np.median(one.largest_m)),
-        "largest_95_m": float(np.quantile(one.largest_m, 0.95)),
-        "worst_time_s": one.worst_time_s,
-        "duration_s": one.duration_s,
+        "largest_median_m": np.median(one.largest_m),
+        "largest_95_m": np.quantile(one.largest_m, 0.95),
     }

@@ -22,9 +22,9 @@ from calib.arm_problem.link_bending import known_bending
 from calib.arrays import Array, frozen, norms
 from calib.boards import best_motion
 from calib.errors import CalibrationError
-from calib.inputs import input_file
 from calib.points.points import Points
 from calib.points.reading import read_points
+from calib.results import input_file
 from calib.validation.statistics import Difference, ErrorSummary, difference, mean_half_width, summarise
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices

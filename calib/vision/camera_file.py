@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,8 @@ import numpy as np
 
 from calib.arrays import frozen
 from calib.errors import VisionError
-from calib.points.writer import replace_file
-from calib.vision.intrinsics import LensFit, SeenPicture
+from calib.results import Provenance, entries, write_json
+from calib.vision.intrinsics import LensFit
 from calib.vision.lens import NAMES, Lens
 from control.files import parsed_json, read_text
 
@@ -26,43 +25,30 @@ def write_camera(
     fit: LensFit,
     target: str,
     said: Sequence[str],
-    inputs: Mapping[str, str],
-    date: str,
-    program: str,
+    made: Provenance,
 ) -> None:
-    """Write the fit; `said`: the advice; `inputs` maps pictures to their SHA-256."""
+    """Write the fit; `said`: the advice."""
     lens = fit.lens
     content = {
-        "format": FORMAT,
-        "date": date,
-        "program_version": program,
-        "inputs": dict(inputs),
         "target": target,
-        "width_px": lens.width_px,
-        "height_px": lens.height_px,
-        "readout_s": lens.readout_s,
-        "lens": dict(zip(NAMES, lens.values.tolist(), strict=True)),
-        "sd": dict(zip(NAMES, lens.sd.tolist(), strict=True)),
-        "covariance": lens.covariance.tolist(),
-        "noise_px": lens.noise_px,
-        "rms_px": fit.rms_px,
-        "held_out_px": fit.held_out_px,
-        "pictures": [_picture(one) for one in fit.seen],
-        "without_board": list(fit.unseen),
-        "advice": list(said),
+        **entries(lens, "width_px", "height_px", "readout_s", "covariance", "noise_px"),
+        "lens": dict(zip(NAMES, lens.values, strict=True)),
+        "sd": dict(zip(NAMES, lens.sd, strict=True)),
+        **entries(fit, "rms_px", "held_out_px"),
+        "pictures": [
+            {
+                "name": one.sighting.name,
+                "corners": len(one.sighting.corners),
+                **entries(one, "rms_px", "distance_m"),
+                "tilt_rad": one.tilt,
+                "blur_px": one.sighting.blur_px,
+            }
+            for one in fit.seen
+        ],
+        "without_board": fit.unseen,
+        "advice": said,
     }
-    replace_file(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
-
-
-def _picture(one: SeenPicture) -> dict[str, object]:
-    return {
-        "name": one.sighting.name,
-        "corners": len(one.sighting.corners),
-        "rms_px": one.rms_px,
-        "distance_m": one.distance_m,
-        "tilt_rad": list(one.tilt),
-        "blur_px": None if np.isnan(one.sighting.blur_px) else one.sighting.blur_px,
-    }
+    write_json(path, made.heading(FORMAT) | content)
 
 
 def read_camera(path: Path) -> Lens:

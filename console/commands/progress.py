@@ -2,10 +2,16 @@
 
 import sys
 import time
+from collections.abc import Iterable
 from types import TracebackType
 from typing import Self
 
 LINES = 10  # of a job, without a terminal
+
+
+def warn(sentences: Iterable[str]) -> None:
+    """Tell the operator, beside the results."""
+    sys.stderr.writelines(f"armwright: warning: {sentence}\n" for sentence in sentences)
 
 
 class Bar:

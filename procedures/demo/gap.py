@@ -7,12 +7,10 @@ the end, to check the name.
 from __future__ import annotations
 
 import dataclasses
-import datetime
 import math
 import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +24,7 @@ from calib.gap.report import GapReport, gap_parts
 from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
 from calib.report.page import Section, list_section, page, paragraph, table, tiles, verdict
 from calib.report.report_sections import paths_section, verification_section
+from calib.results import Provenance, made_today
 from calib.validation.verify import Comparison, TrackPair
 from control.errors import ArmError
 from control.files import write_whole
@@ -204,9 +203,7 @@ class Circle:
 def run(arm: Arm, bench: MockBench, hidden: Hidden, out: Path, advance: Advance) -> Circle:
     """Run the demo on the bench's arm; `arm` is the nominal one. Results in `out`."""
     programme = programme_of(arm)
-    Survey(
-        Model(arm), programme, _near(arm), out / "driven.csv"
-    )  # what the arm cannot do is said before it moves
+    Survey(Model(arm), programme, out / "driven.csv")  # what the arm cannot do is said before it moves
     plans = _plans(arm, bench.speed)
     advance("homing", 0.0)
     client = bench.start(arm)
@@ -313,27 +310,18 @@ def _driven(
     """Run every place and every path once by the model `arm`, on a runtime that uses the model `runtime_model`."""
     model = Model(arm)
     runtime = model if arm is runtime_model else Model(runtime_model)
-    survey = Survey(model, programme, _near(arm), out / f"driven_{name}.csv")
-    for _ in survey.tour(1, runtime, client, bench.speed):
-        pass
-    first = int(client.status()["run"]) + 1
-    for _ in survey.run_ways(runtime, client, bench.speed):
-        pass
-    last = int(client.status()["run"])
+    survey = Survey(model, programme, out / f"driven_{name}.csv")
+    survey.drive(runtime, client, bench.speed)
     client.wait(0.3)
-    return DrivenSurvey(name, survey, recording, _following_rad(recording, first, last, arm.joint_count))
+    return DrivenSurvey(name, survey, recording, _following_rad(recording, survey))
 
 
-def _near(arm: Arm) -> tuple[float, ...]:
-    """Seed of the inverse kinematics."""
-    return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
-
-
-def _following_rad(recording: Path, first: int, last: int, joints: int) -> float:
-    """Root mean square of set-points minus angles in the runs first to last."""
+def _following_rad(recording: Path, survey: Survey) -> float:
+    """Root mean square of set-points minus angles on the survey's paths."""
     rows = recorded(recording)
-    rows = rows[(rows["run"] >= first) & (rows["run"] <= last)]
-    errors = [rows[f"q{j}_set_rad"] - rows[f"q{j}_rad"] for j in range(1, joints + 1)]
+    rows = rows[np.isin(rows["run"], survey.runs)]
+    joints = range(1, survey.model.arm.joint_count + 1)
+    errors = [rows[f"q{j}_set_rad"] - rows[f"q{j}_rad"] for j in joints]
     return float(np.sqrt(np.mean(np.square(errors)))) if len(rows) else float("nan")
 
 
@@ -376,16 +364,13 @@ def findings(circle: Circle) -> tuple[str, ...]:
 
 def write_page(circle: Circle, out: Path) -> Path:
     """report.html."""
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    program = f"armwright {version('armwright')}"
-    path = out / "report.html"
-    about = f"{date} · {program} · mock arm with a hidden effect"
-    content = page("The gap, closed on the arm", circle.nominal.name, about, _parts(circle, date, program))
-    write_whole(path, content)
+    path, made = out / "report.html", made_today()
+    about = f"{made.line} · mock arm with a hidden effect"
+    write_whole(path, page("The gap, closed on the arm", circle.nominal.name, about, _parts(circle, made)))
     return path
 
 
-def _parts(circle: Circle, date: str, program: str) -> Iterator[Section | str]:
+def _parts(circle: Circle, made: Provenance) -> Iterator[Section | str]:
     yield verdict(findings(circle))
     yield tiles(_tiles(circle))
     yield list_section("Procedure", _steps(circle))
@@ -397,7 +382,8 @@ def _parts(circle: Circle, date: str, program: str) -> Iterator[Section | str]:
     yield paths_section(circle.paths)
     outcome = circle.outcome
     notes = (*outcome.agreement, *outcome.warnings)
-    yield from gap_parts(GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program))
+    report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, made.date, made.program)
+    yield from gap_parts(report)
 
 
 def _tiles(circle: Circle) -> Iterator[tuple[str, str, str]]:

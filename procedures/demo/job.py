@@ -3,21 +3,19 @@
 The run has no access to the hidden errors: every result is measured.
 """
 
-import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from calib.arm_problem.assembly import problem_of
 from calib.arrays import norms
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.identify.identification import Identification, identify
-from calib.inputs import InputFile, input_file
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.report.report import ReportData, write_report
+from calib.results import Provenance, input_file, made_today
 from calib.session.moves import ArmGeometry
 from calib.session.sequence import PointStage, board_points, step_through, with_reference_tips
 from calib.validation.verify import Comparison, TrackPair, compare
@@ -68,27 +66,20 @@ class DemoCalibration:
     file: Path
     points: Points
     found: Identification
-    inputs: tuple[InputFile, ...]
-    date: str
-    program: str
-
-    @property
-    def hashes(self) -> dict[str, str]:
-        """SHA-256 of the inputs by name."""
-        return {entry.name: entry.sha256 for entry in self.inputs}
+    made: Provenance
 
 
 def run(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> JobOutcome:
     """Run the whole job on the bench's arm; results are in the folder `out`."""
     table = tables.table_of(arm)
     programme = programme_of(table)
-    before = _survey(arm, programme, out / "verification_before.csv")
+    before = Survey(Model(arm), programme, out / "verification_before.csv")
     advance("homing", 0.0)
     client = bench.start(arm)
     client.enable()
     client.home()
     advance("verification, before", 0.05)
-    _drive(before, bench, client)
+    before.drive(before.model, client, bench.speed)
     for done, what in _session(arm, table, bench, client, out / "points.csv"):
         advance(what, 0.15 + 0.6 * done)
     recording_before = shut_down(arm, bench, client)
@@ -98,8 +89,8 @@ def run(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> JobOutcome:
 
     advance("verification, after", 0.8)
     client = start_again(calibrated.arm, bench)
-    after = _survey(calibrated.arm, programme, out / "verification_after.csv")
-    _drive(after, bench, client)
+    after = Survey(Model(calibrated.arm), programme, out / "verification_after.csv")
+    after.drive(after.model, client, bench.speed)
     recording_after = shut_down(calibrated.arm, bench, client)
 
     advance("report", 0.94)
@@ -115,29 +106,14 @@ def programme_of(table: Table) -> Programme:
     return Programme(places(table, SETUPS), ways(table, ("normal",)))
 
 
-def _survey(arm: Arm, programme: Programme, file: Path) -> Survey:
-    near = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
-    return Survey(Model(arm), programme, near, file)
-
-
-def _drive(survey: Survey, bench: MockBench, client: ArmClient) -> None:
-    """The survey's points and paths, on a runtime that uses the same model."""
-    for _ in survey.tour(1, survey.model, client, bench.speed):
-        pass
-    for _ in survey.run_ways(survey.model, client, bench.speed):
-        pass
-
-
 def _calibrate(arm: Arm, table: Table, out: Path) -> DemoCalibration:
     """Identify, and write the calibrated arm."""
-    points, found = _identify(arm, table, out / "points.csv")
-    inputs = (input_file(out / "points.csv", "tip seated in the cavities, encoders averaged"),)
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    program = f"armwright {version('armwright')}"
+    recorded, _ = read_points(out / "points.csv", arm.joint_count)
+    points = with_reference_tips(recorded, lambda setup: tables.cavities(table, setup))
+    found = identify(problem_of(arm, points))
+    made = made_today(input_file(out / "points.csv", "tip seated in the cavities, encoders averaged"))
     file = out / "arm_calibrated.toml"
-    hashes = {entry.name: entry.sha256 for entry in inputs}
-    calibrated = write_calibrated_arm(file, arm, found, hashes, date, program)
-    return DemoCalibration(calibrated, file, points, found, inputs, date, program)
+    return DemoCalibration(write_calibrated_arm(file, arm, found, made), file, points, found, made)
 
 
 def _report(
@@ -146,19 +122,15 @@ def _report(
     """Write calibration.json and report.html."""
     points, found = made.points, made.found
     calibration = compare(points.setup, points.point, points.tip_m, found.error_before_m, found.error_after_m)
-    write_calibration_json(
-        out / "calibration.json", arm.name, found, made.hashes, made.date, made.program, verification
-    )
+    write_calibration_json(out / "calibration.json", arm.name, found, made.made, verification)
     report = out / "report.html"
     write_report(
         report,
         ReportData(
             title="armwright demo: calibration of a mock arm",
             arm=arm.name,
-            date=made.date,
-            program_version=made.program,
+            made=made.made,
             steps=_steps(len(points), len(verification.point)),
-            inputs=made.inputs,
             paths=paths,
             identification=found,
             calibration=calibration,
@@ -180,12 +152,6 @@ def _session(
             if step.stage is PointStage.UNREACHABLE:
                 raise ArmError(f"cavity {step.point} on the board's setup {step.setup}: {step.reason}")
             yield step.done_count / step.total_count, f"table: {step.setup} {step.point}"
-
-
-def _identify(arm: Arm, table: Table, file: Path) -> tuple[Points, Identification]:
-    points, _ = read_points(file, arm.joint_count)
-    points = with_reference_tips(points, lambda setup: tables.cavities(table, setup))
-    return points, identify(problem_of(arm, points))
 
 
 def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:

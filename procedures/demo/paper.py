@@ -5,11 +5,8 @@ the sum of distances, from each tilt alone; verification at unused points, measu
 all tilts together, free poses measured by the camera, and backlash in the model and in the commands.
 """
 
-import datetime
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +14,10 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, norms
 from calib.calibration.outcome import write_calibrated_arm
-from calib.inputs import input_file
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
+from calib.results import input_file, made_today, write_json
 from calib.session.sequence import board_points
 from control.files import write_whole
 from control.model import table as tables
@@ -31,7 +28,6 @@ from procedures.demo.paper_models import (
     GentlePose,
     Goal,
     Mover,
-    PaperModel,
     commands,
     free_poses,
     models_of,
@@ -132,26 +128,14 @@ def _table_error_m(arm: Arm, points: Points) -> float:
 
 def _written(arm: Arm, replay: PaperReplay, out: Path) -> PaperOutcome:
     """Report, figures and calibrated arms."""
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    program = f"armwright {version('armwright')}"
-    files = [input_file(path, "") for path in sorted(out.glob("*.csv"))]
-    inputs = {file.name: file.sha256 for file in files}
+    made = made_today(*(input_file(path, "recorded points") for path in sorted(out.glob("*.csv"))))
+    of_points = made_today(input_file(out / "points.csv", "recorded points"))
     for model in replay.models:
-        _write_arm(out / f"arm_{_in_file(model.name)}.toml", arm, model, inputs, date, program)
-    figures = out / "paper.json"
-    text = json.dumps(document(replay, program, date, inputs), indent=2, allow_nan=False)
-    write_whole(figures, text + "\n")
-    report = out / "report.html"
-    write_whole(report, paper_page(replay, arm.name, f"{date} · {program}", inputs))
+        write_calibrated_arm(out / f"arm_{_in_file(model.name)}.toml", arm, model.found, of_points)
+    figures, report = out / "paper.json", out / "report.html"
+    write_json(figures, made.heading("paper-replay/1") | document(replay))
+    write_whole(report, paper_page(replay, arm.name, made))
     return PaperOutcome(replay, report, figures)
-
-
-def _write_arm(
-    file: Path, arm: Arm, model: PaperModel, inputs: dict[str, str], date: str, program: str
-) -> None:
-    """The calibrated arm, with the identified backlash."""
-    known = {"points.csv": inputs["points.csv"]}
-    write_calibrated_arm(file, arm, model.found, known, date, program)
 
 
 def _in_file(name: str) -> str:

@@ -22,6 +22,8 @@ from calib.report.page import (
     tiles,
     verdict,
 )
+from calib.report.report_sections import inputs_section
+from calib.results import Provenance, entries
 from calib.validation.statistics import mean_half_width, student_t
 from calib.validation.verify import aligned
 from procedures.demo.paper_models import BACKLASH, FREE, OTHER, SETUPS, TILTS, Goal, PaperModel
@@ -147,13 +149,9 @@ def own_tilt(replay: PaperReplay) -> list[tuple[str, Improvement, float]]:
     return [(s, replay.of(s, s), IMPROVED_percent[s]) for s in SETUPS]
 
 
-def document(replay: PaperReplay, program: str, date: str, inputs: Mapping[str, str]) -> dict[str, object]:
-    """paper.json: SI units, improvements in percent; a missing number is null."""
+def document(replay: PaperReplay) -> dict[str, object]:
+    """Of paper.json: SI units, improvements in percent."""
     return {
-        "format": "paper-replay/1",
-        "program_version": program,
-        "date": date,
-        "inputs": dict(inputs),
         "initial_error_at_the_table_m": replay.table_error_m,
         "identified": {model.name: _model(replay, model) for model in replay.models},
         "published": {
@@ -175,26 +173,15 @@ def _model(replay: PaperReplay, model: PaperModel) -> dict[str, object]:
         "parameters": {
             e.parameter.name: {"deviation": e.deviation, "unit": e.parameter.unit} for e in found.estimates
         },
-        "at_bound": list(found.binding),
-        "effects": [
-            {"effect": e.effect, "joint": e.joint, "parameters": dict(e.parameters)} for e in model.backlash
-        ],
-        "verified": {place: _improvement(replay.of(model.name, place)) for place in PLACES},
+        "at_bound": found.binding,
+        "effects": [entries(effect, "effect", "joint", "parameters") for effect in model.backlash],
+        "verified": {
+            place: entries(entry, "count", "before_m", "before_half_m", "after_m", "after_half_m")
+            | {"improved_percent": entry.percent, "improved_half_percent": entry.percent_half}
+            for place, entry in ((place, replay.of(model.name, place)) for place in PLACES)
+        },
         "in_words": list(model.remarks),
     }
-
-
-def _improvement(entry: Improvement) -> dict[str, float | int | None]:
-    values = {
-        "count": entry.count,
-        "before_m": entry.before_m,
-        "before_half_m": entry.before_half_m,
-        "after_m": entry.after_m,
-        "after_half_m": entry.after_half_m,
-        "improved_percent": entry.percent,
-        "improved_half_percent": entry.percent_half,
-    }
-    return {key: value if math.isfinite(value) else None for key, value in values.items()}
 
 
 def _after_mm(entry: Improvement) -> str:
@@ -229,12 +216,12 @@ MARKERS = "osD^Pv"
 SHOWN_COLOURS = (COLOURS[2], COLOURS[3], AFTER)
 
 
-def paper_page(replay: PaperReplay, arm: str, about: str, inputs: Mapping[str, str]) -> str:
+def paper_page(replay: PaperReplay, arm: str, made: Provenance) -> str:
     """The whole page."""
     return page(
         "The paper, replayed",
         arm,
-        about,
+        made.line,
         [
             verdict(findings(replay)),
             tiles(_tiles(replay)),
@@ -244,7 +231,7 @@ def paper_page(replay: PaperReplay, arm: str, about: str, inputs: Mapping[str, s
             _backlash_section(replay),
             list_section("Differences from the authors' experiment", DIFFERS),
             _models_section(replay),
-            Section("Inputs", table(("file", "SHA-256"), [(n, ("text", h)) for n, h in inputs.items()])),
+            inputs_section(made.inputs),
         ],
     )
 

@@ -6,11 +6,9 @@ measured by the truth, as an outside camera would.
 
 from __future__ import annotations
 
-import datetime
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import version
 from itertools import combinations, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,11 +35,11 @@ from calib.closed_chain.room import Poses, SharedRoom
 from calib.design.planning import short_path
 from calib.errors import CalibrationError
 from calib.identify.open_combinations import open_in_words
-from calib.inputs import input_file
 from calib.report.drawing import AFTER, BEFORE, PLANNED, label_plane, svg
 from calib.report.page import Section, bullets, list_section, page, pair, paragraph, table, tiles, verdict
 from calib.report.pictures import path_picture
 from calib.report.report_sections import dh_section
+from calib.results import input_file, made_today
 from calib.session.conversation import Recorded, unattended
 from calib.session.folder import POINTS, SessionFolder
 from calib.validation.verify import Track, TrackPair
@@ -178,11 +176,9 @@ def _geometry(found: PairFound) -> list[str]:
 
 def _written(cell: Cell, names: tuple[str, str], plan: ContactPlan, found: PairFound, out: Path) -> Cell:
     """Both arms, pair.json and the calibrated cell as files; the cell as loaded from them."""
-    inputs = {"points.csv": input_file(out / "contacts" / POINTS, "contacts").sha256}
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    folder = out / "pair"
+    folder, made = out / "pair", made_today(input_file(out / "contacts" / POINTS, "contacts"))
     folder.mkdir()
-    write_pair(folder, plan.arms, found, "huber", inputs, date, f"armwright {version('armwright')}")
+    write_pair(folder, plan.arms, found, "huber", made)
     write_whole(folder / "pair.txt", pair_text(plan.arms, found) + "\n")
     first, second = (load_arm(str(folder / f"{name}.toml")) for name in names)
     (out / "calibrated").mkdir()
@@ -303,8 +299,7 @@ CALIBRATED = ("as the files say", "second base placed alone", "both arms calibra
 
 def write_page(outcome: PairOutcome, out: Path) -> Path:
     """report.html."""
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    about = f"{date} · armwright {version('armwright')} · mock arms with hidden errors, no camera"
+    about = f"{made_today().line} · mock arms with hidden errors, no camera"
     path, names = out / "report.html", " and ".join(outcome.cell.names)
     write_whole(path, page("Two arms that measured each other", names, about, _parts(outcome)))
     return path

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +19,9 @@ from calib.boards import best_motion
 from calib.calibration.calibrate import Calibrated, CalibrationPlan, calibrate
 from calib.calibration.outcome import write_calibrated_arm
 from calib.identify.identification import identify
-from calib.inputs import input_file
 from calib.points.points import Points, make_points
 from calib.points.writer import write_points
+from calib.results import input_file, made_today
 from calib.vision.advice import advice
 from calib.vision.camera_file import write_camera
 from calib.vision.intrinsics import CORNERS_LEAST as LENS_CORNERS
@@ -92,9 +91,7 @@ def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> WebcamOut
     advance("calibrating the lens", 0.75)
     files = picture_files(out / "lens")
     fit = fit_lens(BOARD, look_for(BOARD, files, LENS_CORNERS))
-    write_camera(
-        out / "camera.json", fit, BOARD.name, advice(fit), {}, "", f"armwright {version('armwright')}"
-    )
+    write_camera(out / "camera.json", fit, BOARD.name, advice(fit), made_today())
     advance("measuring poses", 0.8)
     seen = look_for(BOARD, picture_files(out / "arm"), CORNERS_LEAST)
     poses = measure_poses(BOARD, [CameraPictures("webcam", fit.lens, seen)])
@@ -104,10 +101,8 @@ def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> WebcamOut
     made = calibrate(nominal, measured, CalibrationPlan())
     by_position = dataclasses.replace(measured, orientation=np.full((len(measured), 4), np.nan))
     rank = identify(problem_of(nominal, by_position, Choice(freed=("camera",))), starts_count=1).rank
-    inputs = {entry.name: entry.sha256 for entry in (input_file(out / "points.csv", "points"),)}
-    write_calibrated_arm(
-        out / "arm_calibrated.toml", nominal, made.found, inputs, "", f"armwright {version('armwright')}"
-    )
+    of_points = made_today(input_file(out / "points.csv", "points"))
+    write_calibrated_arm(out / "arm_calibrated.toml", nominal, made.found, of_points)
     before, after = _over_workspace(pictured, nominal, made.arm, draw)
     advance("done", 1.0)
     return WebcamOutcome(fit, webcam.focal_px[0], poses, made, rank, before, after)

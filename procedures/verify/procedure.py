@@ -1,10 +1,8 @@
 """A whole verification, on an arm through its runtime or on recorded points."""
 
 import dataclasses
-import datetime
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 
@@ -14,11 +12,11 @@ from calib.arm_problem.joint_effects import LAWS
 from calib.distances.calibrate import compare_lengths
 from calib.distances.problem import Vector, has_readings
 from calib.errors import CalibrationError
-from calib.inputs import InputFile, input_file
 from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.verification import Verification, write_verification_json, write_verification_report
+from calib.results import InputFile, input_file, made_today
 from calib.session.sequence import with_reference_tips
 from calib.validation.verify import Comparison, TrackPair, Used, already_used, compare_arms, compare_turns
 from control.dynamics.feedforward import FED_FORWARD
@@ -39,14 +37,12 @@ class SurveyPair:
     after: Survey
 
     @classmethod
-    def planned(
-        cls, pair: ModelPair, programme: Programme, q_near_rad: Sequence[float], out: Path
-    ) -> "SurveyPair":
+    def planned(cls, pair: ModelPair, programme: Programme, out: Path) -> "SurveyPair":
         """Plan both surveys; ArmError if something is out of reach by either model."""
         return cls(
             programme,
-            Survey(pair.nominal, programme, q_near_rad, out / "before.csv"),
-            Survey(pair.calibrated, programme, q_near_rad, out / "after.csv"),
+            Survey(pair.nominal, programme, out / "before.csv"),
+            Survey(pair.calibrated, programme, out / "after.csv"),
         )
 
     def run(self, runtime_model: Model, client: ArmClient, speed: float, advance: Advance) -> None:
@@ -160,12 +156,10 @@ def _verification(
         calibrated,
         comparison,
         paths,
-        (*_arm_files(nominal, calibrated), *more),
         how,
         (*used.warnings, *notes, *_left_out(nominal, calibrated, is_driven)),
         is_driven,
-        datetime.datetime.now(datetime.UTC).date().isoformat(),
-        f"armwright {version('armwright')}",
+        made_today(*_arm_files(nominal, calibrated), *more),
         used.count,
     )
 

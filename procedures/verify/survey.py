@@ -419,10 +419,12 @@ class Survey:
     something, before anything moves.
     """
 
-    def __init__(self, model: Model, programme: Programme, q_near_rad: Sequence[float], file: Path) -> None:
+    def __init__(self, model: Model, programme: Programme, file: Path) -> None:
+        """Plan by the model; the branch is that of the rest pose. Measurements go to `file`."""
         self.model = model
         self._programme = programme
         self._file = file
+        q_near_rad = model.arm.rest.q_rad if model.arm.rest else (0.0,) * model.arm.joint_count
         self._poses = poses_at(programme.places, model, q_near_rad)
         angles = [pose.q_rad or () for pose in self._poses]
         near = angles[0] if angles else q_near_rad
@@ -444,6 +446,16 @@ class Survey:
         as_encoders = not self.model.has_gears_of(runtime_model)
         with PointsWriter(self._file, self.model.arm.joint_count) as writer:
             yield from visit(self._poses, repeat, client, speed, writer, as_encoders)
+
+    def drive(self, runtime_model: Model, client: ArmClient, speed: float) -> None:
+        """Visit every place and run every path, once."""
+        for _ in (*self.tour(1, runtime_model, client, speed), *self.run_ways(runtime_model, client, speed)):
+            pass
+
+    @property
+    def runs(self) -> list[int]:
+        """Numbers of the paths' runs in the recording."""
+        return [ran.number for _, ran in self._runs]
 
     def run_ways(self, runtime_model: Model, client: ArmClient, speed: float) -> Iterator[Way]:
         """Run every path once; yields each run."""

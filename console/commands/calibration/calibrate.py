@@ -1,9 +1,7 @@
 """`armwright calibrate`: from recorded points to a calibrated arm with its uncertainty."""
 
 import argparse
-import datetime
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 from calib.ageing import geometry_of
@@ -14,18 +12,17 @@ from calib.calibration.report import calibration_report, judgement_json, summary
 from calib.errors import CalibrationError
 from calib.export import FORMS, export
 from calib.identify.objective import objective_named
-from calib.inputs import InputFile, input_file
 from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.report import write_report
+from calib.results import InputFile, input_file, made_today
 from console.commands.calibration.options import board_frames, bounds_of, names_in, record_of
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.quantities import orientation_noise_rad, quantity
-from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
-from procedures.folders import require_writable
+from procedures.folders import require_new
 
 ENDINGS = {"urdf": "urdf", "mjcf": "xml", "json": "json"}
 BASE_POINTS = "points_base.csv"
@@ -35,19 +32,16 @@ RESULTS = ("arm.toml", "calibration.json", "report.html", BASE_POINTS)
 def run(given: argparse.Namespace) -> int:
     """Read, identify, validate, write. Nothing is written before all input has been read and checked."""
     arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
-    _require_no_results(out, forms)
-    require_writable(out)
+    require_new(out, (*RESULTS, *(f"arm.{ENDINGS[form]}" for form in forms)))
     record = record_of(given, "calibrate", arm.name)
     plan = _plan(given)
     points, warnings = _read(given, arm)
     with Bar("calibrate") as bar:
         made = calibrate(arm, points, plan, bar.advance)
-    for warning in (*warnings, *made.warnings):
-        sys.stderr.write(f"armwright: warning: {warning}\n")
+    warn((*warnings, *made.warnings))
     files = _write(given, made, out, forms)
     if record is not None:
-        hashes = {one.name: one.sha256 for one in _inputs(given, arm)}
-        record.append(hashes, geometry_of(made.problem, made.found))
+        record.append(made_today(*_inputs(given, arm)).hashes, geometry_of(made.problem, made.found))
     if given.json:
         sys.stdout.write((out / "calibration.json").read_text(encoding="utf-8"))
     else:
@@ -63,13 +57,6 @@ def _forms(texts: list[str]) -> list[str]:
         if form not in FORMS:
             raise CalibrationError(f'--export: expected one or more of {", ".join(FORMS)}, got "{form}"')
     return forms
-
-
-def _require_no_results(out: Path, forms: list[str]) -> None:
-    """CalibrationError if a result exists: it may be the only record of a calibration, so it is never overwritten."""
-    for name in (*RESULTS, *(f"arm.{ENDINGS[form]}" for form in forms)):
-        if (out / name).exists():
-            raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
 
 
 def _read(given: argparse.Namespace, arm: Arm) -> tuple[Points, tuple[str, ...]]:
@@ -143,29 +130,17 @@ def _leave_out(text: str | None) -> LeaveOut:
 
 def _write(given: argparse.Namespace, made: Calibrated, out: Path, forms: list[str]) -> dict[str, Path]:
     """Write the calibrated arm, calibration.json, report.html and the exports; return the files by kind."""
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    program = f"armwright {version('armwright')}"
-    inputs = _inputs(given, made.nominal)
-    hashes = {entry.name: entry.sha256 for entry in inputs}
+    provenance = made_today(*_inputs(given, made.nominal))
     files = {"calibrated arm": out / "arm.toml", "for programs": out / "calibration.json"}
-    write_calibrated_arm(
-        files["calibrated arm"], made.nominal, made.found, hashes, date, program, made.points
-    )
-    write_calibration_json(
-        files["for programs"],
-        made.nominal.name,
-        made.found,
-        hashes,
-        date,
-        program,
-        more=judgement_json(made),
-    )
+    write_calibrated_arm(files["calibrated arm"], made.nominal, made.found, provenance, made.points)
+    more = judgement_json(made)
+    write_calibration_json(files["for programs"], made.nominal.name, made.found, provenance, more=more)
     in_base = points_in_base(made)
     if in_base is not None:
         files["points in the base frame"] = out / BASE_POINTS
         write_points(files["points in the base frame"], in_base)
     files["report"] = out / "report.html"
-    write_report(files["report"], calibration_report(made, inputs, date, program))
+    write_report(files["report"], calibration_report(made, provenance))
     for form in forms:
         files[form] = out / f"arm.{ENDINGS[form]}"
         for sentence in export(made.arm, form, files[form]):

@@ -1,9 +1,7 @@
 """`armwright calibrate-pair`: two arms whose tips touch, from the joint angles of both."""
 
 import argparse
-import datetime
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts
@@ -12,14 +10,13 @@ from calib.closed_chain.outcome import pair_text, write_pair
 from calib.closed_chain.pair_problem import names_of
 from calib.errors import CalibrationError
 from calib.identify.objective import objective_named
-from calib.inputs import input_file
+from calib.results import input_file, made_today
 from console.commands.calibration.options import bounds_of, names_in
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.quantities import length_m
-from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
-from procedures.folders import require_writable
+from procedures.folders import require_new
 
 NOISE_m = 2e-4  # of a contact, to compare what contacts say with what is known of the arms
 
@@ -28,8 +25,7 @@ def run(given: argparse.Namespace) -> int:
     """Read both arms and the contacts, then identify, or choose contacts."""
     arms = (load_arm(given.arms[0]), load_arm(given.arms[1]))
     contacts, warnings = read_contacts(Path(given.contacts), arms)
-    for warning in warnings:
-        sys.stderr.write(f"armwright: warning: {warning}\n")
+    warn(warnings)
     plan = _plan(given, arms)
     return (
         _choose(given, arms, contacts, plan)
@@ -58,21 +54,17 @@ def _plan(given: argparse.Namespace, arms: tuple[Arm, Arm]) -> PairPlan:
 
 def _calibrate(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan) -> int:
     out = Path(given.out)
-    for name in (*(f"{name}.toml" for name in names_of(arms)), "pair.json"):
-        if (out / name).exists():
-            raise ArmError(f"{out / name} exists already and is never overwritten: choose another --out")
-    require_writable(out)
+    require_new(out, [*(f"{name}.toml" for name in names_of(arms)), "pair.json"])
     with Bar("calibrate-pair") as bar:
         found = calibrate_pair(arms, contacts, plan, bar.advance)
-    inputs = {Path(given.contacts).name: input_file(Path(given.contacts), "contacts").sha256}
-    for name, arm in zip(names_of(arms), arms, strict=True):
-        if arm.path is not None:
-            inputs[f"{name}: {arm.path.name}"] = input_file(arm.path, "a nominal arm").sha256
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    nominal = [
+        input_file(arm.path, "a nominal arm", f"{name}: {arm.path.name}")
+        for name, arm in zip(names_of(arms), arms, strict=True)
+        if arm.path is not None
+    ]
+    made = made_today(input_file(Path(given.contacts), "contacts"), *nominal)
     out.mkdir(parents=True, exist_ok=True)
-    files = write_pair(
-        out, arms, found, plan.objective.name, inputs, date, f"armwright {version('armwright')}"
-    )
+    files = write_pair(out, arms, found, plan.objective.name, made)
     if given.json:
         sys.stdout.write(files[-1].read_text(encoding="utf-8"))
     else:

@@ -1,17 +1,14 @@
 """`armwright camera`: a target to print, the lens of a camera, and the target's pose in pictures of the arm."""
 
 import argparse
-import datetime
-import hashlib
-import json
 import re
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 from calib.errors import VisionError
 from calib.points.reading import read_points
 from calib.points.writer import write_points
+from calib.results import input_file, json_text, made_today
 from calib.vision.advice import advice, lens_text
 from calib.vision.advice import poses_text as described
 from calib.vision.camera_file import read_camera, write_camera
@@ -36,10 +33,10 @@ from calib.vision.targets import (
     read_tags,
     write_print,
 )
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.quantities import quantity
 from control.files import write_whole
-from procedures.folders import require_writable
+from procedures.folders import require_new
 
 
 def run(given: argparse.Namespace) -> int:
@@ -53,7 +50,7 @@ def _board(given: argparse.Namespace, out: Path) -> int:
     target = _target(given)
     if not isinstance(target, Charuco) and len(target.corners_m) > 1:
         raise VisionError("--tags: print each tag by itself, with --tag and --size")
-    _require_new(out, "board.pdf")
+    require_new(out, ["board.pdf"])
     sheet = write_print(out / "board.pdf", target)
     width, height = (1e3 * size for size in target.print_m)
     sys.stdout.write(
@@ -72,16 +69,15 @@ def _calibrate(given: argparse.Namespace, out: Path) -> int:
     if given.camera or given.points:
         raise VisionError("camera calibrate: --camera and --points are for `armwright camera poses`")
     (folder,) = _folders(given, 1)
-    _require_new(out, "camera.json")
+    require_new(out, ["camera.json"])
     files = picture_files(folder)
     with Bar("camera") as bar:
         pictures = look_for(board, files, CORNERS_OF_A_LENS, bar.advance)
         bar.advance("fitting the lens", 0.9)
         fit = fit_lens(board, pictures, _positive(given.readout_s, "--readout-s"))
-    inputs = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
     path = out / "camera.json"
-    write_camera(path, fit, board.name, advice(fit), inputs, date, f"armwright {version('armwright')}")
+    made = made_today(*(input_file(file, "a picture of the board") for file in files))
+    write_camera(path, fit, board.name, advice(fit), made)
     sys.stdout.write(
         path.read_text(encoding="utf-8") if given.json else f"{lens_text(fit)}\nwritten: {path}\n"
     )
@@ -97,7 +93,7 @@ def _poses(given: argparse.Namespace, out: Path) -> int:
         )
     folders = _folders(given, len(lenses))
     points = None if given.points is None else read_points(Path(given.points))[0]
-    _require_new(out, "markers.csv", "points.csv")
+    require_new(out, ["markers.csv", "points.csv"])
     with Bar("camera") as bar:
         cameras = [
             CameraPictures(
@@ -109,13 +105,12 @@ def _poses(given: argparse.Namespace, out: Path) -> int:
         found = measure_poses(target, cameras, _positive(given.tip_speed, "--tip-speed"))
     if points is not None:
         measured, said = with_pictures(points, found.measured)
-        for sentence in said:
-            sys.stderr.write(f"armwright: warning: {sentence}\n")
+        warn(said)
         write_points(out / "points.csv", measured)
     write_whole(out / "markers.csv", poses_text(found.measured))
     written = [out / name for name in ("markers.csv", *(["points.csv"] if points is not None else []))]
     if given.json:
-        sys.stdout.write(json.dumps(_summary(found, written)) + "\n")
+        sys.stdout.write(json_text(_summary(found, written)))
     else:
         sys.stdout.write(described(found) + "".join(f"written: {path}\n" for path in written))
     return 0
@@ -126,7 +121,7 @@ def _summary(found: PoseSet, written: list[Path]) -> dict[str, object]:
         "format": "camera-poses/1",
         "measured": [one.name for one in found.measured],
         "rejected": {one.name: one.reason for one in found.rejected},
-        "noise_px": dict(found.noise_px),
+        "noise_px": found.noise_px,
         "files": [str(path) for path in written],
     }
 
@@ -178,14 +173,6 @@ def _folders(given: argparse.Namespace, count: int) -> list[Path]:
 def _name(camera: Path, folder: Path) -> str:
     """Of a camera in messages: its pictures' folder, since files are often all called camera.json."""
     return str(folder) if camera.stem == "camera" else camera.stem
-
-
-def _require_new(out: Path, *names: str) -> None:
-    """VisionError if a result exists; the place must be writable."""
-    for name in names:
-        if (out / name).exists():
-            raise VisionError(f"{out / name} exists already and is never overwritten: choose another --out")
-    require_writable(out)
 
 
 def _positive(value: float | None, name: str) -> float:

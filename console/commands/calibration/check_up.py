@@ -1,7 +1,6 @@
 """`armwright check-up`: a few poses that decide between fine, recalibrate, and inspect joint j."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import numpy as np
 from calib.arm_problem.checks import require_of_arm
 from calib.checkup import (
     POSES,
-    CheckupDecision,
     checkup_plan,
     decide,
     decision_json,
@@ -21,8 +19,9 @@ from calib.errors import CalibrationError
 from calib.gap.plan.plan import RecordingPlan
 from calib.points.arm_points import points_for
 from calib.points.points import Points
-from calib.points.writer import replace_file
+from calib.results import json_text, write_json
 from console.commands.calibration.gap import REAL_SPEED, recorded
+from console.commands.progress import warn
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -51,8 +50,9 @@ def run(given: argparse.Namespace) -> int:
         _record(given, arm, plan, out)
         new = _measured(arm, [str(out / "points.csv")], POSES_LEAST, given.as_given)
     found = decide(expectation_of(arm, earlier, new))
-    replace_file(Path(given.out) / RESULT, (_json(found) + "\n").encode())
-    sys.stdout.write(_json(found) + "\n" if given.json else "".join(f"{one}\n" for one in sentences(found)))
+    content = decision_json(found)
+    write_json(Path(given.out) / RESULT, content)
+    sys.stdout.write(json_text(content) if given.json else "".join(f"{one}\n" for one in sentences(found)))
     return 0 if found.action == "fine" and found.is_sure else 1
 
 
@@ -68,8 +68,7 @@ def _require_consistent(given: argparse.Namespace) -> None:
 def _measured(arm: Arm, files: list[str], least: int, is_as_given: bool) -> Points:
     """Points whose tip was measured; CalibrationError if they are too few."""
     points, warnings = points_for(arm, [Path(name) for name in files], is_as_given)
-    for warning in (*warnings, *require_of_arm(arm, points)):
-        sys.stderr.write(f"armwright: warning: {warning}\n")
+    warn((*warnings, *require_of_arm(arm, points)))
     rows = np.flatnonzero(np.isfinite(points.tip_m).all(axis=1)).tolist()
     if len(rows) < least:
         raise CalibrationError(
@@ -108,7 +107,3 @@ def _plan_text(plan: RecordingPlan) -> str:
 
 def _signs(direction: tuple[int, ...]) -> str:
     return "".join("+" if one > 0 else "-" for one in direction)
-
-
-def _json(found: CheckupDecision) -> str:
-    return json.dumps(decision_json(found), indent=2, allow_nan=False)

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import json
 import math
 import sys
 from pathlib import Path
@@ -20,9 +19,10 @@ from calib.gap.workflow import (
     require_free,
     write_gap,
 )
+from calib.results import json_text
 from console.commands.calibration.options import record_of
 from console.commands.connection import in_control_of
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -82,10 +82,9 @@ def _look(
 
 
 def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path) -> None:
-    for sentence in (*outcome.warnings, *outcome.agreement):
-        sys.stderr.write(f"armwright: warning: {sentence}\n")
+    warn((*outcome.warnings, *outcome.agreement))
     if given.json:
-        sys.stdout.write(json.dumps(gap_content(outcome.finding), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json_text(gap_content(outcome.finding)))
         return
     sys.stdout.write("".join(f"{sentence}\n" for sentence in in_words(outcome.finding)))
     sys.stdout.write(f"\nreport  {out / 'report.html'}\nmodel   {out / 'arm.toml'}\n")

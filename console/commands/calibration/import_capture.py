@@ -1,7 +1,6 @@
 """`armwright import-capture`: a recording of a motion capture system as points, on the time of the encoders."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -17,11 +16,12 @@ from calib.capture.vicon_csv import read_vicon_csv
 from calib.gap.log import Log, read_log
 from calib.points.points import CAMERA_FRAME, STREAM_FRAME
 from calib.points.writer import write_points
-from control.errors import ArmError
+from calib.results import entries, json_text
+from console.commands.progress import warn
 from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
-from procedures.folders import require_writable
+from procedures.folders import require_new
 from procedures.gap.recording import log_text
 from procedures.gap.timing import on_one_clock, with_tips
 
@@ -30,10 +30,7 @@ def run(given: argparse.Namespace) -> int:
     """Write points of the arm's rests, or markers of the board."""
     arm, out = load_arm(given.arm), Path(given.out)
     files = [out / name for name in (("markers.csv",) if given.board_markers else ("points.csv", "log.csv"))]
-    for file in files:
-        if file.exists():
-            raise ArmError(f"{file} exists already and is never overwritten: choose another --out")
-    require_writable(out)
+    require_new(out, [file.name for file in files])
     return (_markers if given.board_markers else _points)(given, arm, files[0])
 
 
@@ -66,12 +63,11 @@ def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
     aligned = align(arm, motion, capture.t_s, body)
     rested = poses_at_rest(motion, capture.t_s, body, aligned, _frame(arm, given))
     said = (*capture.notes, *of_log, *said, *rested.left_out)
-    for sentence in said:
-        sys.stderr.write(f"armwright: warning: {sentence}\n")
+    warn(said)
     write_points(file, rested.points)
     written, about_log = _log_written(arm, given, log, motion, aligned.log_time(capture.t_s), body)
     if given.json:
-        sys.stdout.write(json.dumps(_summary(aligned, rested, file, written, (*of_clock, *said))) + "\n")
+        sys.stdout.write(json_text(_summary(aligned, rested, file, written, (*of_clock, *said))))
     else:
         about = "".join(f"{sentence.rstrip('.')}.\n" for sentence in of_clock)
         sys.stdout.write(f"{about}{_text(aligned, rested, body)}written: {file}\n{about_log}\n")
@@ -133,14 +129,10 @@ def _summary(
 ) -> dict[str, object]:
     return {
         "format": "import-capture/1",
-        "offset_s": aligned.offset_s,
-        "offset_sd_s": aligned.offset_sd_s,
-        "rate": aligned.rate,
-        "rate_sd": aligned.rate_sd,
-        "correlation": aligned.correlation,
+        **entries(aligned, "offset_s", "offset_sd_s", "rate", "rate_sd", "correlation"),
         "poses": len(rested.points),
         "noise_m": rested.noise_m,
-        "said": list(said),
+        "said": said,
         "file": str(file),
         "log": str(log) if log is not None else None,
     }

@@ -9,7 +9,7 @@ from calib.points.spreadsheet import ANGLES, LENGTHS, Unclear, Understood, read_
 from calib.points.writer import write_points
 from control.errors import ArmError
 from control.model.description import load_arm
-from procedures.folders import require_writable
+from procedures.folders import require_new
 
 SHOWN = 3
 
@@ -19,9 +19,7 @@ def run(given: argparse.Namespace) -> int:
     file = Path(given.out) / "points.csv"
     if Path(given.out).suffix == ".csv":
         raise ArmError(f"--out {given.out}: expected a folder, in which points.csv is written")
-    if file.exists():
-        raise ArmError(f"{file} exists already and is never overwritten: choose another --out")
-    require_writable(Path(given.out))
+    require_new(Path(given.out), ["points.csv"])
     columns = dict(pair.partition("=")[::2] for pair in given.columns or [])
     found = _asked(given, columns)
     write_points(file, found.points)

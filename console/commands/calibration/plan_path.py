@@ -1,27 +1,24 @@
 """`armwright plan-path`: a path or stops with the least expected tip error, by what is known of the arm."""
 
 import argparse
-import datetime
-import json
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
-from calib.inputs import input_file
 from calib.planning.files import RESULTS, Plan, plan_json, sentences, write_plan
 from calib.planning.path import planned_path
 from calib.planning.search import Freedom
 from calib.planning.stops import StopsPlan, planned_stops
 from calib.points.arm_points import base_points_for
+from calib.results import input_file, json_text, made_today
 from calib.trust.prediction import Path as TaskPath
 from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
 from console.commands.calibration.options import board_frames
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.quantities import length_m
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
@@ -54,21 +51,12 @@ def run(given: argparse.Namespace) -> int:
             freedom,
             lambda what, done: bar.advance(what, PREDICTED + (1.0 - PREDICTED) * done),
         )
-    for warning in (*warnings, *trust.warnings):
-        sys.stderr.write(f"armwright: warning: {warning}\n")
+    warn((*warnings, *trust.warnings))
     tasks = None if wanted_m is None else _tasks(trust.predictor, plan, wanted_m)
-    about = {
-        "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
-        "program_version": f"armwright {version('armwright')}",
-    }
-    out.mkdir(parents=True, exist_ok=True)
-    inputs = [
-        input_file(Path(given.file), "way-points"),
-        *(input_file(Path(name), "points") for name in given.points),
-    ]
-    write_plan(out, plan, tasks, about, inputs)
+    points_files = (input_file(Path(name), "points") for name in given.points)
+    write_plan(out, plan, tasks, made_today(input_file(Path(given.file), "way-points"), *points_files))
     if given.json:
-        sys.stdout.write(json.dumps(plan_json(plan, tasks), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json_text(plan_json(plan, tasks)))
     else:
         sys.stdout.write("".join(f"{one}\n" for one in sentences(plan, tasks)))
         sys.stdout.write(f"\nrun it           armwright script {out / 'script.txt'}\n")

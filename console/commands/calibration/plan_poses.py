@@ -1,7 +1,6 @@
 """`armwright plan-poses`: chooses the next points, tilts and free poses by their information."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -12,7 +11,9 @@ from calib.design.planning import Plan, Request, in_words, known_to, plan_json, 
 from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
+from calib.results import json_text
 from console.commands.calibration.options import board_frames
+from console.commands.progress import warn
 from console.quantities import length_m, orientation_noise_rad
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -31,7 +32,7 @@ def run(given: argparse.Namespace) -> int:
     choice = Choice(boards=board_frames(given.boards))
     plan = plan_poses(arm, taken, request_of(given), choice)
     if given.json:
-        sys.stdout.write(json.dumps(plan_json(plan, arm.name), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json_text(plan_json(plan, arm.name)))
     else:
         sys.stdout.write(described(plan, arm.name))
     if given.out:
@@ -84,8 +85,7 @@ def _points(given: argparse.Namespace, arm: Arm) -> Points | None:
     if given.points is None:
         return None
     points, warnings = base_points_for(arm, [Path(given.points)], "plan-poses", given.as_given)
-    for warning in warnings:
-        sys.stderr.write(f"armwright: warning: {warning}\n")
+    warn(warnings)
     return points
 
 

@@ -1,14 +1,13 @@
 """`armwright register`: locates the calibration board from markers measured by a camera."""
 
 import argparse
-import datetime
-import hashlib
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 from calib.arrays import norms
 from calib.boards import Registration, read_markers, register_boards, write_boards
+from calib.results import input_file, made_today
+from console.commands.progress import warn
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
 
@@ -19,15 +18,12 @@ def run(given: argparse.Namespace) -> int:
     cavities = board_cavities(table_of(arm))
     file = Path(given.markers)
     markers = read_markers(file)
-    for warning in markers.warnings:
-        sys.stderr.write(f"armwright: warning: {warning}\n")
+    warn(markers.warnings)
     found = register_boards(markers, cavities)
     if not given.json:
         sys.stdout.write("".join(described(setup, board) for setup, board in found.items()))
-    inputs = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()}
     out = Path(given.out) / "boards.json"
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    write_boards(out, arm.name, found, inputs, date, f"armwright {version('armwright')}")
+    write_boards(out, arm.name, found, made_today(input_file(file, "markers")))
     sys.stdout.write(out.read_text(encoding="utf-8") if given.json else f"written: {out}\n")
     return 0
 

@@ -1,27 +1,23 @@
 """`armwright trust`: the tip's predicted error over the workspace, and whether a path keeps a tolerance."""
 
 import argparse
-import datetime
-import json
 import sys
-from importlib.metadata import version
 from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
-from calib.inputs import input_file
 from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import Points
-from calib.points.writer import replace_file
+from calib.results import input_file, json_text, made_today, write_json
 from calib.trust.iso9283 import PoseFigures, pose_figures
-from calib.trust.prediction import Reliability, planned, reliability_of
-from calib.trust.report import as_text, trust_json, trust_report, write_json, write_map
+from calib.trust.prediction import planned, reliability_of
+from calib.trust.report import FORMAT, as_text, trust_json, trust_report, write_map
 from calib.trust.trust import MapRequest, Trust, trust_in
 from console.commands.calibration import trust_design
 from console.commands.calibration.options import board_frames
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.quantities import length_m
-from control.model.arm import Arm
+from control.files import write_whole
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
 from procedures.folders import require_new
@@ -42,14 +38,18 @@ def run(given: argparse.Namespace) -> int:
     programmes = [(name, points_for(arm, [Path(name)], given.as_given)[0]) for name in given.visits or []]
     with Bar("trust") as bar:
         trust = trust_in(arm, points, request, bar.advance)
-    for warning in (*warnings, *trust.warnings):
-        sys.stderr.write(f"armwright: warning: {warning}\n")
+    warn((*warnings, *trust.warnings))
     tasks = tuple(reliability_of(trust.predictor, path, request.tolerance_m or 0.0) for path in paths)
     poses = tuple(_pose_figures(trust, Path(name), recorded) for name, recorded in programmes)
     visited = tuple(one for found in poses for one in found)
-    files = _write(given, arm, trust, tasks, visited, out)
+    made = made_today(*(input_file(Path(name), "points") for name in given.points))
+    files = {"report": out / "report.html", "for programs": out / "trust.json", "map": out / "map.npz"}
+    write_whole(files["report"], trust_report(trust, tasks, visited, made))
+    write_map(files["map"], trust)
+    content = trust_json(trust, tasks, visited)
+    write_json(files["for programs"], made.heading(FORMAT, arm=arm.name) | content)
     if given.json:
-        sys.stdout.write(json.dumps(trust_json(trust, tasks, visited), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json_text(content))
     else:
         sys.stdout.write(as_text(trust, tasks, visited))
         sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
@@ -84,23 +84,3 @@ def _pose_figures(trust: Trust, file: Path, recorded: Points) -> tuple[PoseFigur
             f"--visits {file}: no visits of poses (setup pose, P1 to P5): record them with `armwright iso9283`"
         )
     return found
-
-
-def _write(
-    given: argparse.Namespace,
-    arm: Arm,
-    trust: Trust,
-    tasks: tuple[Reliability, ...],
-    poses: tuple[PoseFigures, ...],
-    out: Path,
-) -> dict[str, Path]:
-    date = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
-    program = f"armwright {version('armwright')}"
-    page = trust_report(trust, tasks, poses, date, program)
-    out.mkdir(parents=True, exist_ok=True)
-    files = {"report": out / "report.html", "for programs": out / "trust.json", "map": out / "map.npz"}
-    replace_file(files["report"], page.encode())
-    write_map(files["map"], trust)
-    inputs = [input_file(Path(name), "points") for name in given.points]
-    write_json(files["for programs"], trust, tasks, poses, {"date": date, "program_version": program}, inputs)
-    return files

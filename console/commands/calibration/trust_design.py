@@ -1,24 +1,23 @@
 """`armwright trust --design`: how accurate arms will be that are made to given tolerances."""
 
 import argparse
-import datetime
 import hashlib
-import json
 import sys
 from importlib.metadata import version
 from pathlib import Path
 
 from calib.errors import CalibrationError
 from calib.points.arm_points import points_for
-from calib.points.writer import replace_file
+from calib.results import InputFile, json_text, made_today, write_json
 from calib.studies.chunks import ChunkStore, run_study
 from calib.studies.cluster import executor
 from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.tolerances.report import tolerances_report
-from calib.tolerances.result import Made, as_text, made_json, made_of, warnings_about, write_json, write_map
+from calib.tolerances.result import FORMAT, as_text, made_json, made_of, warnings_about, write_map
 from calib.tolerances.study import StudyDesign, design_of, require_near, study_task
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.quantities import length_m
+from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import arm_text, load_arm
 from procedures.folders import require_new
@@ -49,12 +48,16 @@ def study_design(given: argparse.Namespace) -> int:
         store = ChunkStore(out / CHUNKS, _about(design, inputs))
         run_study(study_task, design, design.tasks, runs, store, bar.advance)
     made = made_of(design, store)
-    for warning in warnings:
-        sys.stderr.write(f"armwright: warning: {warning}\n")
-    files = _write(made, wanted_m, warnings, inputs, out)
+    warn(warnings)
+    provenance = made_today(*(InputFile(name, digest, "") for name, digest in inputs.items()))
+    files = {"report": out / "report.html", "for programs": out / "tolerances.json", "map": out / "map.npz"}
+    write_whole(files["report"], tolerances_report(made, wanted_m, warnings, provenance))
+    write_map(files["map"], made)
+    content = made_json(made, wanted_m)
+    write_json(files["for programs"], provenance.heading(FORMAT, arm=arm.name) | content)
     store.remove()
     if given.json:
-        sys.stdout.write(json.dumps(made_json(made, wanted_m), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(json_text(content))
     else:
         sys.stdout.write(as_text(made, wanted_m))
         sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
@@ -100,16 +103,3 @@ def _about(design: StudyDesign, inputs: dict[str, str]) -> dict[str, object]:
 
 def _hash(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _write(
-    made: Made, wanted_m: float | None, warnings: list[str], inputs: dict[str, str], out: Path
-) -> dict[str, Path]:
-    date = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d")
-    program = f"armwright {version('armwright')}"
-    page = tolerances_report(made, wanted_m, warnings, date, program)
-    files = {"report": out / "report.html", "for programs": out / "tolerances.json", "map": out / "map.npz"}
-    replace_file(files["report"], page.encode())
-    write_map(files["map"], made)
-    write_json(files["for programs"], made, wanted_m, {"date": date, "program_version": program}, inputs)
-    return files

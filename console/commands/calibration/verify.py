@@ -64,7 +64,7 @@ def run(given: argparse.Namespace) -> int:
         raise ArmError("--free and --fix say where recorded tips were measured: give them with --points")
     programme = _programme(given, calibrated)
     out = free_folder(Path(given.out))
-    drive = SurveyPair.planned(pair, programme, _near(calibrated), out)
+    drive = SurveyPair.planned(pair, programme, out)
     with ExitStack() as stack:
         bench = _mock(given, pair, out, stack) if given.mock else _real(given, pair)
         out.mkdir(parents=True, exist_ok=True)
@@ -102,11 +102,6 @@ def _programme(given: argparse.Namespace, arm: Arm) -> Programme:
         raise ArmError(f"--repeats: expected 1 or more, got {given.repeats}")
     wanted = ways(table, setups, given.height)
     return Programme(places(table, setups, given.height), wanted, given.repeats, given.path_speed)
-
-
-def _near(arm: Arm) -> tuple[float, ...]:
-    """Seed of the inverse kinematics: the branch of the rest pose."""
-    return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
 
 
 def _real(given: argparse.Namespace, pair: ModelPair) -> ArmAtHold:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.datasets.episodes import Episode, episodes_of
 from console.datasets.lerobot import write_dataset
 from console.visualisation.reading import read_series
@@ -78,7 +78,7 @@ def _episodes(recordings: Sequence[Path], arm: Arm | None, rate_Hz: int) -> Iter
     with Bar("read") as bar:
         for number, recording in enumerate(recordings):
             series = read_series(recording, arm)
-            sys.stderr.writelines(f"armwright: warning: {note}\n" for note in series.notes)
+            warn(series.notes)
             yield from episodes_of(series, rate_Hz)
             bar.advance("read", (number + 1) / len(recordings))
 

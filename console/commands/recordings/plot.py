@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.visualisation.metrics import Metrics, metrics_json, metrics_of, metrics_text
 from console.visualisation.pictures import PICTURES, Picture
 from console.visualisation.reading import read_log
@@ -47,7 +47,7 @@ def _series(given: argparse.Namespace) -> tuple[Series, Sequence[int]]:
     arm = load_arm(given.arm) if given.arm else None
     with Bar("read") as bar:
         series = read_log(Path(given.log), arm, lambda done: bar.advance("read", done))
-    sys.stderr.writelines(f"armwright: warning: {note}\n" for note in series.notes)
+    warn(series.notes)
     if not len(series):
         raise ArmError(f"{given.log}: empty recording: a header without cycles")
     joints = _joints(given.joints, series.joint_count)

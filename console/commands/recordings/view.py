@@ -8,7 +8,7 @@ from pathlib import Path
 
 from console.commands.cell.clients import connected_arms
 from console.commands.connection import connected
-from console.commands.progress import Bar
+from console.commands.progress import Bar, warn
 from console.visualisation.reading import read_log
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
 from console.visualisation.series import Series, chosen
@@ -88,7 +88,7 @@ def _recorded(given: argparse.Namespace) -> int:
     wanted = load_arm(given.arm) if given.arm else None
     with Bar("read") as bar:
         whole = read_log(Path(given.log), wanted, lambda done: bar.advance("read", done))
-    sys.stderr.writelines(f"armwright: warning: {note}\n" for note in whole.notes)
+    warn(whole.notes)
     if not len(whole):
         raise ArmError(f"{given.log}: empty recording: a header without cycles")
     shown = whole.arm or whole.cell

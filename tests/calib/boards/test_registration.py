@@ -19,6 +19,7 @@ from calib.boards import (
     write_boards,
 )
 from calib.errors import PointsFileError, RegistrationError
+from calib.results import made_today
 
 BOARD = board_points() - np.array([0.5, 0.0, 0.0])
 NAMES = tuple(str(k + 1) for k in range(33))
@@ -205,7 +206,7 @@ def test_boards_written_come_back_and_a_wrong_file_is_named(tmp_path: Path) -> N
     rotation, origin = turned(np.random.default_rng(8))
     found = register(BOARD[FIVE], BOARD[FIVE] @ rotation.T + origin, [NAMES[k] for k in FIVE])
     path = tmp_path / "boards.json"
-    write_boards(path, "right", {"roll": found}, {"markers.csv": "00"}, "2026-11-21", "armwright 0")
+    write_boards(path, "right", {"roll": found}, made_today())
     back = read_boards(path)["roll"]
     np.testing.assert_allclose(back.to_base(BOARD), found.to_base(BOARD), atol=1e-11)
     entry = json.loads(path.read_text())["boards"]["roll"]

@@ -15,11 +15,12 @@ from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.page import summary_text, write_page
 from calib.iso9283.recorded import BESIDE, SET, RecordedRun, pose_groups, read_rectangle, read_runs
-from calib.iso9283.result import CRITERIA, Criterion, Evaluation, document
+from calib.iso9283.result import CRITERIA, Criterion, Evaluation, write_document
 from calib.iso9283.workspace import TestCube, solver_of
 from calib.points.points import Points, joined, make_points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter, Record
+from calib.results import made_today
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -315,11 +316,12 @@ def test_json_and_page_hold_every_criterion_and_no_outside_resource(arm: Arm, tm
     groups, notes = pose_groups(visits(arm), arm, Path("points.csv"))
     runs = [line_run(arm, k, noise_m=1e-5) for k in (1, 2)] + [line_run(arm, 3, "approach", noise_m=1e-5)]
     result: Evaluation = evaluate(groups, runs, notes=notes)
-    read = json.loads(json.dumps(document(result, {"arm": "right"}), allow_nan=False))
+    write_document(tmp_path / "page.json", result, "right", made_today())
+    read = json.loads((tmp_path / "page.json").read_text("utf-8"))
     assert read["format"] == "iso9283/1"
     assert [c["number"] for c in read["criteria"]] == list(range(1, 15))
     assert read["criteria"][0]["values"]["AP_p"]["unit"] == "m"
-    write_page(tmp_path / "page.html", result, "<right>", "today", "armwright", ())
+    write_page(tmp_path / "page.html", result, "<right>", made_today())
     html = (tmp_path / "page.html").read_text("utf-8")
     assert html.count("<svg") == 4
     assert "&lt;right&gt;" in html

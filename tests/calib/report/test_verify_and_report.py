@@ -14,11 +14,11 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import with_tilt_behind
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.errors import CalibrationError
-from calib.inputs import input_file
 from calib.report.page import list_section
 from calib.report.pictures import SAMPLES_DRAWN, thinned
 from calib.report.report import ReportData, report_html, write_report
 from calib.report.report_sections import dh_section, parameters_section
+from calib.results import InputFile, Provenance, input_file
 from calib.validation.statistics import PairedFinding, difference, student_t
 from calib.validation.verify import (
     PARTS,
@@ -186,10 +186,8 @@ def full_report(result, tmp_path: Path) -> ReportData:
     return ReportData(
         title="Report <of> a test",
         arm="right & left",
-        date="2026-01-01",
-        program_version="0.1.0",
+        made=Provenance((input_file(tmp_path / "points.csv", "table session"),), "2026-01-01", "0.1.0"),
         steps=("moved", "measured"),
-        inputs=(input_file(tmp_path / "points.csv", "table session"),),
         paths=(pair,),
         identification=found,
         calibration=comparison,
@@ -236,7 +234,7 @@ def test_the_same_inputs_make_the_same_page(result, written_page: str, tmp_path:
 
 
 def test_a_report_with_nothing_but_steps_is_a_page() -> None:
-    page = report_html(ReportData("t", "a", "d", "v", ("did it",)))
+    page = report_html(ReportData("t", "a", Provenance((), "d", "v"), ("did it",)))
     assert "did it" in page
     assert "<svg" not in page
 
@@ -273,19 +271,21 @@ def test_a_track_is_drawn_where_the_tip_was_seen() -> None:
 def test_the_calibrated_arm_says_where_it_comes_from_and_replaces_nothing(result, tmp_path: Path) -> None:
     found, _ = result
     nominal, path = load_arm("right"), tmp_path / "arm.toml"
-    write_calibrated_arm(path, nominal, found, {"points.csv": "ab" * 32}, "2026-01-01", "0.1.0")
+    made = Provenance((InputFile("points.csv", "ab" * 32, "points"),), "2026-01-01", "0.1.0")
+    write_calibrated_arm(path, nominal, found, made)
     back = load_arm(path)
     assert np.array_equal(back.dh, found.dh)
     assert back.calibration is not None
     assert back.calibration.inputs == {"points.csv": "ab" * 32}
     assert tomllib.loads(path.read_text())["calibration"]["from"] == "right.toml"
     with pytest.raises(ArmError, match="never overwritten"):
-        write_calibrated_arm(path, nominal, found, {}, "2026-01-01", "0.1.0")
+        write_calibrated_arm(path, nominal, found, made)
 
 
 def test_calibration_json_is_plain_json_with_every_parameter(result, tmp_path: Path) -> None:
     found, comparison = result
-    write_calibration_json(tmp_path / "c.json", "right", found, {}, "2026-01-01", "0.1.0", comparison)
+    made = Provenance((), "2026-01-01", "0.1.0")
+    write_calibration_json(tmp_path / "c.json", "right", found, made, comparison)
     content = json.loads((tmp_path / "c.json").read_text())
     assert content["format"] == "calibration/1"
     assert len(content["parameters"]) == 16

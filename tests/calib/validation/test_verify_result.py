@@ -13,6 +13,7 @@ import pytest
 from calib.points.points import Points, make_points
 from calib.points.writer import write_points
 from calib.report.verification import Verification, write_verification_json, write_verification_report
+from calib.results import Provenance
 from calib.validation.verify import Track, TrackPair, Used, already_used, compare
 from calib.validation.verify import USED_POSE_rad as SAME_POSE_rad
 from control.model.arm import Arm, Calibration
@@ -33,7 +34,7 @@ def verification(before_mm: dict[str, float], after_mm: dict[str, float], **chan
     )
     tips = np.tile([0.5, 0.0, 0.05], (len(setups), 1))
     made = Verification(
-        RIGHT, RIGHT, compare(setups, names, tips, before, after), (), (), ("looked",), (), True, "2026-01-01", "v"
+        RIGHT, RIGHT, compare(setups, names, tips, before, after), (), ("looked",), (), True, Provenance((), "2026-01-01", "v")
     )  # fmt: skip
     return replace(made, **changes)  # type: ignore[arg-type]
 

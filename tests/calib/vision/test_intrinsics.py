@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.errors import VisionError
+from calib.results import made_today
 from calib.vision.advice import advice
 from calib.vision.camera_file import read_camera, write_camera
 from calib.vision.intrinsics import LensFit, fit_lens
@@ -108,7 +109,7 @@ def test_too_little_is_refused_with_the_remedy() -> None:
 
 def test_a_camera_file_survives_and_a_damaged_one_is_refused(tmp_path: Path) -> None:
     fit, file = fitted(11), tmp_path / "camera.json"
-    write_camera(file, fit, BOARD.name, advice(fit), {}, "2026-11-23", "armwright")
+    write_camera(file, fit, BOARD.name, advice(fit), made_today())
     lens = read_camera(file)
     assert np.array_equal(lens.values, fit.lens.values)
     assert np.array_equal(lens.covariance, fit.lens.covariance)

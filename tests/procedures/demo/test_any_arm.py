@@ -34,6 +34,6 @@ def test_an_arm_that_sinks_is_held_from_one_runtime_to_the_next(tmp_path: Path) 
 
 def test_places_are_reached_near_the_posture_in_which_they_were_found_clear(tmp_path: Path) -> None:
     programme = programme_of(SEVEN)
-    survey = Survey(Model(SEVEN), programme, (0.0,) * 7, tmp_path / "driven.csv")
+    survey = Survey(Model(SEVEN), programme, tmp_path / "driven.csv")
     found = np.array([place.near_rad for place in programme.places])
     np.testing.assert_allclose(survey.q_rad, found, atol=1e-3)
