@@ -143,7 +143,8 @@ class CanBoards:
         on_them = [(j, arm.drives[j], numbers[arm.drives[j].board]) for j in self.joints]
         self.names = [f"{made.prefix}{number}" for _, _, number in on_them]
         self.mocks: list[CanBoardMock] = [
-            made.mock(number, j, drive, _shaft(wiring[j], j, encoder_rad)) for j, drive, number in on_them
+            made.mock(number, j, drive, _shaft(wiring[j], j, encoder_rad, _repeats(arm, drive)))
+            for j, drive, number in on_them
         ]
 
     def tick(self, now_s: float, seen: PlantState) -> list[Driven]:
@@ -170,12 +171,28 @@ class CanBoards:
         return self.joints[self.names.index(fault.board)]
 
 
-def _shaft(wired: JointWiring, joint: int, encoder_rad: Callable[[int], float]) -> EncoderShaft:
+def _repeats(arm: Arm, drive: Drive) -> float:
+    """Turns after which an absolute encoder repeats whose joint turns further, and has to home for that; 0 of others."""
+    board = next(board for board in arm.boards if board.name == drive.board)
+    return board.absolute_turns or 0.0 if board.absolute and drive.home is not None else 0.0
+
+
+def _shaft(
+    wired: JointWiring, joint: int, encoder_rad: Callable[[int], float], repeats_turns: float = 0.0
+) -> EncoderShaft:
     turns_per_rad = wired.encoder_direction * wired.counts_per_rad / wired.counts_per_turn
     zero_turns = wired.zero_count / wired.counts_per_turn
+    unseen_turns: list[float] = []  # whole repeats, which the encoder does not know at power-up
+
+    def turns() -> float:
+        turned = encoder_rad(joint) * turns_per_rad + zero_turns
+        if not unseen_turns:
+            unseen_turns.append(repeats_turns * round(turned / repeats_turns) if repeats_turns else 0.0)
+        return turned - unseen_turns[0]
+
     return EncoderShaft(
         lambda: wired.raw_count(encoder_rad(joint)),
-        lambda: encoder_rad(joint) * turns_per_rad + zero_turns,
+        turns,
         lambda: wired.motor_count(encoder_rad(joint)),
     )
 

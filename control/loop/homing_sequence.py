@@ -70,6 +70,9 @@ class JointHome:
     edge_rad: float  # by which the switch may move
     turn_rad: float  # from one index to the next
     index_count: int
+    repeat_counts: int = (
+        0  # of an absolute encoder, after which it says the same again: its place within them is known
+    )
 
 
 class Counter(Protocol):
@@ -201,9 +204,24 @@ class JointHoming:
         if not is_quiet:
             self._rest_count = count
         if self._quiet_s >= SETTLE_S and latched is not None:
-            self._counter.shift_count(self._joint, self._home.index_count - latched)
+            self._counter.shift_count(self._joint, self._whole_repeats(self._home.index_count - latched))
             self._enter(Phase.SHIFTED)
         return step
+
+    def _whole_repeats(self, counts: int) -> int:
+        """The shift that the switch asks for; of an absolute encoder the nearest one that keeps its place within a turn."""
+        repeat = self._home.repeat_counts
+        if not repeat:
+            return counts
+        off = (counts + repeat // 2) % repeat - repeat // 2
+        if abs(off) > TURN_TOLERANCE * repeat:
+            raise HomingFailed(
+                self._home.name,
+                f"its home switch and its absolute encoder differ by {abs(off)} of the {repeat} counts after which that repeats"
+                f" (tolerance {TURN_TOLERANCE * repeat:.0f}): the turn is ambiguous",
+                "the switch has moved: adjust it, or correct switch_rad and zero_count in arm.toml",
+            )
+        return counts - off
 
     def _check_turn(self) -> None:
         """Check that the latch is in the encoder's turn of arm.toml, clear of the two adjacent turns."""

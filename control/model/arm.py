@@ -305,17 +305,30 @@ class Arm:
 
     def has_absolute_encoder(self, drive: Drive) -> bool:
         """Return whether a drive's encoder knows the joint's angle at power-up, within `unique_rad`."""
-        board = self.board(drive)
-        is_absolute = self.kind_of(drive).is_absolute or (board is not None and board.absolute)
-        return drive.encoder_board < 0 and is_absolute
+        return self._repeats_rad(drive) < math.inf and not self.turn_of_home_rad(drive)
+
+    def turn_of_home_rad(self, drive: Drive) -> float:
+        """Return the joint's angle after which an absolute encoder repeats whose turn homing has to tell; 0 of others.
+
+        It repeats within the joint's range, and [drive.home] says how the turn is found; smart servos read no switch.
+        """
+        repeats_rad = self._repeats_rad(drive)
+        if drive.home is None or repeats_rad == math.inf or self.kind_of(drive).is_absolute:
+            return 0.0
+        return repeats_rad if drive.joint_upper_rad - drive.joint_lower_rad >= repeats_rad else 0.0
+
+    def _repeats_rad(self, drive: Drive) -> float:
+        """The joint's angle after which an absolute encoder says the same again at power-up; infinite of others."""
+        board, kind = self.board(drive), self.kind_of(drive)
+        is_absolute = kind.is_absolute or (board is not None and board.absolute)
+        if drive.encoder_board >= 0 or not is_absolute:
+            return math.inf
+        turns = 1.0 if kind.is_absolute else board.absolute_turns if board else None
+        return 2.0 * math.pi * (drive.encoder_turns if turns is None else turns) / drive.encoder_turns
 
     def unique_rad(self, drive: Drive) -> float:
         """Return the joint's angle after which an absolute encoder says the same again at power-up; infinite for others."""
-        if not self.has_absolute_encoder(drive):
-            return math.inf
-        board = self.board(drive)
-        turns = 1.0 if self.kind_of(drive).is_absolute else board.absolute_turns if board else None
-        return 2.0 * math.pi * (drive.encoder_turns if turns is None else turns) / drive.encoder_turns
+        return self._repeats_rad(drive) if self.has_absolute_encoder(drive) else math.inf
 
     @property
     def can_home(self) -> bool:

@@ -100,19 +100,20 @@ class Moteus:
 
     # ---- outside of the cycle
 
-    def identify(self, must_be_referenced: bool) -> str:
+    def identify(self, least_state: int = 0) -> str:
         """What it says of itself: firmware and serial number. BoardSilent, MisuseError.
 
-        `must_be_referenced`: its position must be that of the output since power-up.
+        `least_state`: its home state, for a position that is that of the rotor within a turn, or of the output, since power-up.
         """
         self._identity = None
         self._asks(wire.ask(self.number, wire.IDENTITY_QUERY), lambda: self._identity is not None)
         known: dict[int, float] = self._identity or {}
         state = known.get(Register.HOME_STATE, math.nan)
-        if must_be_referenced and state != wire.REFERENCED_TO_OUTPUT:
+        if least_state and not state >= least_state:
+            of_what = "output" if least_state == wire.REFERENCED_TO_OUTPUT else "rotor"
             raise MisuseError(
-                f"{self.where}: `absolute` in arm.toml, but its position is not referenced to the output (home state"
-                f" {state:.0f}, not {wire.REFERENCED_TO_OUTPUT}): set up an output encoder, or remove `absolute`"
+                f"{self.where}: `absolute` in arm.toml, but its position is not referenced to the {of_what} (home state"
+                f" {state:.0f}, not {least_state}): set up an {of_what} encoder, or remove `absolute`"
             )
         self.await_status(is_asked_only=True)
         words = [int(known.get(Register.SERIAL + k, 0)) & 0xFFFF_FFFF for k in (2, 1, 0)]

@@ -72,7 +72,7 @@ class Position(NamedTuple):
     watchdog_s: float
 
 
-REFERENCED_TO_OUTPUT: Final = 2  # a HOME_STATE
+REFERENCED_TO_ROTOR, REFERENCED_TO_OUTPUT = 1, 2  # of HOME_STATE
 # int8 mode; f32 position to Q current; int16 voltage; int8 temperature and fault; int8 inputs; int32 milliseconds
 QUERY: Final = bytes.fromhex("11 00 1c 04 01 15 0d 12 0e 11 5e 19 70")
 # int8 home state; int32 firmware; int32 serial number

@@ -114,7 +114,7 @@ def moteus(content: bytes) -> None:
     bus = MoteusBus(line, clock)
     board = Moteus(bus, NODE, "x", 4096)
     _converse((
-        lambda: board.identify(must_be_referenced=True), lambda: board.setting("motor.Kv"), board.reset_fault,
+        lambda: board.identify(2), lambda: board.setting("motor.Kv"), board.reset_fault,
     ))  # fmt: skip
     _drain(line, bus.update, board)
 

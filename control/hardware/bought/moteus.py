@@ -177,9 +177,11 @@ def open_boards(arm: Arm, boards: Sequence[Board], clock: Clock, period_s: float
 
     def open_one(bus: MoteusBus, described: Board, joint: int, drive: Drive) -> None:
         board = Moteus(bus, described.address, described.name, drive.encoder_counts_per_rev)
-        said = board.identify(described.absolute)
+        is_absolute = arm.has_absolute_encoder(drive)
+        of_rotor = wire.REFERENCED_TO_ROTOR if arm.turn_of_home_rad(drive) else 0
+        said = board.identify(wire.REFERENCED_TO_OUTPUT if is_absolute else of_rotor)
         unsaid = _require_settings(board, drive)
-        encoder = own_encoder(board, joint, drive, opened, described.absolute, is_asked=True)
+        encoder = own_encoder(board, joint, drive, opened, is_absolute, is_asked=True)
         opened.drives.append(
             MoteusDrive(board, encoder, joint, drive, clock, period_s, arm.limits.watchdog_s)
         )

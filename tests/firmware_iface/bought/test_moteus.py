@@ -46,7 +46,7 @@ def test_the_references_own_reply_is_read() -> None:
 
 def test_all_values_come_with_the_reply_to_a_command() -> None:
     cell = Cell()
-    assert cell.board.identify(False) == "firmware 0x010304, serial number 000000030000000200000001"
+    assert cell.board.identify() == "firmware 0x010304, serial number 000000030000000200000001"
     cell.mock.is_home = True
     cell.board.wanted = wire.brake(cell.board.number)
     cell.run(0.008)
@@ -57,7 +57,7 @@ def test_all_values_come_with_the_reply_to_a_command() -> None:
 
 def test_a_count_that_waited_for_a_host_that_paused_is_of_before_the_pause() -> None:
     cell = Cell()
-    cell.board.identify(False)
+    cell.board.identify()
     cell.bus.flush()
     asked_s = cell.wired.now_s()
     cell.wired.run(0.031)
@@ -68,7 +68,7 @@ def test_a_count_that_waited_for_a_host_that_paused_is_of_before_the_pause() -> 
 @pytest.mark.parametrize("others", [wire.stop(ID), wire.brake(ID)])
 def test_one_that_others_stop_or_brake_does_not_run(others: wire.Frame) -> None:
     cell = Cell()
-    cell.board.identify(False)
+    cell.board.identify()
     cell.board.wanted = wire.brake(ID)
     cell.run(0.02)
     cell.board.wanted = wire.position(ID, HOLD)
@@ -88,7 +88,7 @@ def test_one_that_others_stop_or_brake_does_not_run(others: wire.Frame) -> None:
 
 def test_the_first_question_commands_nothing() -> None:
     cell = Cell()
-    cell.board.identify(False)
+    cell.board.identify()
     assert cell.mock.mode == MoteusMode.STOPPED
 
 
@@ -107,27 +107,27 @@ def test_a_torque_is_position_mode_without_its_gains() -> None:
 def test_a_silent_controller_and_a_position_that_is_not_the_outputs_say_what_to_do() -> None:
     cell = Cell()
     with pytest.raises(MisuseError, match=r"not referenced to the output \(home state 1, not 2\)"):
-        cell.board.identify(True)
-    assert Cell(home_state=2).board.identify(True)
+        cell.board.identify(2)
+    assert Cell(home_state=2).board.identify(2)
     cell.wired.is_cut = True
     with pytest.raises(
         BoardSilent, match=r'"elbow" \(id 5\) on memory: no reply, asked 3 times: .* CAN FD with 1 Mbit/s'
     ):
-        cell.board.identify(False)
+        cell.board.identify()
     with pytest.raises(MisuseError, match="1 to 127, got 128"):
         Moteus(cell.bus, 128, "elbow", CPR)
 
 
 def test_registers_that_older_firmware_does_not_have_are_told_and_stop_nothing() -> None:
     cell = Cell(unknown=(0x00C, 0x05E, 0x070, 0x101, 0x121))
-    said = cell.board.identify(False)
+    said = cell.board.identify()
     assert said.startswith("firmware 0x000000, ")
     assert said.endswith(", without registers 0x05E, 0x070")
     cell.board.wanted = wire.position(ID, HOLD)
     cell.run(0.1)
     assert (cell.board.is_running, cell.board.resets, cell.board.is_switch_on) == (True, 0, False)
     with pytest.raises(MisuseError, match=r"home state nan, not 2"):
-        cell.board.identify(True)
+        cell.board.identify(2)
 
 
 def test_a_reply_to_another_programs_question_is_neither_a_violation_nor_who_it_is() -> None:
@@ -137,7 +137,7 @@ def test_a_reply_to_another_programs_question_is_neither_a_violation_nor_who_it_
     cell.wired.is_cut = True
     cell.wired.put(ID << 8, b"\x21\x02\x05")
     with pytest.raises(BoardSilent):
-        cell.board.identify(True)
+        cell.board.identify(2)
 
 
 @pytest.mark.parametrize("up_s", [0.1, 5.0])
