@@ -39,7 +39,7 @@ SMOOTH = 5  # degree of a smooth function of one variable
 class Traits:
     """What an effect is beside others. `blocks`: how the variable begins of those blocks of its joint that are functions of its
     own ("{j}": its joint); `is_on_every_joint`: all joints have it at once, if one has. Of effects that share an `alternative`
-    one joint has one: no model follows both.
+    one joint is given one: beside each other, each hides what the other does.
     """
 
     blocks: str = ""
