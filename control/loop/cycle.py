@@ -104,7 +104,8 @@ class Cycle(ArmState):
                 set_points.follow_shift(self)
             if self.parts.outputs is not None:
                 self.parts.checks.limit_switches.mark_homes(self.parts.outputs.levels, feedback.channel_flags)
-            self.parts.motor_leads.update(feedback.motor_counts, self.parts.measurement.q_rad)
+            if self.parts.second_encoders:
+                self.parts.motor_leads.update(feedback.motor_counts, self.parts.measurement.q_rad)
         camera = self.parts.camera
         seen = None if camera is None else camera.newest()
         is_in_base = camera is not None and not camera.has_own_frame
@@ -159,7 +160,8 @@ class Cycle(ArmState):
             self._forget_turns()
             return []
         faults = checks.motor_counts.look(feedback.motor_counts, parts.measurement.speed_rad_s)
-        faults += checks.leads.look(parts.motor_leads.lead_rad, parts.measurement.speed_rad_s)
+        if parts.second_encoders:
+            faults += checks.leads.look(parts.motor_leads.lead_rad, parts.measurement.speed_rad_s)
         if self.monitor.reaction in BY_BOARDS:
             checks.motors.forget()
             return [] if self.monitor.is_zero_doubted else faults  # the counts are all that is left to doubt
