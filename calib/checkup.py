@@ -33,7 +33,7 @@ from calib.gap.plan.plan import (
 from calib.points.points import Points, joined, make_points
 from calib.results import entries
 from calib.trust.discrepancy import Conditions, Discrepancy
-from calib.trust.posterior import linearised, loose_play_m2, posterior_of
+from calib.trust.prediction import linearised, loose_play_m2, posterior_of
 from control.dynamics.static_pose import resting
 from control.errors import MissingModel
 from control.model.arm import Arm
@@ -99,7 +99,7 @@ class ExpectedTips:
 
 
 def expectation_of(arm: Arm, earlier: Points, new: Points) -> ExpectedTips:
-    """By the posterior of the `earlier` points (`calib.trust.posterior`). UnusablePointsError for a pose without a reference."""
+    """By the posterior of the `earlier` points (`calib.trust.prediction`). UnusablePointsError for a pose without a reference."""
     points = joined((earlier, new))
     problem = problem_of(arm, points, Choice().for_points(arm, points))
     is_new = np.arange(len(points)) >= len(earlier)

@@ -17,11 +17,21 @@ import numpy as np
 
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.evaluation import evaluate
-from calib.iso9283.page import write_page
-from calib.iso9283.programme import Extent, PathRun, Step, Visit, path_programme, programme_document, steps
+from calib.iso9283.programme import (
+    Extent,
+    PathRun,
+    Point,
+    Solver,
+    Step,
+    TestCube,
+    Visit,
+    path_programme,
+    programme_document,
+    solver_of,
+    steps,
+)
 from calib.iso9283.recorded import BESIDE, SET, PoseGroup, RecordedRun, pose_groups, read_rectangle, read_runs
-from calib.iso9283.result import Evaluation, write_document
-from calib.iso9283.workspace import Point, Solver, TestCube, solver_of
+from calib.iso9283.result import Evaluation, write_document, write_page
 from calib.points.arm_points import require_recorded_of
 from calib.points.points import TIP
 from calib.points.reading import read_points

@@ -20,11 +20,10 @@ from benchmarks.studies import add_options
 from calib.arrays import Array
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.errors import UnusablePointsError
-from calib.iso9283.programme import Visit, pose_programme
-from calib.iso9283.workspace import largest_cube
+from calib.iso9283.programme import Visit, largest_cube, pose_programme
 from calib.points.points import make_points
 from calib.studies.cluster import executor
-from calib.trust.iso9283 import PoseFigures, pose_figures
+from calib.trust.report import PoseFigures, pose_figures
 from calib.trust.trust import MapRequest, trust_in
 from control.kinematics.inverse import InverseKinematics
 

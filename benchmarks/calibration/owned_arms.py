@@ -36,10 +36,8 @@ from calib.export import export_text
 from calib.studies.cluster import executor
 from calib.vision.intrinsics import CORNERS_LEAST as LENS_CORNERS
 from calib.vision.intrinsics import fit_lens
-from calib.vision.opencv import picture_files, png_of
 from calib.vision.poses import CORNERS_LEAST, CameraPictures, measure_poses, picture_name, with_pictures
-from calib.vision.sightings import look_for
-from calib.vision.targets import Charuco
+from calib.vision.targets import Charuco, look_for, picture_files, png_of
 from control.errors import ArmError
 from control.model.arm import Arm, Camera, Tool
 from hil_mocks.arm_pictures import FramePose, PicturedArm, Webcam, looking_at

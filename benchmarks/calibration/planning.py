@@ -22,9 +22,7 @@ from benchmarks.studies import add_options
 from calib.arrays import Array
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.gap.plan.plan import GENTLE, PlanRequest, recording_plan
-from calib.planning.path import WayOfPath, planned_path
-from calib.planning.search import Freedom
-from calib.planning.stops import WayOfStops, planned_stops
+from calib.planning.search import Freedom, WayOfPath, WayOfStops, planned_path, planned_stops
 from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.studies.cluster import executor

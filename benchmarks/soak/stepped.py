@@ -17,8 +17,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.session.boards_known import Boards
-from calib.session.conduct import Station, conduct
+from calib.session.conduct import Boards, Station, conduct
 from calib.session.conversation import GO
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, ClearPaths

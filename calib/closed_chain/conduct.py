@@ -1,6 +1,6 @@
 """A session of two arms in contact: led from contact to contact together, brought together by hand or jogged, recorded.
 
-The files are those of every session (calib.session.folder); points.csv is a contacts.csv (calib.closed_chain.contacts).
+The files are those of every session (calib.session.folder); points.csv is a contacts.csv (calib.closed_chain.pair_problem).
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ import numpy as np
 
 from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
-from calib.closed_chain.contacts import Contacts
-from calib.closed_chain.pair_problem import PairProblem
-from calib.closed_chain.room import Poses, SharedRoom
+from calib.closed_chain.pair_problem import Contacts, PairProblem
+from calib.closed_chain.planning import Poses, SharedRoom
 from calib.errors import SessionError
 from calib.points.writer import DISTANCE, Record
 from calib.session.conversation import (

@@ -1,12 +1,9 @@
-"""Residuals of two arms in contact, with exact first derivatives, in scaled unknowns.
+"""Two arms in contact as a problem: contacts.csv, and the residuals of both arms and of where the second one stands.
 
-    u = a + s + exp([w]) R (p2 - c) - p1     from the first tip to the second, in the first arm's base frame
-    contact in one place: u;   contact at a distance d: |u| - d
-
-p1, p2: tips by each arm's own DH table and tool. R, a, c: the start of where the second base stands, and the centre of its tips;
-s and w are unknown. Contacts at a distance are one number each: three of them make one row, so that all rows have three numbers.
-Tools that are joined rigidly add a row of orientation a contact (`Joins`).
-Second derivatives are left out (Gauss-Newton): residuals are millimetres.
+contacts.csv is a points.csv whose q1_rad ... are the joints of the first arm, then those of the second, without measured tips.
+distance_m: between the tips, as of two balls that touch or a ball bar; 0 or empty: both are in one place.
+joined: the name of a rigid join of both tools: both are in one place, and their orientation to each other is the same wherever
+the name is; empty: they only touch.
 """
 
 from __future__ import annotations
@@ -16,20 +13,159 @@ import dataclasses
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame, cross_matrix, left_jacobian, mean_rotation, rotation_of
+from calib.arm_problem.joint_effects import known_corrections
 from calib.arm_problem.parameters import Bounds, Parameter, dh_parameters, require_known_names
 from calib.arm_problem.posed import inverse_jacobians
 from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_rad
 from calib.arrays import Array, frozen, norms
-from calib.closed_chain.contacts import Contacts
+from calib.errors import PointsFileError, UnusablePointsError
+from calib.points.points import Points, make_points
+from calib.points.reading import beyond, read_points
+from calib.points.writer import DISTANCE, Key
 from control.kinematics.chain import TipSlopes
 from control.kinematics.rotation import logarithms
 from control.model.arm import Arm
+from control.tables import TableColumn, TableFormat
+
+JOINED = "joined"
+DISTANCE_MOST_m = 5.0
+TURNS_LIMIT_rad = 6 * math.pi
+BESIDE = TableFormat(
+    "point",
+    (
+        TableColumn(
+            DISTANCE,
+            "between the tips; empty: 0",
+            lower=0.0,
+            upper=DISTANCE_MOST_m,
+            expected=f"a distance from 0 to {DISTANCE_MOST_m:g} m",
+        ),
+        TableColumn(JOINED, "name of a rigid join of both tools; empty: they touch", is_name=True),
+    ),
+)
+"""Columns of contacts that points.csv has beside its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """m contacts: joint angles (m, n1) and (m, n2) with each arm's known static effects, distances between the tips (m,).
+
+    `joined`: the name of a join of both tools, which also keeps the orientation between them; "" where they only touch.
+    """
+
+    name: tuple[str, ...]
+    setup: tuple[str, ...]
+    first_rad: Array
+    second_rad: Array
+    distance_m: Array
+    joined: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Without names, no tools are joined."""
+        if not self.joined:
+            object.__setattr__(self, "joined", ("",) * len(self.name))
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.name)
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Setup, point and repeat of each: contacts of a file are named by all three, planned ones by the point."""
+        found = []
+        for name, setup in zip(self.name, self.setup, strict=True):
+            rest = name.removeprefix(f"{setup}:")
+            point, _, repeat = rest.rpartition(":")
+            found.append((setup, name, 1) if rest == name else (setup, point, int(repeat)))
+        return tuple(found)
+
+    def chosen(self, rows: npt.ArrayLike) -> Contacts:
+        """Some of them, by index."""
+        keep = np.arange(len(self))[np.asarray(rows)]
+        return Contacts(
+            tuple(self.name[k] for k in keep),
+            tuple(self.setup[k] for k in keep),
+            frozen(self.first_rad[keep]),
+            frozen(self.second_rad[keep]),
+            frozen(self.distance_m[keep]),
+            tuple(self.joined[k] for k in keep),
+        )
+
+
+def read_contacts(path: Path, arms: tuple[Arm, Arm]) -> tuple[Contacts, tuple[str, ...]]:
+    """The contacts of a file, and warnings. PointsFileError or UnusablePointsError names file, line and column."""
+    first, second = arms
+    n = first.joint_count
+    try:
+        points, warnings = read_points(path, n + second.joint_count, BESIDE)
+    except PointsFileError as error:
+        raise PointsFileError(
+            f"{error} (contacts: the {n} joints of {first.name}, then the {second.joint_count} of {second.name})"
+        ) from None
+    if np.isfinite(points.tip_m).any():
+        raise UnusablePointsError(
+            f"{path}: contacts have no measured tips: remove x_m, y_m, z_m, or calibrate each arm by itself"
+        )
+    if np.abs(points.q_rad).max() > TURNS_LIMIT_rad:
+        raise UnusablePointsError(f"{path}: the joint angles look like degrees: expected radians")
+    table = beyond(points, path, BESIDE, PointsFileError)
+    distance_m, joined = np.nan_to_num(table.number(DISTANCE)), tuple(table.words(JOINED))
+    for row, name in enumerate(joined):
+        if name and distance_m[row] > 0.0:
+            raise PointsFileError(
+                f"{table.place(row)}, column {JOINED}: joined tools {name!r} are in one place: expected {DISTANCE} 0 or"
+                f" empty, got {distance_m[row]:g}"
+            )
+    names = zip(points.setup, points.point, points.repeat, strict=True)
+    return Contacts(
+        tuple(f"{setup}:{point}:{repeat}" for setup, point, repeat in names),
+        points.setup,
+        frozen(_joint_rad(first, points, slice(0, n))),
+        frozen(_joint_rad(second, points, slice(n, None))),
+        frozen(distance_m),
+        joined,
+    ), warnings
+
+
+def contact_points(
+    setup: Sequence[str],
+    name: Sequence[str],
+    q_rad: Array,
+    distance_m: Sequence[float],
+    direction: Array | None = None,
+) -> Points:
+    """Contacts as the points of a file: q_rad (m, n1 + n2) as the encoders say, direction likewise."""
+    extra = {DISTANCE: tuple(f"{distance:g}" for distance in distance_m)}
+    nowhere = np.full((len(name), 3), np.nan)
+    return make_points(setup, name, [1] * len(name), q_rad, nowhere, direction, extra=extra)
+
+
+def _joint_rad(arm: Arm, points: Points, columns: slice) -> Array:
+    """Joint angles of one arm, with its known static effects."""
+    q, m = points.q_rad[:, columns], len(points)
+    own = make_points(
+        points.setup, points.point, points.repeat, q, np.full((m, 3), np.nan), points.direction[:, columns]
+    )
+    return np.asarray(q + known_corrections(arm, own))
+
+
+# Residuals of two arms in contact, with exact first derivatives, in scaled unknowns.
+#
+#     u = a + s + exp([w]) R (p2 - c) - p1     from the first tip to the second, in the first arm's base frame
+#     contact in one place: u;   contact at a distance d: |u| - d
+#
+# p1, p2: tips by each arm's own DH table and tool. R, a, c: the start of where the second base stands, and the centre of its
+# tips; s and w are unknown. Contacts at a distance are one number each: three of them make one row, so that all rows have three
+# numbers. Tools that are joined rigidly add a row of orientation a contact (`Joins`). Second derivatives are left out (Gauss-
+# Newton): residuals are millimetres.
+
 
 ALL = slice(None)
 AXES = ("x", "y", "z")

@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from calib.errors import CalibrationError
-from calib.export.losses import losses
-from calib.export.mjcf import mjcf_text
-from calib.export.plain import plain_text
-from calib.export.urdf import urdf_text
+from calib.export.formats import mjcf_text, plain_text, urdf_text
+from calib.export.frames import losses
 from control.files import write_whole
 from control.model.arm import Arm
 

@@ -20,7 +20,7 @@ from calib.gap.poses.outcome import StaticGap
 from calib.gap.residuals.rows import ChannelRows
 from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.words import unit_of
-from calib.report.drawing import AFTER, BEFORE, PLANNED, svg
+from calib.report.page import AFTER, BEFORE, PLANNED, svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,9 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.plan.plan import GENTLE
-from calib.planning.path import PathPlan, WayOfPath
-from calib.planning.search import NOWHERE, Cost
-from calib.planning.stops import StopsPlan, WayOfStops
+from calib.planning.search import NOWHERE, Cost, PathPlan, StopsPlan, WayOfPath, WayOfStops
 from calib.points.points import make_points
 from calib.points.writer import replace_file, write_points
 from calib.results import Provenance, entries, write_json

@@ -1,8 +1,4 @@
-"""The search for a better way to do a task: how far the work is moved, what a way costs, where the arm has room for it.
-
-A way is judged by the tip's expected error over its poses. It is chosen only if it is better for nearly every arm that the points
-allow, so that a guess never makes the task worse. `path.py` and `stops.py` say what else may be changed.
-"""
+"""A task as the arm does it best: for paths that are run through, and for points to stop at."""
 
 from __future__ import annotations
 
@@ -15,16 +11,23 @@ from typing import Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, Mask
-from calib.design.candidates import TOUCH_M, body_points
+from calib.design.candidates import STARTS_COUNT, TOUCH_M, body_points, joint_box, postures, spread_poses
+from calib.design.planning import DETOUR_RAD, clear_ways, short_path
+from calib.errors import CalibrationError
 from calib.gap.plan.collision_free_box import CLEARANCE_m, ground_m
 from calib.gap.plan.plan import APPROACH_rad
 from calib.trust.discrepancy import Conditions
-from calib.trust.prediction import Predictor
+from calib.trust.prediction import Path, Predictor, sampled
+from control.errors import ArmError
 from control.kinematics.corners import Corners
+from control.kinematics.inverse import InverseKinematics
 from control.model.arm import Arm, Vector3
+from control.motion.plan import PlannedPath, plan_paths
+from control.motion.spline import DEFAULT_PACE_M_S
 from control.motion.waypoints import Waypoints
-from control.progress import Advance
+from control.progress import Advance, silent
 from control.safety.workspace import LinkThickness, Workspace
 
 DRAWS: Final = 200  # arms that the points allow
@@ -241,3 +244,279 @@ class WaySearch(ABC, Generic[Way]):
     def _is_better(self, one: Way, than: Way) -> bool:
         """Worth the change, and sure to be better than the plain one."""
         return one.cost.rms_m < WORTH * than.cost.rms_m and is_surely_better(one.cost, self._plain.cost)
+
+
+# A path with the least expected tip error: its place, its branch, its way round, its speed, and how the arm comes to it.
+#
+# The path as it is given, planned as `armwright run` plans it from rest, is always a candidate. Another is chosen only if it is
+# better for nearly every arm that the points allow, so that a guess never makes the path worse.
+
+
+PACES: Final = (
+    0.7,
+    0.5,
+    0.35,
+    0.25,
+)  # of the speed given: gears that inertia lifts off their flank stay on it
+SAMPLES: Final = 100
+
+
+@dataclass(frozen=True, slots=True)
+class WayOfPath:
+    """One way to run the path: `waypoints` as run, `arm` with its table where the work stands.
+
+    lead_in_rad: from where every joint comes to the start in the direction in which it leaves, so that no gear turns over
+    there; the start itself where there is no room for that.
+    """
+
+    arm: Arm
+    waypoints: Waypoints
+    shift_m: Vector3
+    is_reversed: bool
+    pace: float
+    plan: PlannedPath
+    motion: Path
+    lead_in_rad: tuple[float, ...]
+    cost: Cost
+
+
+class PathPlan(TaskPlan[WayOfPath]):
+    """A path, as given and as chosen."""
+
+    __slots__ = ()
+
+
+def planned_path(
+    arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance = silent
+) -> PathPlan:
+    """The best way within what may be changed. PathError if the path as given cannot be run."""
+    return _PathSearch(arm, predictor, waypoints, freedom, advance).run()
+
+
+class _PathSearch(WaySearch[WayOfPath]):
+    """One choice after the other: branch, place, way round, speed."""
+
+    def run(self) -> PathPlan:
+        ways = list(self._ways(NOWHERE))
+        self._plain = best = ways[0]
+        choices: tuple[tuple[str, Callable[[WayOfPath], list[WayOfPath]]], ...] = (
+            ("branch", lambda _: ways[1:]),
+            ("place", self._placed),
+            ("way round", self._turned),
+            ("speed", self._slower),
+        )
+        steps: list[tuple[str, float]] = []
+        for name, found in choices:
+            self._advance(f"looking for a better {name}", self._share())
+            better = [one for one in found(best) if self._is_better(one, best)]
+            if better:
+                least_m = min(one.cost.rms_m for one in better)
+                best = next(one for one in better if WORTH * one.cost.rms_m <= least_m)
+                steps.append((name, best.cost.rms_m))
+        return PathPlan(self._plain, best, tuple(steps))
+
+    def _share(self) -> float:
+        """Of the search: nearly all of it are the places."""
+        return min(1.0, self._done / places_count(self._freedom.shift_m))
+
+    def _turned(self, best: WayOfPath) -> list[WayOfPath]:
+        return list(self._ways(best.shift_m, True)) if self._freedom.any_order else []
+
+    def _slower(self, best: WayOfPath) -> list[WayOfPath]:
+        """The fastest first."""
+        return [way for pace in PACES for way in self._ways(best.shift_m, best.is_reversed, pace)]
+
+    def _placed(self, _: WayOfPath) -> list[WayOfPath]:
+        found = self._best_place()
+        return [] if found is None else [found]
+
+    def _best_at(self, shift_m: Vector3) -> WayOfPath | None:
+        self._done += 1
+        self._advance("looking for a better place", self._share())
+        return min(self._ways(shift_m), key=lambda one: one.cost.rms_m, default=None)
+
+    def _ways(self, shift_m: Vector3, is_reversed: bool = False, pace: float = 1.0) -> Iterator[WayOfPath]:
+        """One for each start from which the arm can run it; ArmError if the path as given has none."""
+        arm, waypoints = shifted(self._arm, self._given, shift_m)
+        waypoints = backwards(waypoints) if is_reversed else waypoints
+        waypoints = paced(waypoints, pace) if pace != 1.0 else waypoints
+        is_given = shift_m == NOWHERE and not is_reversed and pace == 1.0
+        try:
+            for plan in plan_paths(arm, waypoints):
+                motion = sampled(arm, plan, self._freedom.payload_kg, SAMPLES)
+                if is_given or self._room.holds(arm, motion.poses.q_rad):
+                    lead_in = self._lead_in(arm, plan, motion)
+                    cost = self._judge.cost(motion.poses)
+                    yield WayOfPath(arm, waypoints, shift_m, is_reversed, pace, plan, motion, lead_in, cost)
+        except ArmError:
+            if is_given:
+                raise
+
+    def _lead_in(self, arm: Arm, plan: PlannedPath, motion: Path) -> tuple[float, ...]:
+        start, direction = np.array([plan.q_start_rad]), motion.poses.direction[:1]
+        is_possible = self._room.has_lead_in(arm, start, direction)[0]
+        return tuple((lead_in_of(start, direction) if is_possible else start)[0].tolist())
+
+
+def backwards(waypoints: Waypoints) -> Waypoints:
+    """The last way-point first."""
+    speeds, turned = waypoints.speeds_m_s, waypoints.orientations
+    return Waypoints(
+        waypoints.points[::-1],
+        speeds[::-1] if speeds is not None else None,
+        waypoints.places[::-1],
+        turned[::-1] if turned is not None else None,
+    )
+
+
+def paced(waypoints: Waypoints, pace: float) -> Waypoints:
+    """The same at this share of its speed."""
+    given = waypoints.speeds_m_s or (DEFAULT_PACE_M_S,) * len(waypoints.points)
+    return dataclasses.replace(waypoints, speeds_m_s=tuple(pace * speed for speed in given))
+
+
+# Points at which the arm stops: the posture and the side of approach of each, their order, and where they stand.
+#
+# A gear with play lies on one flank or the other, as its joint came. So each point gets the side on which the error is expected
+# to be least, and a lead-in that makes every joint come from there. Sides are searched joint by joint; the error is linear in
+# them.
+
+
+ROUNDS: Final = 2  # of turning each joint's side over
+
+
+@dataclass(frozen=True, slots=True)
+class WayOfStops:
+    """One way to visit the points: in this order (m,) of the file's rows, poses and sides (m, n) by row.
+
+    `has_lead_in` (m,): whether the side is the lead-in's, or as the joints come from the point before.
+    """
+
+    arm: Arm
+    waypoints: Waypoints
+    shift_m: Vector3
+    order: tuple[int, ...]
+    poses: Conditions
+    has_lead_in: Mask
+    cost: Cost
+
+    @property
+    def lead_in_rad(self) -> Array:
+        """Where each approach begins (m, n); not a number where there is no lead-in."""
+        return np.where(self.has_lead_in[:, None], lead_in_of(self.poses.q_rad, self.poses.direction), np.nan)
+
+    @property
+    def travel_rad(self) -> float:
+        """Sum of the largest joint travels from the rest pose over all points."""
+        here, total = _rest(self.arm), 0.0
+        for row in self.order:
+            stops = [self.lead_in_rad[row]] if self.has_lead_in[row] else []
+            for there in (*stops, self.poses.q_rad[row]):
+                total += float(np.abs(there - here).max())
+                here = there
+        return total
+
+
+class StopsPlan(TaskPlan[WayOfStops]):
+    """Stops, as given and as chosen."""
+
+    __slots__ = ()
+
+
+def planned_stops(
+    arm: Arm, predictor: Predictor, waypoints: Waypoints, freedom: Freedom, advance: Advance = silent
+) -> StopsPlan:
+    """The best way within what may be changed. ArmError if a point as given is out of reach."""
+    if waypoints.orientations is not None:
+        raise CalibrationError("--stops: takes positions, got orientations: leave out the columns qw to qz")
+    return _StopsSearch(arm, predictor, waypoints, freedom, advance).run()
+
+
+class _StopsSearch(WaySearch[WayOfStops]):
+    """First posture and side of each point, then the place, then the order."""
+
+    def run(self) -> StopsPlan:
+        self._plain = best = self._as_given()
+        steps: list[tuple[str, float]] = []
+        here = self._best_at(NOWHERE)
+        if here is not None and self._is_better(here, best):
+            best = here
+            steps.append(("postures and sides", best.cost.rms_m))
+        place = self._best_place()
+        if place is not None and self._is_better(place, best):
+            best = place
+            steps.append(("place", best.cost.rms_m))
+        return StopsPlan(self._plain, self._ordered(best), tuple(steps))
+
+    def _as_given(self) -> WayOfStops:
+        """In the file's order, each in the posture that is nearest to the one before, straight from there."""
+        inverse, here, q = InverseKinematics(self._arm), _rest(self._arm), []
+        for point in self._given.points:
+            here = np.array(inverse.nearest(point, tuple(here.tolist())))
+            q.append(here)
+        found = np.array(q)
+        sides = np.sign(np.diff(found, axis=0, prepend=_rest(self._arm)[None]))
+        return self._way(self._arm, self._given, NOWHERE, found, sides, np.zeros(len(found), dtype=bool))
+
+    def _best_at(self, shift_m: Vector3) -> WayOfStops | None:
+        """The least expected error of each point where the work is moved by shift_m; None if one is out of reach."""
+        self._done += 1
+        self._advance("looking for a place", min(1.0, self._done / (1 + places_count(self._freedom.shift_m))))
+        arm, waypoints = shifted(self._arm, self._given, shift_m)
+        box = joint_box(arm)
+        starts = spread_poses(box, STARTS_COUNT)
+        q, which = postures(ArmModel(arm), np.array(waypoints.points), starts, box)
+        if len(np.unique(which)) < len(waypoints.points):
+            return None
+        sides, squares = self._sides(arm, q)
+        rows = [
+            int(min(np.flatnonzero(which == point), key=lambda row: squares[row]))
+            for point in range(len(waypoints.points))
+        ]
+        if not np.isfinite(squares[rows]).all():
+            return None
+        return self._way(arm, waypoints, shift_m, q[rows], sides[rows], np.ones(len(rows), dtype=bool))
+
+    def _sides(self, arm: Arm, q: Array) -> tuple[Array, Array]:
+        """The best side (p, n) of each posture (p, n), and its squared error [m^2]; infinite where no lead-in is possible."""
+        best, least = np.ones(q.shape), np.full(len(q), np.inf)
+        for first in (1.0, -1.0):
+            sides, squares = np.full(q.shape, first), self._squares(arm, q, np.full(q.shape, first))
+            for joint in list(range(q.shape[1])) * ROUNDS:
+                other = sides.copy()
+                other[:, joint] *= -1.0
+                found = self._squares(arm, q, other)
+                is_better = found < squares
+                sides, squares = np.where(is_better[:, None], other, sides), np.minimum(found, squares)
+            is_better = squares < least
+            best, least = np.where(is_better[:, None], sides, best), np.minimum(squares, least)
+        return best, least
+
+    def _squares(self, arm: Arm, q: Array, sides: Array) -> Array:
+        squares = self._judge.squares_m2(self._conditions(q, sides))
+        return np.where(self._room.has_lead_in(arm, q, sides), squares, np.inf)
+
+    def _conditions(self, q: Array, sides: Array) -> Conditions:
+        return Conditions(q, sides, np.full(len(q), self._freedom.payload_kg))
+
+    def _way(
+        self, arm: Arm, waypoints: Waypoints, shift_m: Vector3, q: Array, sides: Array, led: Mask
+    ) -> WayOfStops:
+        poses = self._conditions(q, sides)
+        return WayOfStops(arm, waypoints, shift_m, tuple(range(len(q))), poses, led, self._judge.cost(poses))
+
+    def _ordered(self, way: WayOfStops) -> WayOfStops:
+        """A short way through all points, if they may be visited in any order; lead-ins keep the sides."""
+        if not (self._freedom.any_order and way.has_lead_in.all()):
+            return way
+        q = np.vstack((_rest(way.arm), way.poses.q_rad))
+        entry = np.vstack((_rest(way.arm), way.lead_in_rad))
+        ways = np.abs(entry[None, :] - q[:, None]).max(axis=2)
+        ways = 0.5 * (ways + ways.T) + DETOUR_RAD * ~clear_ways(way.arm, q, ())
+        order = tuple(k - 1 for k in short_path(ways)[1:])
+        found = WayOfStops(way.arm, way.waypoints, way.shift_m, order, way.poses, way.has_lead_in, way.cost)
+        return found if found.travel_rad < way.travel_rad else way
+
+
+def _rest(arm: Arm) -> Array:
+    return np.array(arm.rest.q_rad if arm.rest is not None else np.zeros(arm.joint_count))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.arrays import Array, norms
-from calib.report.drawing import AFTER, BEFORE, NAMES, PLANNED, label_plane, svg
+from calib.report.page import AFTER, BEFORE, NAMES, PLANNED, label_plane, svg
 from calib.validation.verify import Comparison, ErrorSummary, Track, TrackPair
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from calib.errors import CalibrationError
 from calib.studies.executor import Results, task_rng
 from calib.tolerances.making import STEPS, MadeArms, MadePoses, Tolerances, TolerancesFileError
 from calib.trust.discrepancy import Conditions
-from calib.trust.posterior import UNIFORM
+from calib.trust.prediction import UNIFORM
 from control.model.arm import Arm
 
 # Identifies many made arms at once, as `calibrate` does for one: bounded deviations, full kinematics, every

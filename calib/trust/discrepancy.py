@@ -5,7 +5,7 @@ Soc. B 63, 2001) put a Gaussian process beside the model for what it lacks. Here
 arms are known for (scale, eccentricity, load, play, coupling, bending), so that it extrapolates as they do, and smooth ones
 for the rest: functions of each joint's angle (Solin and Sarkka, Hilbert space methods for reduced-rank Gaussian process
 regression, Stat. Comput. 30, 2020) and a field over the tip's place. Nothing is named: the sizes are estimated together
-(`calib.trust.posterior`), and those that the poses do not need shrink.
+(`calib.trust.prediction`), and those that the poses do not need shrink.
 """
 
 from __future__ import annotations

@@ -17,8 +17,7 @@ from calib.arrays import Array
 from calib.design.candidates import workspace_poses
 from calib.points.points import Points
 from calib.trust.discrepancy import Conditions, Discrepancy
-from calib.trust.posterior import Posterior, linearised, loose_play_m2, posterior_of
-from calib.trust.prediction import Predictor, TipError
+from calib.trust.prediction import Posterior, Predictor, TipError, linearised, loose_play_m2, posterior_of
 from calib.validation.verdict import NoiseFloor, noise_floor
 from control.model.arm import Arm
 from control.progress import Advance, silent

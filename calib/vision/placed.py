@@ -15,8 +15,7 @@ import numpy as np
 from calib.arm_problem.frames import rotation_of
 from calib.arrays import Array
 from calib.vision.lens import Lens
-from calib.vision.opencv import opencv
-from calib.vision.targets import SeenCorners
+from calib.vision.targets import SeenCorners, opencv
 from control.kinematics.rotation import cross_matrices
 
 STEPS_MOST = 30

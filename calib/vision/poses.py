@@ -37,8 +37,7 @@ from calib.vision.placed import (
     shared_step,
     started_pose,
 )
-from calib.vision.sightings import Sighting, Sightings
-from calib.vision.targets import PrintedTarget, SeenCorners
+from calib.vision.targets import PrintedTarget, SeenCorners, Sighting, Sightings
 from control.kinematics.rotation import quaternions
 
 CORNERS_LEAST = 4

@@ -1,27 +1,88 @@
-"""Printed targets: a ChArUco board, or AprilTags at known places of one body. Their corners in the target's own frame.
-
-A board's frame has its origin at the board's centre, x along its rows to the right, y down, z into the print, as OpenCV's. The
-centre decouples the errors of position and orientation.
-"""
+"""Targets that a camera sees: ChArUco boards and tags, their print, and their corners in pictures (OpenCV)."""
 
 from __future__ import annotations
 
+import importlib
 import io
-from collections.abc import Mapping
+import math
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arrays import Array, frozen
 from calib.errors import VisionError
 from calib.points.points import ORIENTATION, TIP
 from calib.points.reading import IMPORT
 from calib.points.writer import replace_file
-from calib.vision.opencv import Picture, opencv
+from control.files import read_bytes
 from control.kinematics.rotation import matrices
+from control.progress import Advance, silent
 from control.tables import TableColumn, TableFormat, read_table
+
+Picture = npt.NDArray[np.uint8]
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+PICTURE_MOST_px = 50_000_000  # of 8 bits; a picture beyond it is no camera's
+PICTURE_MOST_bytes = 64 << 20
+
+
+def opencv() -> Any:
+    """The module cv2. VisionError with the remedy where it is not installed."""
+    os.environ.setdefault(
+        "OPENCV_IO_MAX_IMAGE_PIXELS", str(PICTURE_MOST_px)
+    )  # before a header that lies takes the memory
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # a damaged picture is said in one sentence
+    try:
+        module = importlib.import_module("cv2")
+    except ImportError as error:
+        raise VisionError(
+            f"pictures are read by OpenCV, which cannot be imported ({error}): pip install 'armwright[camera]',"
+            " or pip install opencv-python-headless"
+        ) from error
+    module.setNumThreads(1)  # the control loop may run beside it
+    return module
+
+
+def picture_files(folder: Path) -> list[Path]:
+    """The pictures of a folder by name. VisionError if there are none."""
+    if not folder.is_dir():
+        raise VisionError(f"{folder}: expected a folder with pictures ({', '.join(ENDINGS)})")
+    found = sorted(file for file in folder.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
+    if not found:
+        raise VisionError(f"{folder}: holds no picture: expected files ending in {', '.join(ENDINGS)}")
+    return found
+
+
+def png_of(picture: Picture) -> bytes:
+    """A grey picture as a PNG file."""
+    return bytes(opencv().imencode(".png", picture)[1])
+
+
+def read_picture(file: Path) -> Picture:
+    """The grey picture (height, width) of a file, as the sensor gave it: a turn stated in EXIF is not applied. VisionError."""
+    cv2 = opencv()
+    try:
+        content = np.frombuffer(read_bytes(file, PICTURE_MOST_bytes), np.uint8)
+    except OSError as error:
+        raise VisionError(f"{file}: cannot be read: {error.strerror}") from error
+    try:
+        picture = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        picture = None
+    if picture is None or picture.size > PICTURE_MOST_px:
+        raise VisionError(f"{file}: not a picture that OpenCV can read: save it as PNG or JPEG")
+    return np.asarray(picture, dtype=np.uint8)
+
+
+# Printed targets: a ChArUco board, or AprilTags at known places of one body. Their corners in the target's own frame.
+#
+# A board's frame has its origin at the board's centre, x along its rows to the right, y down, z into the print, as OpenCV's. The
+# centre decouples the errors of position and orientation.
+
 
 BOARD_DICTIONARY = "4x4_250"
 TAG_DICTIONARY = "apriltag_36h11"
@@ -396,3 +457,102 @@ def write_print(path: Path, target: Charuco | Tags) -> Path:
     figure.savefig(content, format="pdf", dpi=DOTS_A_METRE * INCH_m)
     replace_file(path, content.getvalue())
     return path
+
+
+# What pictures show of a target: its corners, and how sharp and how well lit they are.
+
+
+TRIED = 10  # pictures that are looked at again
+AROUND_px = 8  # of a corner: the part of the picture in which sharpness is judged
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """The target in one picture. blur_px: standard deviation of the blur; contrast: ink to paper, in grey levels of 255."""
+
+    name: str
+    corners: SeenCorners
+    blur_px: float
+    contrast: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """Pictures of one camera: those with the target, and the names of those without enough of it.
+
+    remedy: the option with which pictures show the target that show none of it as it was given; "" if there is no such option.
+    """
+
+    width_px: int
+    height_px: int
+    seen: tuple[Sighting, ...]
+    unseen: tuple[str, ...]
+    remedy: str = ""
+
+
+def look_for(
+    target: PrintedTarget, files: Sequence[Path], least: int, advance: Advance = silent
+) -> Sightings:
+    """Find a target in pictures of one camera; fewer than `least` corners do not count.
+
+    VisionError for an unreadable picture, pictures of several sizes, or two with one name.
+    """
+    seen, unseen, size, first = [], [], (0, 0), files[0]
+    names = [file.stem for file in files]
+    for name in names:
+        if names.count(name) > 1:
+            raise VisionError(f"{first.parent}: two pictures are called {name}, with other endings: keep one")
+    for k, file in enumerate(files):
+        advance(f"looking at {file.name}", k / len(files))
+        picture = read_picture(file)
+        if k == 0:
+            size = picture.shape
+        if picture.shape != size:
+            raise VisionError(
+                f"{file}: {picture.shape[1]} x {picture.shape[0]} pixels, {first.name} has {size[1]} x {size[0]}: give"
+                " pictures of one camera with one resolution, not turned"
+            )
+        corners = target.find(picture)
+        if len(corners) < least or not _spans(corners):
+            unseen.append(file.stem)
+        else:
+            seen.append(Sighting(file.stem, corners, *sharpness(picture, corners.picture_px)))
+    advance("looking at pictures", 1.0)
+    remedy = "" if seen else _remedy(target, files, least)
+    return Sightings(size[1], size[0], tuple(seen), tuple(unseen), remedy)
+
+
+def _remedy(target: PrintedTarget, files: Sequence[Path], least: int) -> str:
+    """With which option most pictures, of some that are spread evenly, show the target."""
+    some = files[:: max(1, len(files) // TRIED)]
+    shown = {
+        option: sum(len(other.find(read_picture(file))) >= least for file in some)
+        for option, other in target.others.items()
+    }
+    best = max(shown, key=lambda option: shown[option], default="")
+    return f"{best}, {shown[best]} of {len(some)} pictures show it" if best and shown[best] else ""
+
+
+def sharpness(picture: Picture, pixels: Array) -> tuple[float, float]:
+    """Blur and contrast at corners (k, 2), median over them.
+
+    A step of height C blurred by a normal distribution of standard deviation s has the largest slope C / (s sqrt(2 pi)).
+    """
+    blurs, contrasts = [], []
+    for u, v in np.rint(pixels).astype(int).tolist():
+        patch = picture[max(0, v - AROUND_px) : v + AROUND_px + 1, max(0, u - AROUND_px) : u + AROUND_px + 1]
+        if min(patch.shape) <= AROUND_px:
+            continue
+        dark, light = np.percentile(patch, (5, 95))
+        down, right = np.gradient(patch.astype(float))
+        steepest = float(np.percentile(np.hypot(down, right), 98))
+        contrasts.append(float(light - dark))
+        blurs.append(contrasts[-1] / (max(steepest, 1e-3) * math.sqrt(2.0 * math.pi)))
+    return (float(np.median(blurs)), float(np.median(contrasts))) if blurs else (math.nan, math.nan)
+
+
+def _spans(corners: SeenCorners) -> bool:
+    """Whether the corners are not all on one line."""
+    centred = corners.target_m - corners.target_m.mean(axis=0)
+    singular = np.linalg.svd(centred, compute_uv=False)
+    return bool(singular[1] > 0.1 * singular[0])

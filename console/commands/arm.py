@@ -111,7 +111,7 @@ def _given_back(arm: Arm, given: argparse.Namespace) -> int:
 def _compensation(arm: Arm, given: argparse.Namespace) -> int:
     """The function that makes a program that knows the published arm go where it wants."""
     from calib.export import write_new
-    from calib.export.python_code import omitted, python_text
+    from calib.export.formats import omitted, python_text
 
     if not given.generic:
         raise ArmError("--export python: give the arm that the program plans with, such as --generic so101")

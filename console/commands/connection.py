@@ -1,10 +1,13 @@
 """Shared by the client commands: the socket of the selected arm."""
 
 import argparse
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from control.errors import ArmError
 from control.model.arm import Arm
+from control.model.cell import Cell, load_cell
 from control.model.description import load_arm
 from control.model.fingerprint import fingerprint
 from control.server.channel import SocketChannel
@@ -61,3 +64,33 @@ def with_present_tool(arm: Arm, client: ArmClient) -> Arm:
     """The arm with the tool on that the runtime has on, for planning."""
     on = client.status()["tool"]
     return arm.with_tool(on) if on else arm
+
+
+# The running arms of a cell: a client for each, at its usual socket.
+
+
+@contextmanager
+def connected_arms(given: argparse.Namespace, names: tuple[str, ...]) -> Iterator[Mapping[str, ArmClient]]:
+    """Clients of some arms of the command's cell. ArmError if they are not on one runtime."""
+    cell = load_cell(given.cell)
+    clients: dict[str, ArmClient] = {}
+    try:
+        for name in names:
+            clients[name] = ArmClient(SocketChannel(default_path(cell.placed(name).name)))
+        _require_one_runtime(clients, cell)
+        for name, client in clients.items():
+            client.require_arm(cell.placed(name).arm, cell)
+        yield clients
+    finally:
+        for client in clients.values():
+            client.close()
+
+
+def _require_one_runtime(clients: Mapping[str, ArmClient], cell: Cell) -> None:
+    for name, client in clients.items():
+        served = client.status().get("cell")
+        if served is None or not set(clients) <= set(served["arms"]):
+            raise ArmError(
+                f"arm {name!r} is served alone: stop its runtime (`armwright off --quit --arm {name}`) and start one for all"
+                f" arms (`armwright serve --cell {cell.path or cell.name}`)"
+            )

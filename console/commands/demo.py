@@ -128,7 +128,7 @@ def _gap(given: argparse.Namespace) -> int:
 
 def _camera(given: argparse.Namespace) -> int:
     """Measure a mock arm with a webcam, calibrate it, compare with the truth."""
-    from calib.vision.opencv import opencv
+    from calib.vision.targets import opencv
     from procedures.demo import webcam
 
     for name in ("realtime", "effect", "joint"):

@@ -18,9 +18,8 @@ from console.lines import Grammar
 from console.screen.dashboard import Dashboard
 from console.screen.drawing import THEME, AsciiFilter, is_plain
 from console.screen.jogging import Jogger
-from console.screen.link import Message, RuntimeLink
 from console.screen.operating import Files, OperatingScreen
-from console.screen.operator import MOVING, ScreenOperator
+from console.screen.operator import MOVING, Message, RuntimeLink, ScreenOperator
 from console.screen.session import SessionScreen
 from console.specs.table import COMMANDS
 from control.model.arm import Arm

@@ -15,12 +15,10 @@ from textual.screen import ModalScreen, Screen
 from textual.widgets import Input, OptionList, Static
 
 from console.places import PlacesError, read_places
-from console.screen.dashboard import Dashboard
+from console.screen.dashboard import CommandBox, Dashboard, HeldButton, JogPad
 from console.screen.drawing import EventLog, Panel, clock, row
 from console.screen.jogging import RENEW_S, Jogger, neighbour
-from console.screen.link import Message, RuntimeLink
-from console.screen.operator import ScreenOperator
-from console.screen.widgets import CommandBox, HeldButton, JogPad
+from console.screen.operator import Message, RuntimeLink, ScreenOperator
 from console.user_config import remember_degrees
 
 

@@ -20,9 +20,9 @@ from textual.containers import Horizontal, Vertical
 from textual.screen import Screen
 from textual.widgets import Input
 
+from console.screen.dashboard import CommandBox
 from console.screen.drawing import EventLog, Panel, Row, Span, row, wrapped
 from console.screen.operator import subcommand
-from console.screen.widgets import CommandBox
 from control.files import write_whole
 
 HINTS = "Enter yes  redo  skip  bad  note TEXT  jog z -5  quit  space STOP  esc back"

@@ -1,13 +1,11 @@
 """Every subcommand, in the order of `armwright --help`, by job."""
 
 from console.specs.assessing import ASSESSING, PLANNING
-from console.specs.bringup import BRINGUP
 from console.specs.calibrating import CALIBRATING, GAP
-from console.specs.files import FILES
+from console.specs.files import FILES, VISUALISATION
 from console.specs.operating import CELLS, END_EFFECTOR, OPERATING
 from console.specs.recording import RECORDING
-from console.specs.trying import TRYING
-from console.specs.visualisation import VISUALISATION
+from console.specs.trying import BRINGUP, TRYING
 
 GROUPS = {
     "try it without an arm": TRYING,

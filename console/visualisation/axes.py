@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from console.visualisation.series import Array, Series
-from console.visualisation.thinning import envelope, with_gaps
+from console.visualisation.series import Array, Series, envelope, with_gaps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -33,8 +33,7 @@ from console.visualisation.axes import (
     style_of,
 )
 from console.visualisation.metrics import tip_error_m
-from console.visualisation.series import Array, Series
-from console.visualisation.thinning import SHORTEST, envelope, orders, spectrum
+from console.visualisation.series import SHORTEST, Array, Series, envelope, orders, spectrum
 from console.visualisation.traces import tips_of
 
 # Pictures of the whole arm: supply, spectra, tip, cycle timing.

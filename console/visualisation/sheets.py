@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from calib.report.drawing import STYLE
+from calib.report.page import PICTURE_STYLE as STYLE
 from console.visualisation.pictures import Picture
 from console.visualisation.series import Series
 from control.errors import ArmError

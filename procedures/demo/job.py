@@ -17,7 +17,7 @@ from calib.points.writer import PointsWriter
 from calib.report.report import ReportData, write_report
 from calib.results import Provenance, input_file, made_today
 from calib.session.moves import ArmGeometry
-from calib.session.sequence import PointStage, board_points, step_through, with_reference_tips
+from calib.session.take import PointStage, board_points, step_through, with_reference_tips
 from calib.validation.verify import Comparison, TrackPair, compare
 from control.errors import ArmError
 from control.model import table as tables

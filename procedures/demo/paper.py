@@ -18,7 +18,7 @@ from calib.points.points import Points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
 from calib.results import input_file, made_today, write_json
-from calib.session.sequence import board_points
+from calib.session.take import board_points
 from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table

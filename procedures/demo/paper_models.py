@@ -15,8 +15,7 @@ from calib.identify.identification import Identification, identify
 from calib.points.points import Points, make_points
 from calib.points.writer import PointsWriter, Record
 from calib.session.plan import Target
-from calib.session.sequence import BoardPoint
-from calib.session.take import SessionSettings, take
+from calib.session.take import BoardPoint, SessionSettings, take
 from control.dynamics.static_pose import friction_Nm, gravity_Nm, resting, torque_per_A
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics

@@ -8,16 +8,20 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.arrays import Array, norms
-from calib.report.drawing import AFTER, BEFORE, PLANNED, label_plane, svg
 from calib.report.page import (
+    AFTER,
+    BEFORE,
+    PLANNED,
     Cell,
     Section,
     bullets,
     folded,
     heading,
+    label_plane,
     list_section,
     page,
     paragraph,
+    svg,
     table,
     tiles,
     verdict,

@@ -17,26 +17,48 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, frozen, norms
-from calib.closed_chain.calibrate import PairFound, PairPlan, calibrate_pair, contact_errors_m
+from calib.closed_chain.calibrate import (
+    PairFound,
+    PairPlan,
+    calibrate_pair,
+    calibrated_cell,
+    contact_errors_m,
+    pair_text,
+    write_pair,
+)
 from calib.closed_chain.conduct import conduct, contact_plan
-from calib.closed_chain.contacts import Contacts, read_contacts
-from calib.closed_chain.outcome import calibrated_cell, pair_text, write_pair
+from calib.closed_chain.pair_problem import Contacts, read_contacts
 from calib.closed_chain.planning import (
     APART,
     CAVITY,
     Candidates,
     ContactPlan,
+    Poses,
+    SharedRoom,
     base_of,
     pair_of,
     plan_contacts,
     write_contacts,
 )
-from calib.closed_chain.room import Poses, SharedRoom
 from calib.design.planning import short_path
 from calib.errors import CalibrationError
 from calib.identify.open_combinations import open_in_words
-from calib.report.drawing import AFTER, BEFORE, PLANNED, label_plane, svg
-from calib.report.page import Section, bullets, list_section, page, pair, paragraph, table, tiles, verdict
+from calib.report.page import (
+    AFTER,
+    BEFORE,
+    PLANNED,
+    Section,
+    bullets,
+    label_plane,
+    list_section,
+    page,
+    pair,
+    paragraph,
+    svg,
+    table,
+    tiles,
+    verdict,
+)
 from calib.report.pictures import path_picture
 from calib.report.report_sections import dh_section
 from calib.results import input_file, made_today

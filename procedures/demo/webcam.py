@@ -23,11 +23,9 @@ from calib.points.points import Points, make_points
 from calib.points.writer import write_points
 from calib.results import input_file, made_today
 from calib.vision.advice import advice
-from calib.vision.camera_file import write_camera
 from calib.vision.intrinsics import CORNERS_LEAST as LENS_CORNERS
-from calib.vision.intrinsics import LensFit, fit_lens
+from calib.vision.intrinsics import LensFit, fit_lens, write_camera
 from calib.vision.lens import Lens
-from calib.vision.opencv import picture_files, png_of
 from calib.vision.poses import (
     CORNERS_LEAST,
     CameraPictures,
@@ -36,8 +34,7 @@ from calib.vision.poses import (
     picture_name,
     with_pictures,
 )
-from calib.vision.sightings import look_for
-from calib.vision.targets import Charuco
+from calib.vision.targets import Charuco, look_for, picture_files, png_of
 from control.files import write_whole
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool

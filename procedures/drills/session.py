@@ -14,8 +14,7 @@ from pathlib import Path
 
 from calib.errors import CalibrationError
 from calib.points.writer import Key, Record
-from calib.session.boards_known import Boards
-from calib.session.conduct import Station, conduct
+from calib.session.conduct import Boards, Station, conduct
 from calib.session.conversation import GO, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, ClearPaths

@@ -14,12 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from calib.closed_chain.conduct import ContactWatch, PairHand, PairStation
-from calib.closed_chain.planning import base_of
-from calib.closed_chain.room import Poses, SharedRoom
+from calib.closed_chain.planning import Poses, SharedRoom, base_of
 from calib.design.candidates import OTHER_TILTS, tilted
 from calib.errors import SessionError
-from calib.session.boards_known import Boards
-from calib.session.conduct import AutomaticHand
+from calib.session.conduct import AutomaticHand, Boards
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, Vector
 from calib.session.plan import Target

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.report.drawing import AFTER, BEFORE, svg
-from calib.report.page import Section, bullets, page, pair, paragraph, table
+from calib.report.page import AFTER, BEFORE, Section, bullets, page, pair, paragraph, svg, table
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.gains import Gains, gains_of
 from control.dynamics.tuning import LoopDesign, Margins, MarginsUnmet, MotorFit, Tuner, fit_motor, margins

@@ -15,9 +15,9 @@ from calib.errors import CalibrationError
 from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.points.writer import write_points
-from calib.report.verification import Verification, write_verification_json, write_verification_report
+from calib.report.report import Verification, write_verification_json, write_verification_report
 from calib.results import InputFile, input_file, made_today
-from calib.session.sequence import with_reference_tips
+from calib.session.take import with_reference_tips
 from calib.validation.verify import Comparison, TrackPair, Used, already_used, compare_arms, compare_turns
 from control.dynamics.feedforward import FED_FORWARD
 from control.dynamics.joint_side import SIDE_EFFECTS

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from console.commands.cell.clients import connected_arms
+from console.commands.connection import connected_arms
 from console.commands.moving import beside
 from control.errors import ArmError
 from control.model.fingerprint import fingerprint

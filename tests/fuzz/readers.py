@@ -11,9 +11,8 @@ from unittest.mock import patch
 from calib.ageing import read_history
 from calib.arm_import import read_arm
 from calib.boards import read_boards, read_markers
-from calib.capture.c3d import read_c3d
-from calib.capture.vicon_csv import read_vicon_csv
-from calib.closed_chain.contacts import read_contacts
+from calib.capture.tracks import read_c3d, read_vicon_csv
+from calib.closed_chain.pair_problem import read_contacts
 from calib.distances.problem import has_readings, readings_of
 from calib.gap.log import read_log
 from calib.iso9283.recorded import read_rectangle, read_runs
@@ -24,9 +23,8 @@ from calib.session.moves import read_free_poses
 from calib.session.plan import SessionPlan, board_targets
 from calib.studies.chunks import ChunkStore
 from calib.tolerances.making import parse_tolerances, tolerances_text
-from calib.vision.camera_file import read_camera
-from calib.vision.opencv import read_picture
-from calib.vision.targets import read_tags
+from calib.vision.intrinsics import read_camera
+from calib.vision.targets import read_picture, read_tags
 from console.lines import Grammar, parse_lines
 from console.places import read_places
 from console.specs.table import COMMANDS

@@ -15,7 +15,7 @@ from calib.points.writer import Record
 from calib.session.folder import SessionFolder
 from calib.studies.chunks import ChunkStore
 from calib.vision.lens import NAMES
-from calib.vision.opencv import png_of
+from calib.vision.targets import png_of
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from control.recording.export import to_mcap

@@ -10,9 +10,8 @@ import numpy as np
 from calib.arm_problem.frames import rotation_of
 from calib.points.points import make_points
 from calib.points.writer import write_points
-from calib.vision.opencv import png_of
 from calib.vision.poses import picture_name
-from calib.vision.targets import Charuco
+from calib.vision.targets import Charuco, png_of
 from control.model.description import load_arm
 from hil_mocks.arm_pictures import FramePose, PicturedArm, PrintedSheet, Webcam, looking_at
 from hil_mocks.scenario import load_scenario

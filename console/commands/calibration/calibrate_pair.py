@@ -4,10 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts
-from calib.closed_chain.contacts import Contacts, read_contacts
-from calib.closed_chain.outcome import pair_text, write_pair
-from calib.closed_chain.pair_problem import names_of
+from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts, pair_text, write_pair
+from calib.closed_chain.pair_problem import Contacts, names_of, read_contacts
 from calib.errors import CalibrationError
 from calib.identify.objective import objective_named
 from calib.results import input_file, made_today

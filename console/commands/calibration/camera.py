@@ -11,10 +11,8 @@ from calib.points.writer import write_points
 from calib.results import input_file, json_text, made_today
 from calib.vision.advice import advice, lens_text
 from calib.vision.advice import poses_text as described
-from calib.vision.camera_file import read_camera, write_camera
 from calib.vision.intrinsics import CORNERS_LEAST as CORNERS_OF_A_LENS
-from calib.vision.intrinsics import fit_lens
-from calib.vision.opencv import picture_files
+from calib.vision.intrinsics import fit_lens, read_camera, write_camera
 from calib.vision.poses import (
     CORNERS_LEAST,
     CameraPictures,
@@ -23,13 +21,14 @@ from calib.vision.poses import (
     poses_text,
     with_pictures,
 )
-from calib.vision.sightings import look_for
 from calib.vision.targets import (
     BOARD_DICTIONARY,
     MARKER_SHARE,
     TAG_DICTIONARY,
     Charuco,
     Tags,
+    look_for,
+    picture_files,
     read_tags,
     write_print,
 )

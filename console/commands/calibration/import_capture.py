@@ -9,10 +9,16 @@ import numpy as np
 from calib.arrays import Array
 from calib.boards import markers_text
 from calib.capture.alignment import Alignment, JointMotion, align
-from calib.capture.c3d import read_c3d
 from calib.capture.poses import Rested, believed, board_markers, poses_at_rest
-from calib.capture.tracks import BodyTrack, Capture, CaptureError, placed_m, relative
-from calib.capture.vicon_csv import read_vicon_csv
+from calib.capture.tracks import (
+    BodyTrack,
+    Capture,
+    CaptureError,
+    placed_m,
+    read_c3d,
+    read_vicon_csv,
+    relative,
+)
 from calib.gap.log import Log, read_log
 from calib.points.points import CAMERA_FRAME, STREAM_FRAME
 from calib.points.writer import write_points

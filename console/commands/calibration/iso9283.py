@@ -6,9 +6,8 @@ import sys
 from pathlib import Path
 
 from calib.iso9283.criteria.checks import Iso9283Error
-from calib.iso9283.page import summary_text
-from calib.iso9283.programme import PROGRAMMES, Extent
-from calib.iso9283.workspace import TestCube, largest_cube
+from calib.iso9283.programme import PROGRAMMES, Extent, TestCube, largest_cube
+from calib.iso9283.result import summary_text
 from console.commands.connection import in_control_of
 from console.commands.progress import Bar
 from control.model.arm import Arm

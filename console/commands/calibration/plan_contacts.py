@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from calib.closed_chain.contacts import DISTANCE_MOST_m
+from calib.closed_chain.pair_problem import DISTANCE_MOST_m
 from calib.closed_chain.planning import pair_of, plan_contacts, plan_text, write_contacts
 from calib.errors import CalibrationError
 from console.quantities import quantity

@@ -9,9 +9,7 @@ import numpy as np
 from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
 from calib.planning.files import RESULTS, Plan, plan_json, sentences, write_plan
-from calib.planning.path import planned_path
-from calib.planning.search import Freedom
-from calib.planning.stops import StopsPlan, planned_stops
+from calib.planning.search import Freedom, StopsPlan, planned_path, planned_stops
 from calib.points.arm_points import base_points_for
 from calib.results import input_file, json_text, made_today
 from calib.trust.prediction import Path as TaskPath

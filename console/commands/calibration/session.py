@@ -5,8 +5,7 @@ from pathlib import Path
 
 from calib.errors import SessionError
 from calib.points.points import STREAM_FRAME
-from calib.session.boards_known import Boards
-from calib.session.conduct import AutomaticHand, Station, conduct
+from calib.session.conduct import AutomaticHand, Boards, Station, conduct
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, fingerprint

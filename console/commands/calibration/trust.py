@@ -1,24 +1,44 @@
 """`armwright trust`: the tip's predicted error over the workspace, and whether a path keeps a tolerance."""
 
 import argparse
+import hashlib
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import Points
-from calib.results import input_file, json_text, made_today, write_json
-from calib.trust.iso9283 import PoseFigures, pose_figures
+from calib.results import InputFile, input_file, json_text, made_today, write_json
+from calib.studies.chunks import ChunkStore, run_study
+from calib.studies.cluster import executor
+from calib.tolerances.making import parse_tolerances, tolerances_text
+from calib.tolerances.result import (
+    FORMAT as TOLERANCES,
+)
+from calib.tolerances.result import (
+    as_text as tolerances_words,
+)
+from calib.tolerances.result import (
+    made_json,
+    made_of,
+    tolerances_report,
+    warnings_about,
+)
+from calib.tolerances.result import (
+    write_map as write_tolerances_map,
+)
+from calib.tolerances.study import StudyDesign, design_of, require_near, study_task
 from calib.trust.prediction import planned, reliability_of
-from calib.trust.report import FORMAT, as_text, trust_json, trust_report, write_map
+from calib.trust.report import FORMAT, PoseFigures, as_text, pose_figures, trust_json, trust_report, write_map
 from calib.trust.trust import MapRequest, Trust, trust_in
-from console.commands.calibration import trust_design
 from console.commands.calibration.options import board_frames
 from console.commands.progress import Bar, warn
 from console.quantities import length_m
 from control.files import write_whole
-from control.model.description import load_arm
+from control.model.arm import Arm
+from control.model.description import arm_text, load_arm
 from control.motion.waypoints import read_waypoints
 from procedures.folders import require_new
 
@@ -28,7 +48,7 @@ RESULTS = ("trust.json", "map.npz", "report.html")
 def run(given: argparse.Namespace) -> int:
     """Read, predict, write. Nothing is written before all input has been read and checked."""
     if given.design is not None:
-        return trust_design.study_design(given)
+        return study_design(given)
     _require_points(given)
     arm, out = load_arm(given.arm), Path(given.out)
     require_new(out, RESULTS)
@@ -61,7 +81,7 @@ def _require_points(given: argparse.Namespace) -> None:
         raise CalibrationError(
             "--points: give points.csv of the real arm; or --design and --tolerances for an arm that is not built"
         )
-    for name in trust_design.OPTIONS:
+    for name in OPTIONS:
         if getattr(given, name) is not None:
             raise CalibrationError(f"--{name}: belongs to --design, the arm.toml of an arm that is not built")
 
@@ -84,3 +104,89 @@ def _pose_figures(trust: Trust, file: Path, recorded: Points) -> tuple[PoseFigur
             f"--visits {file}: no visits of poses (setup pose, P1 to P5): record them with `armwright iso9283`"
         )
     return found
+
+
+# `armwright trust --design`: how accurate arms will be that are made to given tolerances.
+
+
+OPTIONS = ("tolerances", "arms", "seed", "workers", "cluster")
+NOT_OURS = ("task", "visits", "boards")
+DESIGN_RESULTS = ("tolerances.json", "map.npz", "report.html")
+CHUNKS = "unfinished"  # results of tasks, in --out until the study ends
+ARMS = 2000
+ARMS_LEAST, ARMS_MOST = (
+    20,
+    10_000_000,
+)  # below: no percentiles; above: the result of each arm no longer fits in memory
+
+
+def study_design(given: argparse.Namespace) -> int:
+    """Read, draw arms, write. A study that was stopped goes on where it was."""
+    _require_ours(given)
+    arm, out = load_arm(given.design), Path(given.out)
+    require_new(out, DESIGN_RESULTS)
+    text = tolerances_text(given.tolerances)
+    wanted_m = length_m(given.tolerance, "--tolerance")
+    design = _design(given, arm, text)
+    require_near(design, given.tolerances)
+    warnings = warnings_about(design)
+    inputs = {Path(given.design).name: _hash(arm_text(arm)), Path(given.tolerances).name: _hash(text)}
+    with executor(design.tasks, given.workers, given.cluster) as runs, Bar("arms") as bar:
+        store = ChunkStore(out / CHUNKS, _about(design, inputs))
+        run_study(study_task, design, design.tasks, runs, store, bar.advance)
+    made = made_of(design, store)
+    warn(warnings)
+    provenance = made_today(*(InputFile(name, digest, "") for name, digest in inputs.items()))
+    files = {"report": out / "report.html", "for programs": out / "tolerances.json", "map": out / "map.npz"}
+    write_whole(files["report"], tolerances_report(made, wanted_m, warnings, provenance))
+    write_tolerances_map(files["map"], made)
+    content = made_json(made, wanted_m)
+    write_json(files["for programs"], provenance.heading(TOLERANCES, arm=arm.name) | content)
+    store.remove()
+    if given.json:
+        sys.stdout.write(json_text(content))
+    else:
+        sys.stdout.write(tolerances_words(made, wanted_m))
+        sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
+    return 0
+
+
+def _require_ours(given: argparse.Namespace) -> None:
+    if given.tolerances is None:
+        raise CalibrationError("--design: give --tolerances, a file that says how exactly the parts are made")
+    for name in NOT_OURS:
+        if getattr(given, name):
+            raise CalibrationError(f"--{name}: needs --points of the real arm, and no --design")
+    if given.payload is not None and len(given.payload) > 1:
+        raise CalibrationError("--payload: with --design, expected one mass")
+    if given.arms is not None and not ARMS_LEAST <= given.arms <= ARMS_MOST:
+        raise CalibrationError(f"--arms: expected {ARMS_LEAST} to {ARMS_MOST}, got {given.arms}")
+    if given.seed is not None and given.seed < 0:
+        raise CalibrationError(f"--seed: expected 0 or more, got {given.seed}")
+
+
+def _design(given: argparse.Namespace, arm: Arm, text: str) -> StudyDesign:
+    (payload_kg,) = given.payload or (0.0,)
+    if payload_kg < 0.0:
+        raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
+    recorded_q = points_for(arm, [Path(name) for name in given.points])[0].q_rad if given.points else None
+    tolerances = parse_tolerances(text, given.tolerances, arm)
+    return design_of(arm, tolerances, given.arms or ARMS, payload_kg, recorded_q, given.seed or 0)
+
+
+def _about(design: StudyDesign, inputs: dict[str, str]) -> dict[str, object]:
+    """Everything that the results of the tasks depend on."""
+    poses = [
+        _hash(repr((at.q_rad.tolist(), at.payload_kg.tolist()))) for at in (design.calibration, design.map)
+    ]
+    return {
+        "program_version": version("armwright"),
+        "inputs": inputs,
+        "poses": poses,
+        "arms": design.arms_count,
+        "seed": design.seed,
+    }
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

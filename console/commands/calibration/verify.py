@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calib.arm_problem.assembly import with_own_base, without_base
 from calib.errors import CalibrationError
-from calib.report.verification import Verification
+from calib.report.report import Verification
 from calib.validation.verify import comparison_text
 from console.commands.calibration.options import wires_at
 from console.commands.connection import in_control_of

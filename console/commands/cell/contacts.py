@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from calib.closed_chain.conduct import conduct, contact_plan
-from calib.closed_chain.contacts import read_contacts
+from calib.closed_chain.pair_problem import read_contacts
 from calib.closed_chain.planning import pair_of
 from calib.errors import SessionError
 from calib.session.folder import PLAN, SessionFolder
 from calib.session.plan import SessionPlan, fingerprint
-from console.commands.cell.clients import connected_arms
+from console.commands.connection import connected_arms
 from control.model.cell import Cell, load_cell
 from control.server.client import ArmClient
 from hil_mocks.scenario import load_scenario

@@ -4,7 +4,7 @@ import argparse
 import select
 import sys
 
-from console.commands.cell.clients import connected_arms
+from console.commands.connection import connected_arms
 from control.errors import ArmError
 from control.model.cell import load_cell
 from procedures.guiding import Following, mirror_signs, require_alike

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from console.commands.cell.clients import connected_arms
-from console.commands.connection import with_present_tool
+from console.commands.connection import connected_arms, with_present_tool
 from console.commands.moving import described
 from console.options import finite
 from console.waiting import shown

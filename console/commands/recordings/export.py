@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from console.commands.progress import Bar, warn
-from console.datasets.episodes import Episode, episodes_of
-from console.datasets.lerobot import write_dataset
+from console.datasets.lerobot import Episode, episodes_of, write_dataset
 from console.visualisation.reading import read_series
 from control.errors import ArmError
 from control.files import make_whole

@@ -6,8 +6,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from console.commands.cell.clients import connected_arms
-from console.commands.connection import connected
+from console.commands.connection import connected, connected_arms
 from console.commands.progress import Bar, warn
 from console.visualisation.reading import read_log
 from console.visualisation.render import FRAMES_MOST, Image, frames, painter_of, write_images
@@ -50,7 +49,7 @@ def run(given: argparse.Namespace) -> int:
             " `armwright export`"
         )
     if given.foxglove:
-        from console.visualisation.foxglove_stream import address_of
+        from console.visualisation.streams import address_of
 
         address_of(given.foxglove)
     if given.cell is not None:
@@ -100,7 +99,7 @@ def _recorded(given: argparse.Namespace) -> int:
     if given.rerun is not None:
         if isinstance(shown, Cell):
             raise ArmError("--rerun: shows one arm: give the recording of one, in the cell's folder")
-        from console.visualisation.rerun_stream import stream
+        from console.visualisation.streams import stream
 
         rows, _ = recorded(series, RERUN_PERIOD_s)
         count = stream(shown, (snapshot_at(series, int(row)) for row in rows), _file(given.rerun))
@@ -179,7 +178,7 @@ def _live(given: argparse.Namespace) -> int:
     snapshots = live(client, MonotonicClock(), LIVE_PERIOD_s)
     with contextlib.closing(client), _until_the_runtime_ends():
         if given.rerun is not None:
-            from console.visualisation.rerun_stream import stream
+            from console.visualisation.streams import stream
 
             stream(arm, snapshots, _file(given.rerun))
         else:
@@ -192,7 +191,7 @@ def _live(given: argparse.Namespace) -> int:
 
 def _serve(given: argparse.Namespace, arm: Arm, client: ArmClient) -> int:
     """Serve the live arm to Foxglove until Ctrl-C, or until the runtime ends."""
-    from console.visualisation.foxglove_stream import address_of, serve
+    from console.visualisation.streams import address_of, serve
 
     statuses = live_statuses(client, MonotonicClock(), LIVE_PERIOD_s)
     with contextlib.closing(client), _until_the_runtime_ends(), contextlib.suppress(KeyboardInterrupt):

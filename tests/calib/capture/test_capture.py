@@ -14,10 +14,16 @@ from scipy.spatial.transform import Rotation
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.boards import read_markers
 from calib.capture.alignment import JointMotion, align
-from calib.capture.c3d import read_c3d
 from calib.capture.poses import believed, poses_at_rest
-from calib.capture.tracks import BodyTrack, Capture, CaptureError, fitted_body, relative
-from calib.capture.vicon_csv import read_vicon_csv
+from calib.capture.tracks import (
+    BodyTrack,
+    Capture,
+    CaptureError,
+    fitted_body,
+    read_c3d,
+    read_vicon_csv,
+    relative,
+)
 from calib.gap.log import read_log
 from calib.identify.identification import identify
 from calib.points.reading import read_points

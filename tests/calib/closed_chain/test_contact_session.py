@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from calib.closed_chain.conduct import ContactWatch, PairStation, conduct, contact_plan
-from calib.closed_chain.contacts import read_contacts
-from calib.closed_chain.planning import Candidates, base_of, contact_candidates
-from calib.closed_chain.room import SharedRoom
+from calib.closed_chain.pair_problem import read_contacts
+from calib.closed_chain.planning import Candidates, SharedRoom, base_of, contact_candidates
 from calib.errors import SessionError
 from calib.session.conversation import (
     GO,

@@ -14,8 +14,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
 from calib.arrays import Array, frozen
 from calib.closed_chain.calibrate import PairPlan, calibrate_pair
-from calib.closed_chain.contacts import Contacts, read_contacts
-from calib.closed_chain.pair_problem import PairProblem, turning
+from calib.closed_chain.pair_problem import Contacts, PairProblem, read_contacts, turning
 from calib.errors import PointsFileError
 from calib.identify.determinability import determinability
 from calib.identify.objective import LeastSquares

@@ -14,10 +14,8 @@ from scipy.spatial.transform import Rotation
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.frames import Frame
 from calib.arrays import frozen
-from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts
-from calib.closed_chain.contacts import Contacts
-from calib.closed_chain.outcome import remarks
-from calib.closed_chain.pair_problem import PairProblem
+from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts, remarks
+from calib.closed_chain.pair_problem import Contacts, PairProblem
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import determinability
 from calib.identify.objective import LeastSquares

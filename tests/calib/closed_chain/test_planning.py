@@ -12,8 +12,7 @@ import pytest
 from benchmarks.arms import FOUR, SIX
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import norms
-from calib.closed_chain.planning import Candidates, contact_candidates, plan_contacts
-from calib.closed_chain.room import AWAY_m, MARGIN_m
+from calib.closed_chain.planning import AWAY_m, Candidates, MARGIN_m, contact_candidates, plan_contacts
 from calib.errors import CalibrationError
 from console.main import main
 from control.model.cell import Cell, Placed, load_cell

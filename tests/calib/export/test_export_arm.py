@@ -251,7 +251,7 @@ def test_a_joint_without_limits_turns_freely() -> None:
 
 
 def export_losses(arm: Arm, form: str) -> tuple[str, ...]:
-    from calib.export.losses import losses
+    from calib.export.frames import losses
 
     return losses(arm, form)
 

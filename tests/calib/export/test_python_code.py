@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibrationError
-from calib.export.python_code import omitted, python_text
+from calib.export.formats import omitted, python_text
 from console.main import main
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Effect, Tool

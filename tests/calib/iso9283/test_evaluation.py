@@ -13,10 +13,9 @@ import pytest
 from calib.errors import UnusablePointsError
 from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.evaluation import evaluate
-from calib.iso9283.page import summary_text, write_page
+from calib.iso9283.programme import TestCube, solver_of
 from calib.iso9283.recorded import BESIDE, SET, RecordedRun, pose_groups, read_rectangle, read_runs
-from calib.iso9283.result import CRITERIA, Criterion, Evaluation, write_document
-from calib.iso9283.workspace import TestCube, solver_of
+from calib.iso9283.result import CRITERIA, Criterion, Evaluation, summary_text, write_document, write_page
 from calib.points.points import Points, joined, make_points
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter, Record

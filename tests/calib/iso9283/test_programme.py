@@ -10,8 +10,16 @@ import pytest
 
 from calib.iso9283 import programme as programmes
 from calib.iso9283.criteria.checks import Iso9283Error
-from calib.iso9283.programme import Extent, PathRun, Visit, steps
-from calib.iso9283.workspace import CLEARANCE_m, TestCube, largest_cube, solver_of
+from calib.iso9283.programme import (
+    CLEARANCE_m,
+    Extent,
+    PathRun,
+    TestCube,
+    Visit,
+    largest_cube,
+    solver_of,
+    steps,
+)
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import load_arm

@@ -11,9 +11,21 @@ from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
 from calib.planning.files import path_lines, sentences, stop_lines, waypoints_text
-from calib.planning.path import PathPlan, backwards, planned_path
-from calib.planning.search import NOWHERE, Freedom, Room, best_place, lead_in_of, places_count, shifted
-from calib.planning.stops import StopsPlan, WayOfStops, planned_stops
+from calib.planning.search import (
+    NOWHERE,
+    Freedom,
+    PathPlan,
+    Room,
+    StopsPlan,
+    WayOfStops,
+    backwards,
+    best_place,
+    lead_in_of,
+    places_count,
+    planned_path,
+    planned_stops,
+    shifted,
+)
 from calib.points.points import Points, make_points
 from calib.trust.prediction import Predictor
 from calib.trust.trust import MapRequest, trust_in

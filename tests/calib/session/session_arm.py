@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, board_points
-from calib.session import sequence
+from calib.session import take as sequence
 from calib.session.moves import ArmGeometry, RestSample, SeenTip
 from control.errors import ArmError
 from control.model.description import load_arm

@@ -9,9 +9,8 @@ from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, angles
 from calib.errors import SessionError, UnusablePointsError
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter
-from calib.session import sequence
-from calib.session.sequence import PointStage, step_through
-from calib.session.take import SessionSettings, StandstillWindow, wait_for_rest
+from calib.session import take as sequence
+from calib.session.take import PointStage, SessionSettings, StandstillWindow, step_through, wait_for_rest
 from tests.calib.session.session_arm import SEED, NumericGeometry, ScriptedArm, board
 
 

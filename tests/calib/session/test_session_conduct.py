@@ -12,8 +12,7 @@ import pytest
 from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH
 from calib.boards import read_boards
 from calib.points.reading import read_points
-from calib.session.boards_known import Boards
-from calib.session.conduct import Station, conduct
+from calib.session.conduct import Boards, Station, conduct
 from calib.session.conversation import (
     GO,
     Ask,

@@ -15,9 +15,17 @@ from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.points.points import make_points
 from calib.trust.discrepancy import SHARES, Conditions, Discrepancy, Gears, even_odds
-from calib.trust.iso9283 import pose_figures
-from calib.trust.posterior import SIZE_SPREAD, SIZES, SizeEvidence, linearised, posterior_of
-from calib.trust.prediction import TipError, planned, reliability_of
+from calib.trust.prediction import (
+    SIZE_SPREAD,
+    SIZES,
+    SizeEvidence,
+    TipError,
+    linearised,
+    planned,
+    posterior_of,
+    reliability_of,
+)
+from calib.trust.report import pose_figures
 from calib.trust.trust import ELLIPSOID_95, MapRequest, Trust, trust_in, within_95_m
 from control.dynamics.static_pose import RestingPose
 from control.kinematics.kinematics import ForwardKinematics

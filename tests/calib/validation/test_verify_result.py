@@ -12,7 +12,7 @@ import pytest
 
 from calib.points.points import Points, make_points
 from calib.points.writer import write_points
-from calib.report.verification import Verification, write_verification_json, write_verification_report
+from calib.report.report import Verification, write_verification_json, write_verification_report
 from calib.results import Provenance
 from calib.validation.verify import Track, TrackPair, Used, already_used, compare
 from calib.validation.verify import USED_POSE_rad as SAME_POSE_rad

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from calib.arrays import frozen
 from calib.vision.lens import Lens
 from calib.vision.placed import HERE, Pose
-from calib.vision.sightings import Sighting, Sightings
-from calib.vision.targets import Charuco, PrintedTarget, SeenCorners, Tags
+from calib.vision.targets import Charuco, PrintedTarget, SeenCorners, Sighting, Sightings, Tags
 from hil_mocks.arm_pictures import PrintedSheet, Webcam
 
 BOARD = Charuco(5, 7, 0.03, 0.0225)

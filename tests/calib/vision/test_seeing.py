@@ -12,9 +12,7 @@ import pytest
 from calib.errors import VisionError
 from calib.vision.intrinsics import fit_lens
 from calib.vision.lens import NAMES, Lens
-from calib.vision.opencv import png_of, read_picture
-from calib.vision.sightings import look_for, sharpness
-from calib.vision.targets import Charuco, Tags, read_tags
+from calib.vision.targets import Charuco, Tags, look_for, png_of, read_picture, read_tags, sharpness
 from tests.calib.vision.scenes import BOARD, TAG, WEBCAM, corners_of, drawn_pose, lens_of, picture
 
 LEGACY = Charuco(8, 6, 0.02, 0.015)  # an even number of rows, with which both layouts differ

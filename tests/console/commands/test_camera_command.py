@@ -13,7 +13,7 @@ import pytest
 from calib.points.points import make_points
 from calib.points.reading import read_points
 from calib.points.writer import write_points
-from calib.vision.opencv import png_of
+from calib.vision.targets import png_of
 from console.main import main
 from tests.calib.vision.scenes import BOARD, drawn_pose, picture
 

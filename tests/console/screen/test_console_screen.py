@@ -13,8 +13,8 @@ from textual import events
 from textual.pilot import Pilot
 
 from console.screen.app import ConsoleApp
+from console.screen.dashboard import CommandBox
 from console.screen.operating import Choose
-from console.screen.widgets import CommandBox
 from console.user_config import shows_degrees
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode

@@ -13,7 +13,7 @@ import pytest
 
 from console.commands.recordings import view
 from console.main import main
-from console.visualisation.foxglove_stream import Address, LiveMessages, address_of, serve
+from console.visualisation.streams import Address, LiveMessages, address_of, serve
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
 from control.recording.mcap_schemas import schemas_of

@@ -17,8 +17,16 @@ from console.visualisation import sheets
 from console.visualisation.metrics import metrics_json, metrics_of, tip_error_m
 from console.visualisation.pictures import PICTURES
 from console.visualisation.reading import of_columns, read_series
-from console.visualisation.series import Series, chosen, joined_runs
-from console.visualisation.thinning import TURNS, envelope, orders, spectrum, with_gaps
+from console.visualisation.series import (
+    TURNS,
+    Series,
+    chosen,
+    envelope,
+    joined_runs,
+    orders,
+    spectrum,
+    with_gaps,
+)
 from console.visualisation.traces import TipOfArm, traces_of
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.closed_chain.conduct import conduct, contact_plan
-from calib.closed_chain.contacts import read_contacts
+from calib.closed_chain.pair_problem import read_contacts
 from calib.closed_chain.planning import Candidates, contact_candidates
 from calib.session.conversation import Recorded, unattended
 from calib.session.folder import SessionFolder

@@ -16,8 +16,7 @@ import pytest
 from benchmarks.arms import FOUR, SIX, TWO
 from calib.errors import CalibrationError
 from calib.iso9283.criteria import pose
-from calib.iso9283.programme import Extent, PathRun
-from calib.iso9283.workspace import TestCube
+from calib.iso9283.programme import Extent, PathRun, TestCube
 from calib.points.reading import read_points
 from console.main import main
 from control.hardware.averaging import Average

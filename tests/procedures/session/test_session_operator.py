@@ -12,7 +12,7 @@ import pytest
 
 from calib.errors import SessionError
 from calib.points.writer import Record
-from calib.session.boards_known import Boards
+from calib.session.conduct import Boards
 from calib.session.conversation import Ask, Do, Message, Recorded, SessionCommand, SessionQuestion, SmallMove
 from calib.session.folder import SessionFolder
 from calib.session.moves import chosen_free_poses, read_free_poses

@@ -11,8 +11,7 @@ import pytest
 from calib.arm_problem.frames import Frame, rotation_of
 from calib.calibration.outcome import with_placed_stream
 from calib.points.reading import read_points
-from calib.session.boards_known import Boards
-from calib.session.conduct import Station, conduct
+from calib.session.conduct import Boards, Station, conduct
 from calib.session.conversation import GO, Recorded
 from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, SeenTip, chosen_free_poses
