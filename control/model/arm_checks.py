@@ -100,6 +100,9 @@ def _check_drive(arm: Arm, drive: Drive, index: int) -> None:
     if drive.motor_counts_per_rev is not None and (drive.encoder_on == "motor" or drive.board):
         expected = 'none: it is of a second encoder at a reference motor board, beside encoder_on = "joint"'
         raise Rejected((*path, "motor_counts_per_rev"), expected, str(drive.motor_counts_per_rev))
+    if drive.pid.mode == "position" and not drive.board and drive.at_motor.encoder_on == "joint":
+        expected = "motor_counts_per_rev: in position mode the motor board closes its loop on an encoder on the motor"
+        raise Rejected((*path, "pid", "mode"), expected, 'encoder_on = "joint" alone')
     if drive.encoder_channel >= ENCODER_CHANNELS:
         raise Rejected((*path, "encoder_channel"), "0, 1 or 2", str(drive.encoder_channel))
 

@@ -21,7 +21,9 @@ from control.dynamics.dynamics import Dynamics
 from control.dynamics.gains import placed_gains
 from control.dynamics.joint_side import JointSide, usable_range_rad
 from control.model.arm import Arm, Effect
+from control.model.arm_checks import check_arm
 from control.model.description import load_arm
+from control.model.reader import Rejected
 from control.safety.table import Mode
 from hil_mocks.scenario import EffectTable
 from tests.cell import Cell, open_cell, scenario
@@ -162,10 +164,21 @@ def test_an_encoder_that_slips_by_more_than_play_and_springs_is_found_by_the_oth
         assert cell.faults == ([("encoders_differ", "joint 4")] if share > 1.0 else [])
 
 
-def test_a_motor_board_holds_a_joint_by_the_encoder_on_its_motor() -> None:
-    arm = with_both(slow(arm_of_four("joint")))
-    with homed_cell(arm) as cell:
+def in_position_mode(arm: Arm) -> Arm:
+    return replace(
+        arm, drives=tuple(replace(drive, pid=replace(drive.pid, mode="position")) for drive in arm.drives)
+    )
+
+
+def test_a_motor_board_closes_its_position_loop_on_the_encoder_of_the_motor() -> None:
+    with homed_cell(in_position_mode(with_both(slow(arm_of_four("joint"))))) as cell:
         cell.client.move_joints(PLACES[0], 0.3)
-        before_rad = cell.rig.joint_rad()
-        cell.rig.clock.wait_until_s(cell.rig.clock.now_s() + 2.0)  # the host is away
-        assert np.abs(np.subtract(cell.rig.joint_rad(), before_rad)).max() < 2.0 * PLAY_rad
+        cell.run(1.0)
+        off_rad = np.subtract(cell.rig.joint_rad(), PLACES[0])
+        assert np.abs(off_rad).max() < 5.0 * PLAY_rad  # play, spring and belt are behind that encoder
+
+
+def test_a_position_loop_without_an_encoder_on_the_motor_is_refused() -> None:
+    check_arm(in_position_mode(with_both(arm_of_four("joint"))))
+    with pytest.raises(Rejected, match="closes its loop on an encoder on the motor"):
+        check_arm(in_position_mode(arm_of_four("joint")))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from control.model.arm import Arm, Home, LimitSwitches
-from control.model.description import check_arm
+from control.model.arm_checks import check_arm
 from control.model.end_effector import Digital
 from control.model.reader import Rejected
 from control.safety.table import Mode

@@ -13,7 +13,8 @@ import pytest
 
 from console.main import main
 from control.model.arm import Arm, Home
-from control.model.description import check_arm, load_arm
+from control.model.arm_checks import check_arm
+from control.model.description import load_arm
 from control.model.reader import Rejected
 from control.safety.table import Mode
 from control.server.client import ArmFaulted
