@@ -24,8 +24,8 @@ from calib.gap.plan.collision_free_box import collision_free_box
 from calib.gap.plan.plan import (
     MARGIN_rad,
     NamedPose,
+    PlanExtent,
     PlannedVisit,
-    PoseCounts,
     RecordingPlan,
     plan_of,
     static_poses,
@@ -478,7 +478,7 @@ def decision_json(found: CheckupDecision) -> dict[str, object]:
 
 POSES: Final = 8  # each is visited from two opposite sides
 SIZE_rad: Final = 3e-3  # of a change that is to be told: three times what parts of a sound arm do
-CANDIDATES: Final = PoseCounts(levels=3, spread=24, outside=8, pulled=2)
+CANDIDATES: Final = PlanExtent(levels=3, spread=24, outside=8, pulled=2)
 SETUP: Final = "free"
 
 

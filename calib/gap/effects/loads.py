@@ -8,7 +8,7 @@ both directions the former can be told.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from calib.arm_problem.link_bending import LinkFrames, link_frames
 from calib.arrays import Array
 from calib.gap.effects.columns import by_angle, by_current, straight
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries, NO_TORQUE_Nm, PoseScene, in_poses
-from calib.gap.finding import EffectName, Parameters
+from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import MISSING_MOST
-from calib.gap.posterior.term import Term, inverse, like, on_joint
+from calib.gap.posterior.term import Term, ToParameters, inverse, like, on_joint
 from calib.gap.signals.terms import Form, Law
 from control.model.arm import Arm
 
@@ -84,20 +84,14 @@ def _mass(record: EffectRecord, link: int | None, torque_Nm: Array) -> Term:
     """torque_Nm (m, n) per kilogram."""
     size = in_poses(record).size
     return Term(
-        EffectName(record.effect, link), "", 1, 0, size, slope_Nm=size * torque_Nm[None], parameters=_kilograms,
+        EffectName(record.effect, link), "", 1, 0, size, slope_Nm=size * torque_Nm[None], parameters=_number("mass_kg"),
         variable="load", traits=record.traits,
     )  # fmt: skip
 
 
-def _kilograms(value: Array, covariance: Array) -> Parameters:
-    return {"mass_kg": (float(value[0]), float(np.sqrt(covariance[0, 0])))}
-
-
-def _heavy_links(arm: Arm) -> tuple[int, ...]:
-    """Links with a mass and its place."""
-    return tuple(
-        k for k, link in enumerate(arm.links, 1) if link.mass_kg is not None and link.com_m is not None
-    )
+def _number(key: str) -> ToParameters:
+    """A coefficient as it is."""
+    return lambda value, covariance: {key: (float(value[0]), float(np.sqrt(max(covariance[0, 0], 0.0))))}
 
 
 def _least(arm: Arm, law: Law) -> float:
@@ -106,15 +100,6 @@ def _least(arm: Arm, law: Law) -> float:
     if law.form is MASS:
         return -MISSING_MOST * link.mass_kg if link.mass_kg else -math.inf
     return -math.inf if link.inertia_kg_m2 is None else -MISSING_MOST * max(link.inertia_kg_m2)
-
-
-def _known_inertia(series: InSeries, name: EffectName, given: Mapping[str, float]) -> Law:
-    form = MASS if MASS.name in given else INERTIA
-    return Law(name, form, (given[form.name],))
-
-
-def _inertia_parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
-    return {law.form.name: (law.values[0], float(np.sqrt(max(covariance[0, 0], 0.0))))}
 
 
 MASS, INERTIA = Form("mass_kg", "mass", 0.03), Form("inertia_kg_m2", "inertia", 0.003)
@@ -131,8 +116,12 @@ RECORDS = (
         "link_inertia",
         poses=InPoses(0.2, _masses, BOTH_DIRECTIONS, is_load=True),
         series=InSeries(
-            (MASS, INERTIA), straight, "motor", places=_heavy_links, least=_least, known=_known_inertia,
-            parameters=_inertia_parameters,
+            (MASS, INERTIA), straight, "motor", least=_least,
+            places=lambda arm: [k for k, one in enumerate(arm.links, 1) if one.mass_kg is not None and one.com_m is not None],
+            known=lambda series, name, given: next(
+                Law(name, form, (given[form.name],)) for form in series.forms if form.name in given
+            ),
+            parameters=lambda arm, law, covariance: _number(law.form.name)(np.array(law.values), covariance),
         ),
     ),
     EffectRecord(

@@ -105,10 +105,19 @@ def ramps(
     """
     middle = room.at(np.array(at)) if len(at) else room.middle_rad
     joints = []
-    for j, q0 in enumerate(middle):
-        order = [shares[(k + j) % len(shares)] for k in range(len(shares))]
-        sign = 1.0 if j % 2 == 0 else -1.0
-        joints.append(_there_and_back(float(q0), sign, order, leg_s, limits, room, j))
+    for j, start in enumerate(middle.tolist()):
+        reach = FILLED * float(min(start - room.lower_rad[j], room.upper_rad[j] - start))
+        legs, base = [(np.zeros(1),) * 3], 0.0
+        for k in range(len(shares)):
+            # the time of a leg is the same for all joints, so that they stay in step
+            way = min(shares[(k + j) % len(shares)] * limits.joints.speed_rad_s[j] * leg_s, reach)
+            out = way if (k + j) % 2 == 0 else -way
+            for turn in (out, -out):
+                q, v, a = _leg(turn, leg_s)
+                legs.append((q[1:] + base, v[1:], a[1:]))
+                base += float(q[-1])
+        q, v, a = (np.concatenate([leg[k] for leg in legs]) for k in range(3))
+        joints.append((start + q, v, a))
     return slowed(_path(_times((len(joints[0][0]) - 1) * KNOT_s), joints), limits)
 
 
@@ -180,39 +189,6 @@ def _smooth(s: Array) -> Curve:
         140.0 * (s * (1.0 - s)) ** 3,
         420.0 * (s * (1.0 - s)) ** 2 * (1.0 - 2.0 * s),
     )
-
-
-def _there_and_back(
-    start_rad: float,
-    sign: float,
-    shares: Sequence[float],
-    leg_s: float,
-    limits: MotionLimits,
-    room: CollisionFreeBox,
-    j: int,
-) -> Curve:
-    """Legs out and back about the start, each with a constant speed between smooth turns; held inside the room."""
-    speeds = [share * limits.joints.speed_rad_s[j] for share in shares]
-    reach = min(start_rad - room.lower_rad[j], room.upper_rad[j] - start_rad)
-    legs = []
-    for k, speed in enumerate(speeds):
-        way = min(speed * leg_s, FILLED * float(reach))
-        out = sign * (1.0 if k % 2 == 0 else -1.0)
-        # The time of a leg is the same for all joints, so that they stay in step.
-        legs += [_leg(out * way, leg_s), _leg(-out * way, leg_s)]
-    q = np.concatenate([[0.0], *(leg[0][1:] for leg in legs)])
-    shift = np.concatenate([[0.0], *(np.full(len(leg[0]) - 1, base) for leg, base in _bases(legs))])
-    v, a = (np.concatenate([[0.0], *(leg[k][1:] for leg in legs)]) for k in (1, 2))
-    return start_rad + q + shift, v, a
-
-
-def _bases(legs: Sequence[Curve]) -> list[tuple[Curve, float]]:
-    """Each leg with where it begins."""
-    base, found = 0.0, []
-    for leg in legs:
-        found.append((leg, base))
-        base += float(leg[0][-1])
-    return found
 
 
 def _leg(way_rad: float, leg_s: float) -> Curve:

@@ -33,13 +33,17 @@ WAY_STEPS = 25
 
 
 @dataclass(frozen=True, slots=True)
-class PoseCounts:
-    """How many poses of each kind: levels of each joint alone, spread over the room, outside of it, with the rarer pull."""
+class PlanExtent:
+    """How many poses of each kind: levels of each joint alone, spread over the room, outside of it, with the rarer pull; how long
+    a run is, and how many there are to spare.
+    """
 
     levels: int = 4
     spread: int = 16
     outside: int = 8
     pulled: int = 2
+    run_s: float = 8.0
+    spare: int = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +55,7 @@ class NamedPose:
     via_rad: tuple[float, ...] | None = None
 
 
-def static_poses(arm: Arm, room: CollisionFreeBox, extent: PoseCounts) -> tuple[NamedPose, ...]:
+def static_poses(arm: Arm, room: CollisionFreeBox, extent: PlanExtent) -> tuple[NamedPose, ...]:
     """All poses; the approach to each stays inside the joints' ranges and clear."""
     inner = room.inset(APPROACH_rad)
     found = _alone(inner, extent.levels)
@@ -205,11 +209,10 @@ def recording_plan(arm: Arm, request: PlanRequest, speed: float = 1.0) -> Record
     `speed`: of the joints' limits, for moves between poses.
     """
     room = collision_free_box(arm)
-    extent, run_s, spare = (QUICK, 6.0, 1) if request.is_quick else (FULL, 8.0, 2)
-    steps = _steps(arm, room, request, extent, run_s, spare)
+    steps = _steps(arm, room, request, QUICK if request.is_quick else FULL)
     plan = RecordingPlan(room, steps, _duration_s(arm, steps, speed))
     if request.minutes is not None:
-        plan = _of_length(arm, room, request, plan, run_s, speed)
+        plan = _of_length(arm, request, plan, speed)
     _require_clear(arm, plan)
     return plan
 
@@ -221,20 +224,20 @@ def plan_of(arm: Arm, room: CollisionFreeBox, steps: Sequence[Step], speed: floa
     return plan
 
 
-FULL = PoseCounts()
-QUICK = PoseCounts(levels=2, spread=8, outside=3, pulled=1)
-LEAST = PoseCounts(levels=2, spread=2, outside=0, pulled=1)
+FULL = PlanExtent()
+QUICK = PlanExtent(levels=2, spread=8, outside=3, pulled=1, run_s=6.0, spare=1)
+LEAST = PlanExtent(levels=2, spread=2, outside=0, pulled=1)
 
 
-def _of_length(
-    arm: Arm, room: CollisionFreeBox, request: PlanRequest, plan: RecordingPlan, run_s: float, speed: float
-) -> RecordingPlan:
+def _of_length(arm: Arm, request: PlanRequest, plan: RecordingPlan, speed: float) -> RecordingPlan:
     """More or fewer poses and runs, until the time is used. CalibrationError where the least takes longer."""
     wanted_s = 60.0 * (request.minutes or 0.0)
     best = None
     for spread in (2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256):
-        extent = dataclasses.replace(LEAST if spread < 8 else QUICK if spread < 16 else FULL, spread=spread)
-        steps = _steps(arm, room, request, extent, run_s, max(0, spread // 8))
+        usual = LEAST if spread < 8 else QUICK if spread < 16 else FULL
+        run_s = (QUICK if request.is_quick else FULL).run_s
+        extent = dataclasses.replace(usual, spread=spread, run_s=run_s, spare=spread // 8)
+        steps = _steps(arm, plan.room, request, extent)
         length_s = _duration_s(arm, steps, speed)
         if length_s > wanted_s:
             if best is None:
@@ -242,15 +245,13 @@ def _of_length(
                     f"--minutes {request.minutes:g}: the shortest useful recording takes {length_s / 60.0:.1f} minutes"
                 )
             break
-        best = RecordingPlan(room, steps, length_s)
+        best = RecordingPlan(plan.room, steps, length_s)
         if not request.has_poses and spread >= 32:
             break
     return best or plan
 
 
-def _steps(
-    arm: Arm, room: CollisionFreeBox, request: PlanRequest, extent: PoseCounts, run_s: float, spare: int
-) -> tuple[Step, ...]:
+def _steps(arm: Arm, room: CollisionFreeBox, request: PlanRequest, extent: PlanExtent) -> tuple[Step, ...]:
     empty: list[Step] = []
     loaded: list[Step] = []
     if request.has_poses:
@@ -264,7 +265,7 @@ def _steps(
         for number, block in enumerate(_blocks(some, draw), start=len(blocks)):
             loaded += _visits(block, room, request.payload_kg, number)
     if request.has_motions:
-        runs = list(_runs(arm, room.inset(MARGIN_rad), request.payload_kg, run_s, spare))
+        runs = list(_runs(arm, room.inset(MARGIN_rad), request.payload_kg, extent))
         empty += [run for run in runs if not run.payload_kg]
         loaded += [run for run in runs if run.payload_kg]
     return (*empty, *loaded)
@@ -308,19 +309,13 @@ def _sides(n: int, number: int) -> tuple[tuple[int, ...], ...]:
     straight = (1,) * n
     crossed = tuple(1 if j % 2 == 0 else -1 for j in range(n))
     first, second = (straight, crossed) if number % 2 == 0 else (crossed, straight)
-    sides = (first, second, _against(first), _against(second))
+    sides = (first, second, *(tuple(-s for s in side) for side in (first, second)))
     return sides if number % 4 in (0, 3) else (*sides[2:], *sides[:2])
 
 
-def _against(side: tuple[int, ...]) -> tuple[int, ...]:
-    return tuple(-s for s in side)
-
-
-def _runs(
-    arm: Arm, room: CollisionFreeBox, payload_kg: float, run_s: float, spare: int
-) -> Iterator[PlannedRun]:
+def _runs(arm: Arm, room: CollisionFreeBox, payload_kg: float, extent: PlanExtent) -> Iterator[PlannedRun]:
     """Several kinds of motion, each at its own speed; some twice, for the noise; some with the load."""
-    limits = MotionLimits.of(arm)
+    limits, run_s, spare = MotionLimits.of(arm), extent.run_s, extent.spare
     leg_s = run_s / 10.0
     quick = ramps(room, limits, (0.06, 0.12, 0.25, 0.5), leg_s)
     slow = ramps(room, limits, (0.015, 0.03), 2.0 * leg_s)
@@ -338,7 +333,9 @@ def _runs(
         ("swing", swings[0], 0.0),
     ]
     if spare > 1:
-        todo.insert(5, ("slow ramps", ramps(room, limits, (0.015, 0.03), 2.0 * leg_s, _aside(room)), 0.0))
+        # another place, where gravity pulls otherwise
+        aside = [0.3 if j % 2 else 0.7 for j in range(len(room.lower_rad))]
+        todo.insert(5, ("slow ramps", ramps(room, limits, (0.015, 0.03), 2.0 * leg_s, aside), 0.0))
     load = payload_kg if payload_kg > 0.0 else 0.0
     if load:
         todo += [("swing", swings[-1], load), ("wide", wide, load)]
@@ -348,11 +345,6 @@ def _runs(
         todo.append(("swing", swings[-1], 0.0))
     for number, (kind, path, mass) in enumerate(todo, start=1):
         yield PlannedRun(f"{number}", kind, path, mass)
-
-
-def _aside(room: CollisionFreeBox) -> tuple[float, ...]:
-    """Another place for slow ramps, where gravity pulls otherwise."""
-    return tuple(0.3 if j % 2 else 0.7 for j in range(len(room.lower_rad)))
 
 
 def _duration_s(arm: Arm, steps: Sequence[Step], speed: float) -> float:

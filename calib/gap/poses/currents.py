@@ -56,15 +56,15 @@ class Currents:
 
 
 def holding_currents(
-    fit: Fit, arm: Arm, points: Points, joint_rad: Array, turn_rad: Array, terms: Sequence[Term]
+    fit: Fit, arm: Arm, points: Points, turn_rad: Array, terms: Sequence[Term]
 ) -> Currents | None:
     """None where the arm's file lacks masses, or the data currents.
 
-    Around a fitted geometry x and joint angles q, of which the effects found so far are `turn_rad` (m, n):
+    Around a fitted geometry x and joint angles q, the encoders' and what the effects found so far turn, `turn_rad` (m, n):
       torque - gravity(x, q) + gravity_x x + gravity_q turn = gravity_x x' + sum of terms' (torque + gravity_q angle) + friction,
     with x' and the terms' coefficients around zero, as in `Linear`.
     """
-    shaped = fit.shaped(arm)
+    shaped, joint_rad = fit.shaped(arm), fit.problem.observed.q_rad + turn_rad
     try:
         gravity, per_A = gravity_Nm(shaped, joint_rad, stated_kg(points)), torque_per_A(arm)
     except MissingModel:

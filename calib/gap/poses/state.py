@@ -110,12 +110,15 @@ class Around:
         `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used. `keys`: only these terms.
         """
         scene = PoseScene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
-        names = [_unlisted(one, without) for one in pose_terms(scene, _effects(keys))]
+        effects: Collection[str] = EFFECTS.keys()
+        if keys is not None:  # of those left out of the list the keys are blocks
+            effects = {key.effect if isinstance(key, EffectName) else key.variable for key in keys}
+        names = [_unlisted(one, without) for one in pose_terms(scene, effects)]
         terms = [
             one for one in (*names, *(blocks or blocks_of(scene, names))) if keys is None or one.key in keys
         ]
         linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight, state.follows)
-        held = holding_currents(state.fit, arm, points, state.joint_rad, state.turn_rad, terms)
+        held = holding_currents(state.fit, arm, points, state.turn_rad, terms)
         gram = linear.projected(rows, noise[0], None if held is None else held.seen(rows))
         return cls(state, arm, points, rows, noise[0], linear, Evidence(gram, terms, noise[1]))
 
@@ -187,8 +190,10 @@ class Around:
             scene = PoseScene.of(
                 there.shaped(self.arm), there.shaped(loaded), self.points, encoder_rad + turn_rad
             )
-            terms = pose_terms(scene, effects)
-            return _moves([(_same(one, terms), own) for one, own in acting], turn_rad.shape)
+            # each as it is there, or itself if it is not there
+            same = {(one.key, one.variant, one.count): one for one in reversed(pose_terms(scene, effects))}
+            moving = [(same.get((one.key, one.variant, one.count), one), own) for one, own in acting]
+            return _moves(moving, turn_rad.shape)
 
         before = _moves(acting, encoder_rad.shape)
         turn, moved = moves(fit, before[0])
@@ -201,25 +206,14 @@ class Around:
         here = at_tip(turn, moved)
         change_m = (here - at_tip(*before))[self.rows, :3]
         if follows is None and float(np.linalg.norm(change_m)) > self.noise_m:
+            # with the arm's shape, of which the unknowns of frames and boards are none
+            frames = {name for frame in fit.problem.free_frames for name in frame.parameter_names}
             follows = np.zeros((*moved.shape, len(fit.x)))
-            for k in _shaping(fit):
-                x = fit.x.copy()
-                x[k] += STEP
-                follows[:, :, k] = (at_tip(*moves(dataclasses.replace(fit, x=x), turn)) - here) / STEP
+            for k, parameter in enumerate(fit.problem.parameters):
+                if parameter.name not in frames:
+                    there = dataclasses.replace(fit, x=fit.x + STEP * (np.arange(len(fit.x)) == k))
+                    follows[:, :, k] = (at_tip(*moves(there, turn)) - here) / STEP
         return dataclasses.replace(new, linear=here, follows=follows)
-
-
-def _effects(keys: Collection[Key] | None) -> Collection[str]:
-    """The effects of some keys; of those left out of the list the keys are blocks."""
-    if keys is None:
-        return EFFECTS.keys()
-    return {key.effect if isinstance(key, EffectName) else key.variable for key in keys}
-
-
-def _same(one: Term, terms: Sequence[Term]) -> Term:
-    """A term as it is among others, or itself if it is not among them."""
-    same = (k for k in terms if (k.key, k.variant, k.count) == (one.key, one.variant, one.count))
-    return next(same, one)
 
 
 def _moves(acting: Sequence[tuple[Term, Array]], shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -230,12 +224,6 @@ def _moves(acting: Sequence[tuple[Term, Array]], shape: tuple[int, int]) -> tupl
         moved[:, :3] += 0.0 if one.slope_m is None else np.einsum("c,cmi->mi", own, one.slope_m)
         moved[:, 3:] += 0.0 if one.turn_rad is None else np.einsum("c,cmi->mi", own, one.turn_rad)
     return turn, moved
-
-
-def _shaping(fit: Fit) -> list[int]:
-    """Unknowns of the arm's shape: those of frames and boards are none."""
-    frames = {name for frame in fit.problem.free_frames for name in frame.parameter_names}
-    return [k for k, one in enumerate(fit.problem.parameters) if one.name not in frames]
 
 
 def _unlisted(one: Term, without: Collection[str]) -> Term:

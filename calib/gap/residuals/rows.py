@@ -16,7 +16,7 @@ import numpy.typing as npt
 from calib.arrays import Array
 from calib.gap.signals.body import Load, sorted_terms
 from calib.gap.signals.physics import Physics, Prediction
-from calib.gap.signals.recording import EvenRun, Flags, RunSet, UnusableLogError
+from calib.gap.signals.recording import EvenRun, Flags, RunSet, UnusableLogError, spread
 from calib.gap.signals.terms import Law, motor_ahead, sampled_friction_Nm
 from control.model.effect_laws import SMOOTH_rad_s
 
@@ -76,7 +76,8 @@ class ResidualRows:
 
     def residual(self, model: Sequence[Law]) -> Array:
         """Rows (k,): model less measurement over the floor."""
-        return np.asarray(self._raw(model) / self.table.scale)
+        whole = np.concatenate([part for _, _, part, *_ in self._blocks(self.physics.predict(model))])
+        return np.asarray(whole / self.table.scale)
 
     def resting(self, model: Sequence[Law]) -> Flags:
         """Rows (k,) that a model with play can speak of: not those of a current while its joint flies and lands.
@@ -88,7 +89,7 @@ class ResidualRows:
         filters = self.recording.filters
         for j, runs in self.physics.following.flights(model).items():
             reach = round(LANDING_s * filters.rate_Hz)
-            near = [_near(moving[:, None], reach)[filters.places(len(moving)), 0] for moving in runs]
+            near = [spread(moving[:, None], reach)[filters.places(len(moving)), 0] for moving in runs]
             kept = np.concatenate([~flags[self._masks[k][:, j]] for k, flags in enumerate(near)])
             for cell in self.table.cells:
                 if cell.channel == "current_A" and cell.joint == j:
@@ -105,17 +106,12 @@ class ResidualRows:
         parts = []
         for k, run in enumerate(self.recording.runs):
             ahead = motor_ahead(angles, run.q, run.t_s)[:, j] if angles else 0.0
-            torque = sampled_friction_Nm(
-                term, run, j, physics.body.link_torques(Load())[k][:, j], gear, ahead
-            )
+            torque = sampled_friction_Nm(term, run, physics.body.link_torques(Load())[k][:, j], gear, ahead)
             parts.append(self.recording.filters.rows(torque)[self._masks[k][:, j]])
         for cell in self.table.cells:
             if cell.channel == "current_A" and cell.joint == j:
                 result[cell.rows] = np.concatenate(parts) / (K * cell.floor)
         return result
-
-    def _raw(self, model: Sequence[Law]) -> Array:
-        return np.concatenate([part for _, _, part, *_ in self._blocks(self.physics.predict(model))])
 
     def _blocks(self, predictions: list[Prediction]) -> list[Block]:
         """(channel, joint, rows, run, sample of each row), cell by cell and run by run."""
@@ -189,14 +185,14 @@ def without_motion(table: RowTable) -> tuple[str, ...]:
 def _sound_rows(recording: RunSet, run: EvenRun) -> Flags:
     """Rows (rows, n) whose samples are all usable."""
     reach = recording.filters.reach // 2  # beyond this the row filter has hardly any weight
-    sound = ~_near(~run.usable, reach)
+    sound = ~spread(~run.usable, reach)
     return np.asarray(sound[recording.filters.places(len(run))])
 
 
 def _driven_rows(recording: RunSet, run: EvenRun) -> Flags:
     """Rows (rows, n) whose driver is on all the time: the voltage of an open circuit is nobody's command."""
     filters = recording.filters
-    near = _near(run.is_off, filters.reach // 2 + (len(filters.state[0]) - 1) // 2)
+    near = spread(run.is_off, filters.reach // 2 + (len(filters.state[0]) - 1) // 2)
     return np.asarray(_sound_rows(recording, run) & ~near[filters.places(len(run))])
 
 
@@ -207,17 +203,17 @@ def _mask(recording: RunSet, run: EvenRun) -> Flags:
     slow = max(SLOW_rad_s, NOISE_SPEEDS * _speed_noise(recording, run))
     turns = np.abs(run.speed) < rest
     turns[1:] |= np.sign(run.speed[1:]) != np.sign(run.speed[:-1])
-    turns |= _since_turn(run) < PRESLIDING_rad
+    turns |= since_turn(run) < PRESLIDING_rad
     reach = round(0.032 * filters.rate_Hz)
-    ok = ~_near(turns, reach) & (np.abs(run.speed) > slow)
+    ok = ~spread(turns, reach) & (np.abs(run.speed) > slow)
     if not recording.has_current:
         switched = np.zeros_like(run.is_off)
         switched[1:] = run.is_off[1:] != run.is_off[:-1]
-        ok &= ~_near(switched, reach + (len(filters.state[0]) - 1) // 2)
+        ok &= ~spread(switched, reach + (len(filters.state[0]) - 1) // 2)
     return np.asarray(ok[filters.places(len(run))] & _sound_rows(recording, run))
 
 
-def _since_turn(run: EvenRun) -> Array:
+def since_turn(run: EvenRun) -> Array:
     """How far each joint has gone since it last turned round [rad], (m, n)."""
     sign = np.sign(run.speed)
     turned = np.vstack([np.ones((1, sign.shape[1]), dtype=bool), sign[1:] != sign[:-1]])
@@ -230,11 +226,6 @@ def _speed_noise(recording: RunSet, run: EvenRun) -> float:
     steps = [np.diff(np.unique(column)) for column in run.q_raw.T]
     smallest = [float(np.min(step[step > 1e-7])) if np.any(step > 1e-7) else 0.0 for step in steps]
     return float(max(smallest) / np.sqrt(12.0) * recording.filters.speed_gain)
-
-
-def _near(flags: Flags, reach: int) -> Flags:
-    ones = np.ones(2 * reach + 1)
-    return np.stack([np.convolve(column, ones, "same") > 0.5 for column in flags.T], axis=1)
 
 
 # The noise floor of each cell: from repeats, but not below what an encoder's step leaves; else from the data sheet.
@@ -306,7 +297,10 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
         channel == "current_A" and not recording.has_current
     ):  # the current is then the voltage's, less the speed's
         by_channel = float(np.hypot(bends, turns))
-    return _current_noise(physics, joint) * recording.filters.row_gain, angle * by_channel
+    noise = 0.0
+    if recording.has_current:  # white, the middle of all runs
+        noise = float(np.median([physics.current_roughness(k, joint) for k in range(len(recording.runs))]))
+    return noise * recording.filters.row_gain, angle * by_channel
 
 
 def _seen_step(physics: Physics, joint: int, step: float) -> float:
@@ -314,11 +308,3 @@ def _seen_step(physics: Physics, joint: int, step: float) -> float:
     found = [np.diff(np.unique(run.q_raw[:, joint])) for run in physics.recording.runs]
     counted = np.concatenate([part[part > 0.5 * step] for part in found])  # less is the printing's
     return float(counted.min()) if len(counted) else 0.0
-
-
-def _current_noise(physics: Physics, joint: int) -> float:
-    """White noise of the current sensor, the middle of all runs."""
-    if not physics.recording.has_current:
-        return 0.0
-    rough = [physics.current_roughness(k, joint) for k in range(len(physics.recording.runs))]
-    return float(np.median(rough))

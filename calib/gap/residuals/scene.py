@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from scipy import sparse
 
 from calib.arrays import Array
 from calib.gap.posterior.term import Key
-from calib.gap.residuals.rows import ChannelRows, ResidualRows
+from calib.gap.residuals.rows import ChannelRows, ResidualRows, since_turn
 from calib.gap.residuals.whitening import RowOrder
 from calib.gap.signals.body import Load, sorted_terms
 from calib.gap.signals.filters import Filters
@@ -99,6 +99,27 @@ class RowConditions:
     turned_rad: Array  # since the joint last turned round
     axis: Places  # of the tip's rows
 
+    @classmethod
+    def of(
+        cls, runs: Sequence[EvenRun], load: list[Array], current: list[Array], turned: list[Array]
+    ) -> RowConditions:
+        """Of every sample, run after run."""
+
+        def joined(key: str) -> Array:
+            return np.concatenate([getattr(one, key) for one in runs])
+
+        run = np.repeat(np.arange(len(runs)), [len(one) for one in runs])
+        return cls(
+            run, np.concatenate([np.arange(len(one)) for one in runs]), np.concatenate([one.t_s - one.t_s[0] for one in runs]),
+            joined("q"), joined("speed"), joined("acceleration"), np.concatenate(load), np.concatenate(current),
+            joined("payload_kg"), np.concatenate(turned), np.zeros_like(run),
+        )  # fmt: skip
+
+    def at(self, places: Places, axes: int) -> RowConditions:
+        """At some samples, `axes` rows each."""
+        some = {one.name: getattr(self, one.name)[places] for one in fields(self)}
+        return RowConditions(**some | {"axis": np.arange(len(places)) % axes})
+
     @property
     def direction(self) -> Array:
         """Signs of the speeds, smooth through rest, (m, n)."""
@@ -184,9 +205,9 @@ class SeriesScene:
         runs = physics.recording.runs
         load = physics.body.link_torques(Load())
         current = [_drawn(physics, run, own, known) for run, own in zip(runs, load, strict=True)]
-        turned = [_since_turn(run.q, run.speed) for run in self.recording.runs]
-        self.beside = [self._beside(cell, load, current, turned) for cell in self.cells]
-        self.whole = self._whole(load, current, turned)
+        turned = [since_turn(run) for run in self.recording.runs]
+        self.whole = RowConditions.of(runs, load, current, turned)
+        self.beside = [self._beside(cell) for cell in self.cells]
         self.thinned = [self._thinned(cell, own) for cell, own in zip(self.cells, self.beside, strict=True)]
         ends = np.cumsum([0, *(len(one.run) for one in self.thinned)]).tolist()
         self.thin = [slice(first, end) for first, end in itertools.pairwise(ends)]
@@ -217,53 +238,17 @@ class SeriesScene:
             beside.run, beside.sample, step, max(1, round(TIP_ROW_s * self.recording.filters.rate_Hz / step))
         )
 
-    def _beside(
-        self, cell: ChannelRows, load: list[Array], current: list[Array], turned: list[Array]
-    ) -> RowConditions:
-        table, runs = self.rows.table, self.columns.recording.runs
-        run = table.run[cell.rows]
+    def _beside(self, cell: ChannelRows) -> RowConditions:
+        """What stands beside the rows of a cell."""
+        table, begins = self.rows.table, np.searchsorted(self.whole.run, np.arange(len(self.recording.runs)))
         sample = np.round(table.t_s[cell.rows] * self.recording.filters.rate_Hz).astype(np.intp)
-        n = self.arm.joint_count
-
-        def at(values: list[Array]) -> Array:
-            found = np.empty((len(run), n))
-            for k in range(len(runs)):
-                mine = run == k
-                found[mine] = values[k][sample[mine]]
-            return found
-
-        carried = at([np.repeat(one.payload_kg[:, None], n, axis=1) for one in runs])[:, 0]
-        q, speed, acceleration = (
-            at([getattr(one, key) for one in runs]) for key in ("q", "speed", "acceleration")
-        )
-        axis = np.arange(len(run)) % 3 if cell.joint < 0 else np.zeros(len(run), dtype=int)
-        return RowConditions(
-            run, sample, table.t_s[cell.rows], q, speed, acceleration, at(load), at(current), carried, at(turned),
-            axis.astype(np.intp),
-        )  # fmt: skip
-
-    def _whole(self, load: list[Array], current: list[Array], turned: list[Array]) -> RowConditions:
-        """What stands beside every sample, run after run."""
-        runs = self.columns.recording.runs
-
-        def joined(key: str) -> Array:
-            return np.concatenate([getattr(one, key) for one in runs])
-
-        lengths = [len(one) for one in runs]
-        run = np.repeat(np.arange(len(runs)), lengths)
-        sample = np.concatenate([np.arange(length) for length in lengths])
-        t_s = np.concatenate([one.t_s - one.t_s[0] for one in runs])
-        return RowConditions(
-            run.astype(np.intp), sample.astype(np.intp), t_s, joined("q"), joined("speed"), joined("acceleration"),
-            np.concatenate(load), np.concatenate(current), joined("payload_kg"), np.concatenate(turned), np.zeros_like(run),
-        )  # fmt: skip
+        return self.whole.at(begins[table.run[cell.rows]] + sample, AXES if cell.joint < 0 else 1)
 
     def number(self, channel: str, joint: int = -1) -> int | None:
         """Of the cell of a channel and joint (0-based), if there is one."""
-        for k, cell in enumerate(self.cells):
-            if cell.channel == channel and cell.joint == joint:
-                return k
-        return None
+        return next(
+            (k for k, one in enumerate(self.cells) if (one.channel, one.joint) == (channel, joint)), None
+        )
 
     def split(self, columns: Array) -> dict[int, Array]:
         """Columns (rows, c) by cell, without the cells where they are nought."""
@@ -309,16 +294,8 @@ def _drawn(physics: Physics, run: EvenRun, load_Nm: Array, known: Sequence[Law])
     torque = load_Nm + physics.body.rotor_kg_m2 * run.acceleration
     for law in sorted_terms(known).friction:
         j = law.index
-        torque[:, j] += sampled_friction_Nm(law, run, j, torque[:, j], physics.gear_ratios[j])
+        torque[:, j] += sampled_friction_Nm(law, run, torque[:, j], physics.gear_ratios[j])
     return np.asarray(torque / physics.torque_per_A)
-
-
-def _since_turn(q: Array, speed: Array) -> Array:
-    """How far each joint has gone since it last turned round, (m, n)."""
-    sign = np.sign(speed)
-    turned = np.vstack([np.ones((1, sign.shape[1]), dtype=bool), sign[1:] != sign[:-1]])
-    last = np.maximum.accumulate(np.where(turned, np.arange(len(sign))[:, None], 0), axis=0)
-    return np.asarray(np.abs(q - np.take_along_axis(q, last, axis=0)))
 
 
 @dataclass(frozen=True, slots=True)

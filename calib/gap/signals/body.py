@@ -63,7 +63,10 @@ class BodyTorques:
 
     def own_inertia(self, load: Load, joint: int) -> list[Array]:
         """What joint `joint` (0-based) turns: the mass matrix's diagonal without the rotor, (m,) of each run."""
-        return [self._push(load, run, joint) for run in self._recording.runs]
+        return [
+            self._ahead(load, run, joint, run.q, run.acceleration + np.eye(run.q.shape[1])[joint])
+            for run in self._recording.runs
+        ]
 
     def windings(self) -> list[Windings]:
         """The motors and what they turn, of each run; runs of one payload share theirs, in the middle of all their poses."""
@@ -90,20 +93,16 @@ class BodyTorques:
 
     def gravity_slope(self, load: Load, joint: int) -> list[Array]:
         """How the joint's torque grows with its own angle [N m/rad], (m,) of each run."""
-        result = []
-        for run in self._recording.runs:
-            ahead = np.array(run.q)
-            ahead[:, joint] += SLOPE_rad
-            here = self.moved(load, run, run.q, run.speed, run.acceleration)
-            there = self.moved(load, run, ahead, run.speed, run.acceleration)
-            result.append((there - here)[:, joint] / SLOPE_rad)
-        return result
+        step = SLOPE_rad * np.eye(self._arm.joint_count)[joint]
+        return [
+            self._ahead(load, run, joint, run.q + step, run.acceleration) / SLOPE_rad
+            for run in self._recording.runs
+        ]
 
-    def _push(self, load: Load, run: EvenRun, joint: int) -> Array:
-        pushed = np.array(run.acceleration)
-        pushed[:, joint] += 1.0
-        with_push = self.moved(load, run, run.q, run.speed, pushed)
-        return np.asarray((with_push - self.moved(load, run, run.q, run.speed, run.acceleration))[:, joint])
+    def _ahead(self, load: Load, run: EvenRun, joint: int, q: Array, acceleration: Array) -> Array:
+        """How much more torque a joint has in another motion of a run, (m,)."""
+        here = self.moved(load, run, run.q, run.speed, run.acceleration)
+        return np.asarray((self.moved(load, run, q, run.speed, acceleration) - here)[:, joint])
 
     def dynamics(self, load: Load) -> Dynamics:
         """The arm that carries this, but for a payload at its tip."""
@@ -117,13 +116,11 @@ class BodyTorques:
 
 def _with_inertia(arm: Arm) -> Arm:
     """The arm with at least the lightest inertia about every axis of every link that has any."""
-    links = []
-    for link in arm.links:
+    links = list(arm.links)
+    for k, link in enumerate(links):
         if link.inertia_kg_m2 is not None:
             x, y, z = (max(own, LIGHTEST_kg_m2) for own in link.inertia_kg_m2)
-            links.append(dataclasses.replace(link, inertia_kg_m2=(x, y, z)))
-        else:
-            links.append(link)
+            links[k] = dataclasses.replace(link, inertia_kg_m2=(x, y, z))
     return dataclasses.replace(arm, links=tuple(links))
 
 

@@ -145,9 +145,9 @@ class Forward:
         motors = _Motion(state.motor, state.motor_speed, state.acceleration, state.t_s)
         links = _Motion(state.q, state.speed, state.acceleration, state.t_s)
         for term, j, share, ratio in self._rubbing:
-            at_motor[:, j] += (1.0 - share) * friction_Nm(term, motors, j, load_Nm[:, j], ratio)
+            at_motor[:, j] += (1.0 - share) * friction_Nm(term, motors, load_Nm[:, j], ratio)
             if share > 0.0:
-                behind[:, j] += share * friction_Nm(term, links, j, load_Nm[:, j], ratio)
+                behind[:, j] += share * friction_Nm(term, links, load_Nm[:, j], ratio)
         return at_motor, behind
 
     def _body(self, state: ForwardState) -> tuple[Array, Array, Array]:
@@ -210,137 +210,104 @@ def motion_gaps(
     if not physics.recording.has_voltage:
         return {}
     kept = [k for k, run in enumerate(physics.recording.runs) if run.name in report]
-    found: dict[str, Windows | Loop] = {OPEN: Windows(physics, kept), CLOSED: Loop(physics, kept)}
-    gaps = {name: part.gap(known, model) for name, part in found.items() if part.suffices}
+    found = {OPEN: windows(physics, kept), CLOSED: whole_runs(physics, kept)}
+    gaps = {name: one.gap(known, model) for name, one in found.items() if one is not None}
     return {name: one for name, one in gaps.items() if math.isfinite(one.before_rad + one.after_rad)}
 
 
-class Windows:
-    """Windows all over some runs, side by side."""
+def windows(physics: Physics, runs: Sequence[int]) -> Simulated | None:
+    """Windows all over some runs; None where they are too few."""
+    period_s, starts = 1.0 / physics.recording.filters.rate_Hz, []
+    length, apart = max(2, round(WINDOW_s / period_s)), max(1, round(BETWEEN_s / period_s))
+    for run in runs:
+        usable = np.asarray(physics.recording.runs[run].usable.all(axis=1))
+        places = range(2, len(usable) - length - 1, apart)
+        starts += [(run, k) for k in places if usable[k : k + length].all()]
+    if len(starts) < FEWEST_WINDOWS:
+        return None
+    payload_kg = [float(physics.recording.runs[run].payload_kg[k]) for run, k in starts]
+    return Simulated(physics, tuple(starts), (length,) * len(starts), np.array(payload_kg), None)
 
-    def __init__(self, physics: Physics, runs: Sequence[int]) -> None:
-        self._physics = physics
-        self._period = 1.0 / physics.recording.filters.rate_Hz
-        self.length = max(2, round(WINDOW_s / self._period))
-        places = [self._starts(np.asarray(physics.recording.runs[k].usable.all(axis=1))) for k in runs]
-        of_run = [np.full(len(starts), k) for k, starts in zip(runs, places, strict=True)]
-        self.run: Places = np.concatenate([*of_run, np.zeros(0)]).astype(np.intp)
-        self.start: Places = np.concatenate([*places, np.zeros(0)]).astype(np.intp)
 
-    def _starts(self, usable: npt.NDArray[np.bool_]) -> Places:
-        starts = np.arange(2, len(usable) - self.length - 1, max(1, round(BETWEEN_s / self._period)))
-        kept = [k for k in starts.tolist() if usable[k : k + self.length].all()]
-        return np.array(kept, dtype=np.intp)
+def whole_runs(physics: Physics, runs: Sequence[int]) -> Simulated | None:
+    """Runs as a whole, with feedback; None without runs that the driver drove all through, or gains for them."""
+    usable = [np.asarray(physics.recording.runs[run].usable.all(axis=1)) for run in runs]
+    begins = [int(np.argmax(flags)) for flags in usable]
+    lengths = [len(own) - k - 1 if own.any() else 0 for own, k in zip(usable, begins, strict=True)]
+    gains, some = _gains(physics), [physics.recording.runs[run] for run in runs]
+    is_short = min(lengths, default=0) / physics.recording.filters.rate_Hz < WINDOW_s
+    if gains is None or is_short or any(run.is_off.any() for run in some):
+        return None
+    payload_kg = np.array([float(np.median(run.payload_kg)) for run in some])
+    return Simulated(physics, tuple(zip(runs, begins, strict=True)), tuple(lengths), payload_kg, gains)
 
-    @property
-    def suffices(self) -> bool:
-        """Whether there are enough."""
-        return len(self.run) >= FEWEST_WINDOWS
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """W motions side by side, each from a measured state (run, sample) on for so many samples.
+
+    `gains` of a feedback in volts that keeps the simulated arm beside the measured one; None: none.
+    """
+
+    physics: Physics
+    starts: tuple[tuple[int, int], ...]
+    lengths: tuple[int, ...]
+    payload_kg: Array
+    gains: tuple[Array, Array, Array] | None
 
     def gap(self, known: Sequence[Law], model: Sequence[Law]) -> MotionGap:
         """With the model as it was and as it is."""
         after = self.errors(model)
         before = after if tuple(known) == tuple(model) else self.errors(known)
-        return MotionGap(self._floor(after), rms(before), rms(after))
+        return MotionGap(self._floor(after), rms(np.concatenate(before)), rms(np.concatenate(after)))
 
-    def errors(self, model: Sequence[Law]) -> Array:
-        """Simulated less measured angles, (length, W, n)."""
-        runs = self._physics.recording.runs
-        payload = np.array([float(runs[k].payload_kg[s]) for k, s in zip(self.run, self.start, strict=True)])
-        forward = Forward(self._physics, model, payload)
-        state = begin(self._physics, model, self.run.tolist(), self.start.tolist())
-        whole, _ = forward.delay
-        result = np.empty((self.length, *state.q.shape))
-        for s in range(self.length):
+    def errors(self, model: Sequence[Law]) -> list[Array]:
+        """Simulated less measured angles, (samples, n) of each motion."""
+        forward = Forward(self.physics, model, self.payload_kg)
+        state = begin(self.physics, model, *zip(*self.starts, strict=True))
+        (whole, _), longest, still = forward.delay, max(self.lengths), np.zeros_like(state.q)
+        sum_rad_s, result = still.copy(), np.empty((longest, *state.q.shape))
+        back = [still] * (whole + 2)  # feedback is late as the voltages are
+        for s in range(longest):
             result[s] = state.motor - self._at("q_raw", s)
             if _runs_away(result[s]):
                 result[s:] = np.inf
                 break
-            newer, older = (self._at("voltage_V", s - whole - back) for back in (0, 1))
+            if self.gains is not None:
+                kp, ki, kd = self.gains
+                sum_rad_s -= result[s] / self.physics.recording.filters.rate_Hz
+                faster = self._at("speed", s) - state.motor_speed
+                back = [kp * -result[s] + ki * sum_rad_s + kd * faster, *back[:-1]]
+            newer, older = (self._at("voltage_V", s - k) + back[k] for k in (whole, whole + 1))
             forward.advance(state, newer, older, self._at("is_off", s).astype(bool))
-        return result
+        return [result[:length, w] for w, length in enumerate(self.lengths)]
 
     def _at(self, name: str, ahead: int) -> Array:
-        runs = self._physics.recording.runs
-        return np.stack(
-            [getattr(runs[k], name)[max(s + ahead, 0)] for k, s in zip(self.run, self.start, strict=True)]
-        )
+        """What was measured so many samples after each start, (W, n)."""
+        runs = self.physics.recording.runs
+        places = [(runs[run], max(min(k + ahead, len(runs[run]) - 1), 0)) for run, k in self.starts]
+        return np.stack([getattr(run, name)[place] for run, place in places])
 
-    def _floor(self, errors: Array) -> float:
+    def _floor(self, errors: Sequence[Array]) -> float:
         """From repeats, in windows that begin at the same sample, and what the encoders' steps leave of a first speed."""
-        grown = max(1.0, self._physics.recording.filters.speed_gain * WINDOW_s / np.sqrt(3.0))
-        differences: list[Array] = []
-        for one, other in _pairs(self._physics, self.run.tolist()):
-            a, b = np.flatnonzero(self.run == one), np.flatnonzero(self.run == other)
-            _, in_a, in_b = np.intersect1d(self.start[a], self.start[b], return_indices=True)
-            differences.append(_apart(errors[:, a[in_a]], errors[:, b[in_b]]))
-        return _floor(self._physics, differences, grown)
-
-
-class Loop:
-    """Whole runs, with feedback that keeps the simulated arm beside the measured one."""
-
-    def __init__(self, physics: Physics, runs: Sequence[int]) -> None:
-        self._physics, self._runs = physics, list(runs)
-        self._period = 1.0 / physics.recording.filters.rate_Hz
-        self._gains = _gains(physics)
-        usable = [np.asarray(physics.recording.runs[k].usable.all(axis=1)) for k in self._runs]
-        self._starts = [int(np.argmax(flags)) for flags in usable]
-        self._lengths = [
-            len(flags) - start - 1 if flags.any() else 0
-            for flags, start in zip(usable, self._starts, strict=True)
-        ]
-
-    @property
-    def suffices(self) -> bool:
-        """Whether there are runs that the driver drove all through, and gains for them."""
-        if self._gains is None or not self._runs or min(self._lengths) * self._period < WINDOW_s:
-            return False
-        return not any(self._physics.recording.runs[k].is_off.any() for k in self._runs)
-
-    def gap(self, known: Sequence[Law], model: Sequence[Law]) -> MotionGap:
-        """With the model as it was and as it is."""
-        after = self.errors(model)
-        before = after if tuple(known) == tuple(model) else self.errors(known)
+        own: dict[int, dict[int, Array]] = {}
+        for (run, start), error in zip(self.starts, errors, strict=True):
+            own.setdefault(run, {})[0 if self.gains is not None else start] = error
         differences = []
-        for one, other in _pairs(self._physics, self._runs):
-            a, b = (after[self._runs.index(k)] for k in (one, other))
-            common = min(len(a), len(b))
-            differences.append(_apart(a[:common], b[:common]))
-        floor = _floor(self._physics, differences, 1.0)
-        return MotionGap(floor, rms(np.concatenate(before)), rms(np.concatenate(after)))
-
-    def errors(self, model: Sequence[Law]) -> list[Array]:
-        """Simulated less measured angles, (samples, n) of each run."""
-        assert self._gains is not None
-        recording, kp, ki, kd = self._physics.recording, *self._gains
-        runs = [recording.runs[k] for k in self._runs]
-        payload = np.array([float(np.median(run.payload_kg)) for run in runs])
-        forward = Forward(self._physics, model, payload)
-        state = begin(self._physics, model, self._runs, self._starts)
-        whole, _ = forward.delay
-        longest = max(self._lengths)
-        sum_rad_s, result = np.zeros_like(state.q), np.empty((longest, *state.q.shape))
-        back = [np.zeros_like(state.q)] * (whole + 2)  # feedback is late as the voltages are
-
-        def at(name: str, s: int) -> Array:
-            places = (
-                max(min(start + s, len(run) - 1), 0) for start, run in zip(self._starts, runs, strict=True)
-            )
-            return np.stack([getattr(run, name)[place] for run, place in zip(runs, places, strict=True)])
-
-        for s in range(longest):
-            result[s] = state.motor - at("q_raw", s)
-            if _runs_away(result[s]):
-                result[s:] = np.inf
-                break
-            sum_rad_s -= self._period * result[s]
-            feedback = kp * -result[s] + ki * sum_rad_s + kd * (at("speed", s) - state.motor_speed)
-            back = [feedback, *back[:-1]]
-            newer = at("voltage_V", s - whole) + back[whole]
-            older = at("voltage_V", s - whole - 1) + back[whole + 1]
-            forward.advance(state, newer, older, np.zeros(state.q.shape, dtype=bool))
-        return [result[:length, w] for w, length in enumerate(self._lengths)]
+        for one, other in _pairs(self.physics, [run for run, _ in self.starts]):
+            for start in own[one].keys() & own[other].keys():
+                a, b = own[one][start], own[other][start]
+                common = min(len(a), len(b))
+                with np.errstate(invalid="ignore"):  # not a number where both have run away
+                    differences.append((a[:common] - b[:common]).ravel())
+        grown = 1.0
+        if self.gains is None:
+            grown = max(1.0, self.physics.recording.filters.speed_gain * WINDOW_s / np.sqrt(3.0))
+        steps = [2.0 * np.pi / d.counts_per_joint_turn for d in self.physics.arm.drives]
+        by_steps = grown * float(np.sqrt(np.mean(np.square(steps)) / 12.0))
+        found = [part for part in differences if part.size and np.isfinite(part).all()]
+        repeated = rms(np.concatenate(found)) / float(np.sqrt(2.0)) if found else 0.0
+        return float(np.hypot(repeated, by_steps))
 
 
 def _runs_away(error_rad: Array) -> bool:
@@ -367,17 +334,3 @@ def _pairs(physics: Physics, runs: Sequence[int]) -> list[tuple[int, int]]:
     among = set(runs)
     groups = ([k for k in group if k in among] for group in physics.recording.repeats)
     return [pair for group in groups for pair in itertools.pairwise(group)]
-
-
-def _apart(one: Array, other: Array) -> Array:
-    """Their difference; not a number where both have run away."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(one - other).ravel()
-
-
-def _floor(physics: Physics, differences: Sequence[Array], grown: float) -> float:
-    steps = [2.0 * np.pi / d.counts_per_joint_turn for d in physics.arm.drives]
-    by_steps = grown * float(np.sqrt(np.mean(np.square(steps)) / 12.0))
-    found = [part for part in differences if part.size and np.isfinite(part).all()]
-    repeated = rms(np.concatenate(found)) / float(np.sqrt(2.0)) if found else 0.0
-    return float(np.hypot(repeated, by_steps))

@@ -53,11 +53,12 @@ class Physics:
     def __init__(self, arm: Arm, recording: RunSet) -> None:
         self.arm, self.recording = arm, recording
         self.body = BodyTorques(arm, recording)
-        self._K = np.array([d.torque_constant_Nm_A * d.gear_ratio for d in arm.drives])
-        self._R = np.array([d.resistance_ohm for d in arm.drives])
-        self._lag = np.array([d.inductance_H / d.resistance_ohm for d in arm.drives])
+        # K, joint torque per ampere; R and L/R of the windings; motor turns a joint turn: (n,)
+        self.torque_per_A = np.array([d.torque_constant_Nm_A * d.gear_ratio for d in arm.drives])
+        self.resistance_ohm = np.array([d.resistance_ohm for d in arm.drives])
+        self.lag_s = np.array([d.inductance_H / d.resistance_ohm for d in arm.drives])
+        self.gear_ratios = tuple(float(d.gear_ratio) for d in arm.drives)
         self._supply = np.array([d.supply_V for d in arm.drives])
-        self._gear = np.array([d.gear_ratio for d in arm.drives])
         self._period = 1.0 / recording.filters.rate_Hz
         self._voltage = [recording.filters.states(run.voltage_V) for run in recording.runs]
         self._staircase = Staircase(
@@ -66,26 +67,6 @@ class Physics:
         self.following = YieldingJoints(recording, self.body)
         self.tips = SeenTips(arm, recording)
         self._last_driven: tuple[tuple[Law, ...], list[tuple[Array, Array, Array]]] | None = None
-
-    @property
-    def torque_per_A(self) -> Array:
-        """K, joint torque per ampere (n,)."""
-        return self._K
-
-    @property
-    def resistance_ohm(self) -> Array:
-        """R of the windings (n,)."""
-        return self._R
-
-    @property
-    def lag_s(self) -> Array:
-        """L/R of the windings (n,)."""
-        return self._lag
-
-    @property
-    def gear_ratios(self) -> tuple[float, ...]:
-        """Motor turns a joint turn."""
-        return tuple(float(ratio) for ratio in self._gear)
 
     def current_roughness(self, k: int, joint: int) -> float:
         """White noise of run k's current sensor [A]: the third difference takes off what is smooth.
@@ -99,7 +80,7 @@ class Physics:
             return _roughness(current)
         delays = np.arange(0.0, LATEST_s, 0.5 * self._period).tolist()
         return min(
-            _roughness(current - self._held(run.voltage_V, delay)[:, joint] / self._R[joint])
+            _roughness(current - self._held(run.voltage_V, delay)[:, joint] / self.resistance_ohm[joint])
             for delay in delays
         )
 
@@ -150,26 +131,30 @@ class Physics:
         for term in parts.friction:
             j = term.index
             beyond = 0.0 if isinstance(ahead.angle_rad, float) else ahead.angle_rad[:, j]
-            own = sampled_friction_Nm(term, run, j, link[:, j], float(self._gear[j]), beyond)
+            own = sampled_friction_Nm(term, run, link[:, j], self.gear_ratios[j], beyond)
             wanted[:, j] += own * (1.0 - parts.behind(term))
         scale = self.scales(parts)
         measured = self._mean_current(parts, run, k, scale, ahead)
-        return np.asarray(wanted / (self._K * scale) - measured)
+        return np.asarray(wanted / (self.torque_per_A * scale) - measured)
 
     def _mean_current(
         self, parts: ActingTerms, run: EvenRun, k: int, scale: Array, ahead_of: MotorAhead
     ) -> Array:
-        K = self._K * scale
+        K = self.torque_per_A * scale
         if not self.recording.has_current:
             value, slope, _ = self._voltage[k]
-            held = value - (0.5 * self._period + parts.delay_s + self._lag) * slope
-            current = (held - K * (run.speed + ahead_of.speed_rad_s - self._lag * run.acceleration)) / self._R
-            current += self._staircase.of_driven_current(parts.delay_s)[k]
+            held = value - (0.5 * self._period + parts.delay_s + self.lag_s) * slope
+            current = (
+                held - K * (run.speed + ahead_of.speed_rad_s - self.lag_s * run.acceleration)
+            ) / self.resistance_ohm
+            current += self._staircase.along("driven", parts.delay_s)[k]
             return np.where(run.is_off, 0.0, current)
         if self.recording.has_voltage:
-            return np.asarray(run.current_A + self._staircase.of_mean_current(parts.delay_s)[k])
-        ahead = 0.5 * self.recording.held_s - self._lag + min(parts.delay_s, 0.0)
-        return np.asarray(run.current_A + ahead * (run.current_slope + K * run.acceleration / self._R))
+            return np.asarray(run.current_A + self._staircase.along("mean", parts.delay_s)[k])
+        ahead = 0.5 * self.recording.held_s - self.lag_s + min(parts.delay_s, 0.0)
+        return np.asarray(
+            run.current_A + ahead * (run.current_slope + K * run.acceleration / self.resistance_ohm)
+        )
 
     def _electrical(self, parts: ActingTerms, run: EvenRun, k: int, ahead: MotorAhead) -> Array:
         """Sampled current expected from voltage and speed, less the measured one."""
@@ -178,15 +163,15 @@ class Physics:
         scale = self.scales(parts)
         held = self._held(self._voltage[k][0], parts.delay_s)
         seen = self.sagged(parts, held, run.current_A)
-        speed = run.speed + ahead.speed_rad_s - self._lag * run.acceleration
-        expected = (seen - self._K * scale * speed) / self._R
-        expected += self._staircase.of_sampled_current(parts.delay_s)[k]
+        speed = run.speed + ahead.speed_rad_s - self.lag_s * run.acceleration
+        expected = (seen - self.torque_per_A * scale * speed) / self.resistance_ohm
+        expected += self._staircase.along("sampled", parts.delay_s)[k]
         return np.asarray(expected - run.current_A)
 
     def _held(self, voltage: Array, delay_s: float) -> Array:
         """The voltage that a winding has settled to when its current is sampled, (m, n)."""
         n = int(delay_s // self._period)
-        shares = np.array([settled_shares(float(lag), self._period, delay_s) for lag in self._lag])
+        shares = np.array([settled_shares(float(lag), self._period, delay_s) for lag in self.lag_s])
         return np.asarray(sum(shares[:, back] * _earlier(voltage, n + 1 + back) for back in range(3)))
 
     def sagged(self, parts: ActingTerms, voltage: Array, current: Array) -> Array:
@@ -200,7 +185,7 @@ class Physics:
 
     def scales(self, parts: ActingTerms) -> Array:
         """What the torque constants are of their nominal values (n,)."""
-        scale = np.ones(len(self._K))
+        scale = np.ones(len(self.torque_per_A))
         for j, value in parts.scale.items():
             scale[j] += value
         return scale

@@ -237,7 +237,7 @@ def _motion(arm: Arm, run: LoggedRun, filters: Filters, period: float) -> EvenRu
     voltage = run.voltage_V[np.clip(held, 0, len(run) - 1)]
     is_limited = _limited(arm, run)[np.clip(held, 0, len(run) - 1)]
     reach = (len(filters.state[0]) - 1) // 2
-    usable = sound[:, None] & ~_spread(is_limited, reach)
+    usable = sound[:, None] & ~spread(is_limited, reach)
     usable[: round(min(SETTLING_s, SETTLING_SHARE * (times[-1] - times[0])) / period)] = False
     usable[-reach:] = False  # behind the end the motion goes on, and nobody knows how
     seen = np.flatnonzero(np.isfinite(run.tip_m[:, 0]))
@@ -343,7 +343,7 @@ def _saturation(arm: Arm, runs: Sequence[LoggedRun]) -> Iterator[str]:
             )
 
 
-def _spread(flags: Flags, reach: int) -> Flags:
+def spread(flags: Flags, reach: int) -> Flags:
     """True within `reach` samples of a true one."""
     ones = np.ones(2 * reach + 1)
     columns = [np.convolve(column, ones, "same") > 0.5 for column in flags.T]
@@ -368,7 +368,7 @@ def part_of(log: Log) -> tuple[Log, str]:
     blocks = Log(tuple(block for run in log.runs for block in _blocks(run)), log.sources)
     groups = sorted(
         (group[k : k + TWICE] for group in blocks.repeats() for k in range(0, len(group), TWICE)),
-        key=lambda group: (blocks.runs[group[0]].payload, _speed_rad_s(blocks.runs[group[0]])),
+        key=lambda group: _load_and_speed(blocks.runs[group[0]]),
     )
     chosen = _spread_blocks(blocks, groups, most_s)
     used_s = sum(_length_s(blocks.runs[k]) for k in chosen)
@@ -393,19 +393,17 @@ def _blocks(run: LoggedRun) -> list[LoggedRun]:
     count = max(1, round(_length_s(run) / BLOCK_s))
     if count == 1:
         return [run]
-    edges = np.linspace(0, len(run), count + 1).round().astype(int).tolist()
-    return [_piece(run, slice(a, b)) for a, b in itertools.pairwise(edges)]
-
-
-def _piece(run: LoggedRun, rows: slice) -> LoggedRun:
-    begin, end = (float(t) - float(run.t_s[0]) for t in (run.t_s[rows][0], run.t_s[rows][-1]))
-    return run.rows(rows, f"{run.name} ({begin:.0f} to {end:.0f} s)")
+    edges, found = np.linspace(0, len(run), count + 1).round().astype(int).tolist(), []
+    for begin, end in itertools.pairwise(edges):
+        first_s, last_s = (float(run.t_s[k] - run.t_s[0]) for k in (begin, end - 1))
+        found.append(run.rows(slice(begin, end), f"{run.name} ({first_s:.0f} to {last_s:.0f} s)"))
+    return found
 
 
 def _length_s(run: LoggedRun) -> float:
     return float(run.t_s[-1] - run.t_s[0])
 
 
-def _speed_rad_s(run: LoggedRun) -> float:
-    """Mean speed of all joints over a block, from its encoders."""
-    return float(np.abs(np.diff(run.q_rad, axis=0)).sum()) / max(_length_s(run), 1e-9)
+def _load_and_speed(run: LoggedRun) -> tuple[float, float]:
+    """Payload [kg] and the mean speed of all joints, from their encoders [rad/s]."""
+    return run.payload, float(np.abs(np.diff(run.q_rad, axis=0)).sum()) / max(_length_s(run), 1e-9)

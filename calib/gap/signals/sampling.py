@@ -8,7 +8,7 @@ others (a log brought to another rate) lie on straight lines between them, or re
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -75,7 +75,10 @@ def measured(runs: Sequence[LoggedRun]) -> tuple[tuple[LoggedRun, ...], str]:
     for factor in FACTORS:
         for differences, words in ((1, "repeats the one before"), (2, "lies on the line between others")):
             phases = [_phase(run, factor, differences) for run in runs]
-            if any(phase is not None for phase in phases) and not _contradicted(phases, runs):
+            # a run that moves and shows no such phase says otherwise
+            still = [not np.ptp(run.q_rad, axis=0).max() > 0.0 for run in runs]
+            told = [phase is not None for phase in phases]
+            if any(told) and all(one or other for one, other in zip(told, still, strict=True)):
                 kept = tuple(
                     run.rows(slice(phase or 0, None, factor)) for run, phase in zip(runs, phases, strict=True)
                 )
@@ -85,15 +88,6 @@ def measured(runs: Sequence[LoggedRun]) -> tuple[tuple[LoggedRun, ...], str]:
                     f" {factor * rate_Hz:.4g} samples a second; only the measured ones are used"
                 )
     return tuple(runs), ""
-
-
-def _contradicted(phases: Iterable[int | None], runs: Sequence[LoggedRun]) -> bool:
-    """Whether a run that moves shows no such phase."""
-    return any(phase is None and _moves(run) for phase, run in zip(phases, runs, strict=True))
-
-
-def _moves(run: LoggedRun) -> bool:
-    return bool(np.ptp(run.q_rad, axis=0).max() > 0.0)
 
 
 def _phase(run: LoggedRun, factor: int, differences: int) -> int | None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -85,19 +86,12 @@ class Staircase:
         # of one delay: its differences are asked for one after another
         self._latest: tuple[float, dict[Kind, StaircaseResponse]] = np.nan, {}
 
-    def of_sampled_current(self, delay_s: float) -> list[Array]:
-        """Sampled current less (settled voltage - K (speed - L/R acceleration)) / R, [A] (m, n) of each run."""
-        return self._along("sampled", delay_s)
+    def along(self, what: Literal["sampled", "mean", "driven"], delay_s: float) -> list[Array]:
+        """[A] (m, n) of each run, of commands that are late by `delay_s`; kept for those asked last.
 
-    def of_mean_current(self, delay_s: float) -> list[Array]:
-        """The current that accelerates as the smooth curve does, less the sampled one, [A] (m, n) of each run."""
-        return self._along("mean", delay_s)
-
-    def of_driven_current(self, delay_s: float) -> list[Array]:
-        """The same less what late voltage and smooth speed say of it, for runs without a current, [A] (m, n) of each."""
-        return self._along("driven", delay_s)
-
-    def _along(self, what: str, delay_s: float) -> list[Array]:
+        sampled: sampled current less (settled voltage - K (speed - L/R acceleration)) / R; mean: the current that accelerates as
+        the smooth curve does, less the sampled one; driven: the same less what late voltage and smooth speed say of it.
+        """
         key = (what, delay_s)
         if key not in self._kept:
             while len(self._kept) > 8:

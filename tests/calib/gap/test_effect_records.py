@@ -91,7 +91,7 @@ def test_identification_and_feed_forward_have_one_law(effect: Effect) -> None:
     rigid, whole = (torque_model(one)(q, speed, still) for one in (RIGHT, arm))
     j = (effect.joint or 0) - 1
     run = _moving(q, speed)
-    own = friction_Nm(law_of(effect), run, j, np.array([rigid[j]]), RIGHT.drive(j + 1).gear_ratio)
+    own = friction_Nm(law_of(effect), run, np.array([rigid[j]]), RIGHT.drive(j + 1).gear_ratio)
     assert own == pytest.approx([whole[j] - rigid[j]], abs=1e-12)
     assert own[0] != 0.0
 

@@ -26,7 +26,7 @@ def test_what_motors_hold_follows_the_geometry_that_the_fit_has(rig: str) -> Non
     points = dataclasses.replace(points, current_A=load_Nm / torque_per_A(arm))
     still = np.zeros(points.q_rad.shape)
     for fit in (Fit.nominal(problem), there):
-        held = holding_currents(fit, arm, points, points.q_rad, still, ())
+        held = holding_currents(fit, arm, points, still, ())
         assert held is not None
         *by_geometry, torque_Nm = held.columns_Nm
         left = torque_Nm - np.einsum("kmn,k->mn", by_geometry[: len(x)], x)
