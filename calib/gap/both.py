@@ -78,18 +78,24 @@ class LevelFinding:
         if later:
             kept = tuple(one for one in (found.maps or MeasuredMaps()).maps if one.joint not in later)
             found = dataclasses.replace(
-                found, gap_after=math.nan, gap_explained=math.nan, after_si=dict.fromkeys(found.after_si, math.nan),
+                found,
+                gap_after=math.nan,
+                gap_explained=math.nan,
+                after_si=dict.fromkeys(found.after_si, math.nan),
                 maps=MeasuredMaps(kept, ()) if kept else None,
-            )  # fmt: skip
+            )
         cut = next((k for k, one in enumerate(found.effects) if one.name in denied), None)
         if cut is None:
             return found
         gap_after = found.effects[cut - 1].gap_after if cut else found.gap_before
         share = min(1.0, gap_after / found.gap_before) if found.gap_before > 0.0 else 1.0
         return dataclasses.replace(
-            found, effects=tuple(one for one in found.effects if one.name not in denied), gap_after=gap_after,
-            gap_explained=math.nan, after_si={channel: share * value for channel, value in found.before_si.items()},
-        )  # fmt: skip
+            found,
+            effects=tuple(one for one in found.effects if one.name not in denied),
+            gap_after=gap_after,
+            gap_explained=math.nan,
+            after_si={channel: share * value for channel, value in found.before_si.items()},
+        )
 
 
 def brought_together(

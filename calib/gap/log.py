@@ -82,11 +82,17 @@ class LoggedRun:
         return replace(
             self,
             name=name or self.name,
-            t_s=frozen(self.t_s[rows]), q_rad=frozen(self.q_rad[rows]), q_set_rad=frozen(self.q_set_rad[rows]),
-            current_A=frozen(self.current_A[rows]), voltage_V=frozen(self.voltage_V[rows]),
-            payload_kg=frozen(self.payload_kg[rows]), tip_m=frozen(self.tip_m[rows]),
-            extra=MappingProxyType({column: tuple(texts[k] for k in kept) for column, texts in self.extra.items()}),
-        )  # fmt: skip
+            t_s=frozen(self.t_s[rows]),
+            q_rad=frozen(self.q_rad[rows]),
+            q_set_rad=frozen(self.q_set_rad[rows]),
+            current_A=frozen(self.current_A[rows]),
+            voltage_V=frozen(self.voltage_V[rows]),
+            payload_kg=frozen(self.payload_kg[rows]),
+            tip_m=frozen(self.tip_m[rows]),
+            extra=MappingProxyType(
+                {column: tuple(texts[k] for k in kept) for column, texts in self.extra.items()}
+            ),
+        )
 
     @property
     def payload(self) -> float:

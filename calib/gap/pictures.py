@@ -138,9 +138,12 @@ def map_picture(drawn: DrawnMap) -> str:
     order = np.argsort(drawn.at)
     curve = ("map", factor * drawn.table[order], "." if drawn.map.by_direction else "-", AFTER)
     return _over(
-        times * drawn.at[order], factor * drawn.data[order], (curve,), f"joint {drawn.map.joint}: {label}",
+        times * drawn.at[order],
+        factor * drawn.data[order],
+        (curve,),
+        f"joint {drawn.map.joint}: {label}",
         f"{drawn.map.corrects.split('_')[0]} [{unit}]",
-    )  # fmt: skip
+    )
 
 
 def _over(

@@ -23,10 +23,8 @@ from control.model.effects import EFFECTS
 
 RECORDS: Final[dict[str, EffectRecord]] = {
     one.effect: one
-    for one in (
-        *encoder.RECORDS, *gear.RECORDS, *links.RECORDS, *loads.RECORDS, *motor.RECORDS
-    )
-}  # fmt: skip
+    for one in (*encoder.RECORDS, *gear.RECORDS, *links.RECORDS, *loads.RECORDS, *motor.RECORDS)
+}
 
 
 def poses_of(effect: str) -> InPoses | None:

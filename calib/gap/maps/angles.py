@@ -106,9 +106,14 @@ def _measured(
         tables.append(moved.reshape(rows, -1) * (USUAL_rad / noise))
     precision = np.array([1.0 if one.has_bound else FREE_PRECISION for one in problem.parameters])
     return MapRows(
-        residual.ravel() / noise, -jacobian.reshape(rows, -1) / noise, precision, candidates, tuple(tables),
-        _folds(gap), np.repeat(np.arange(len(gap.points)), 3),
-    )  # fmt: skip
+        residual.ravel() / noise,
+        -jacobian.reshape(rows, -1) / noise,
+        precision,
+        candidates,
+        tuple(tables),
+        _folds(gap),
+        np.repeat(np.arange(len(gap.points)), 3),
+    )
 
 
 def _candidates(there: _Poses) -> tuple[Candidate, ...]:

@@ -98,11 +98,17 @@ class Signals:
         torque_per_A = float(physics.torque_per_A[j] * physics.scales(parts)[j])
         left = [-torque_per_A * one.current_A[:, j] for one in physics.predict(outcome.model)]
         return cls(
-            outcome, joint, np.repeat(np.arange(len(runs)), [len(one) for one in runs]),
-            np.concatenate([np.arange(len(one)) for one in runs]), _joined(runs, "usable", j) > 0, _joined(runs, "q", j),
-            physics.gear_ratios[j] * _joined(runs, "q_raw", j), _joined(runs, "speed", j), np.concatenate(load),
+            outcome,
+            joint,
+            np.repeat(np.arange(len(runs)), [len(one) for one in runs]),
+            np.concatenate([np.arange(len(one)) for one in runs]),
+            _joined(runs, "usable", j) > 0,
+            _joined(runs, "q", j),
+            physics.gear_ratios[j] * _joined(runs, "q_raw", j),
+            _joined(runs, "speed", j),
+            np.concatenate(load),
             np.concatenate(left),
-        )  # fmt: skip
+        )
 
     def without(self, maps: tuple[CorrectionMap, ...]) -> Signals:
         """The same beside maps."""

@@ -99,13 +99,18 @@ class Evidence:
         places = np.array([self.places[k] for k in own])
         across = places[:, :, None], places[:, None, :]
         return Batch(
-            np.array(own), within[places], np.array([self.scales[k][0] for k in own]), np.array([self.weights[k] for k in own]),
+            np.array(own),
+            within[places],
+            np.array([self.scales[k][0] for k in own]),
+            np.array([self.weights[k] for k in own]),
             laws,
             np.array([self.terms[k].is_positive for k in own]),
-            np.array([self.terms[k].least for k in own]), np.array([self.terms[k].most for k in own]),
+            np.array([self.terms[k].least for k in own]),
+            np.array([self.terms[k].most for k in own]),
             np.array([self.terms[k].is_name for k in own]),
-            self.gram.tip[across], self.gram.current[across],
-        )  # fmt: skip
+            self.gram.tip[across],
+            self.gram.current[across],
+        )
 
     def _columns(self, members: Sequence[Member]) -> tuple[Array, Array]:
         """Places and prior standard deviations of a set's columns."""

@@ -123,9 +123,10 @@ def _long_enough(log: Log) -> tuple[list[LoggedRun], list[str]]:
 def _about_inertia(arm: Arm) -> list[str]:
     """A sentence about links with a mass and no inertia, which no body is."""
     bare = [
-        str(k + 1) for k, link in enumerate(arm.links)
+        str(k + 1)
+        for k, link in enumerate(arm.links)
         if link.mass_kg and link.inertia_kg_m2 is not None and max(link.inertia_kg_m2) <= 0.0
-    ]  # fmt: skip
+    ]
     if not bare:
         return []
     return [
