@@ -51,9 +51,10 @@ class Kinematics:
     def inverse(self, tip_m: ArrayLike, near_rad: ArrayLike | None = None) -> Array:
         """Joint angles (..., n) within the joint limits for tip positions (..., 3), to 1e-9 m, or tip poses (..., 7).
 
-        Of several solutions for a position, the one that minimises the largest joint travel from `near_rad` (n,) or (..., n), by
-        default the arm's rest pose; for a pose, the one that a descent from there finds. An arm that cannot hold an orientation
-        (five joints or fewer) holds what it can of it.
+        Of several solutions for a position, one near `near_rad` (n,) or (..., n), by default the arm's rest pose: of the four
+        branches the one with the least largest joint travel, on other arms the one to which short steps from there lead; for a
+        pose, the one that a descent from there finds. An arm that cannot hold an orientation (five joints or fewer) holds what
+        it can of it.
 
         Raises:
             OutOfReach: `distance_m` of the first such position from the reach.

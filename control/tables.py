@@ -475,7 +475,11 @@ def opened_rows(path: Path, wrong: Callable[[str], Exception], most_rows: int = 
         raise wrong(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         is_recording = path.suffix == ".armlog"
-        remedy = "`armwright export` makes a log.csv.gz of it" if is_recording else "save the file in UTF-8"
+        remedy = (
+            "`armwright export` makes a log.csv.gz of it"
+            if is_recording
+            else "save it in UTF-8; `armwright import-points` reads other encodings"
+        )
         raise wrong(
             f"{path}: byte {error.start} is not UTF-8 text: expected a .csv or .csv.gz; {remedy}"
         ) from error

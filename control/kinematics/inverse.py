@@ -20,7 +20,14 @@ from control.kinematics import inverse_errors as errors
 from control.kinematics.joint_range import JointRange, travel_rad, turned_toward
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.numeric_inverse import ACCURACY_M, Descent, Newton, can_move_freely, descend, seeds
-from control.kinematics.pose_solver import POSITION_TOLERANCE_M, Task, task_of
+from control.kinematics.pose_solver import (
+    LONGEST_STEP_RAD,
+    POSITION_TOLERANCE_M,
+    Targets,
+    Task,
+    solve,
+    task_of,
+)
 from control.kinematics.tracing import Graph, Scalar, acos, atan2, compile_function, cos, sin, sqrt
 from control.model.arm import Arm, Vector3
 
@@ -328,7 +335,8 @@ class InverseKinematics:
         return q
 
     def nearest(self, point: Sequence[float], q_near: Sequence[float]) -> tuple[float, ...]:
-        """Return the joint angles within the limits that minimise the largest joint travel from `q_near`.
+        """Return the joint angles within the limits near `q_near`: of the four branches, the one with the least largest travel;
+        on other arms, where short steps from `q_near` lead, or else another start.
 
         Raises as `solve`; works for every arm.
         """
@@ -432,11 +440,28 @@ class InverseKinematics:
         best = Descent(tuple(q_near), math.inf)
         for start in seeds(limits, [q_near, self._rest]):
             end = descend(self.kinematics, target, start, limits)
+            is_first = best.distance_m == math.inf and self.moves_freely
+            if (
+                is_first and travel_rad(end.q, q_near) > LONGEST_STEP_RAD
+            ):  # long steps may lead far away, or nowhere
+                ends = (self._by_short_steps(target, q_near), end)
+                end = min(ends, key=lambda e: (e.distance_m > enough_m, travel_rad(e.q, q_near)))
             best = min(best, end, key=lambda descent: descent.distance_m)
             if best.distance_m <= enough_m:
                 self._check_weakest(target, best.q)
                 return best.q
         raise errors.out_of_reach(self._name, target, best.distance_m)
+
+    def _by_short_steps(self, target: Vector3, q_near: Sequence[float]) -> Descent:
+        """The pose that the arm comes to in short steps, each with the least motion of its joints."""
+        aim, near = Targets(np.array([target]), None), np.array([q_near])
+        q = tuple(solve(self.poses, self._of_position, aim, near).q_rad[0].tolist())
+        is_fit = self._range.is_inside(q)
+        return Descent(q, math.dist(self.kinematics.tip(*q), target) if is_fit else math.inf)
+
+    @cached_property
+    def _of_position(self) -> Task:
+        return task_of(self.poses, False)
 
     def _follow_numeric(self, point: Sequence[float], q_previous: Sequence[float]) -> tuple[float, ...]:
         self._range.check_pose(q_previous)

@@ -26,7 +26,7 @@ POSITION_TOLERANCE_M = 1e-4  # where the joints cannot hold all: a way-point rea
 TURN_LENGTH_M = 0.1
 _POSITION, _ORIENTATION = (0, 1, 2), (3, 4, 5)
 _STEPS = 40
-_LONGEST_STEP_RAD = 0.3  # a longer step may lead to another solution
+LONGEST_STEP_RAD = 0.3  # a longer step may lead to another solution
 _QUADRATIC = 1e-6  # rad: after a step this small, the next error is far below the accuracy
 _LINEAR = 1e-10  # rad: the same where nearest rows converge only linearly
 _POSTURE_WEIGHT = 1e-8  # m^2: of the posture beside the nearest rows; moves the tip by nothing that shows
@@ -121,8 +121,8 @@ def solve(
     for _ in range(_STEPS):
         step = joint_rates(task, tip.jacobian, error, q_ref_rad - q)
         largest = np.abs(step).max(initial=0.0)
-        if largest > _LONGEST_STEP_RAD:
-            step *= np.minimum(1.0, _LONGEST_STEP_RAD / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
+        if largest > LONGEST_STEP_RAD:
+            step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
         q += step
         tip = kinematics.batch(q)
         error = errors(targets, tip)

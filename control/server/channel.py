@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import msgspec
 
 from control.errors import ArmError
-from control.server.sockets import ForeignRuntime, require_own_runtime
+from control.server.sockets import ForeignRuntime, require_own_runtime, running_arms
 
 Message = dict[str, Any]
 CONTROL_KEY = "ARMWRIGHT_CONTROL_KEY"  # environment: clients with the same key count as one
@@ -49,8 +49,10 @@ class SocketChannel:
         except OSError as error:
             self._socket.close()
             is_none = isinstance(error, FileNotFoundError | ConnectionRefusedError)
+            others = [f"`--arm {name}`" for name in running_arms()]
+            ask = f", or ask the one that runs: {' or '.join(others)}" if others else ""
             raise (NoRuntime if is_none else RuntimeGone)(
-                f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`"
+                f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`{ask}"
             ) from error
         self._socket.settimeout(timeout_s)
         try:

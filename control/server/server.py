@@ -327,7 +327,7 @@ def require_free(path: Path) -> None:
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as probe:
         if probe.connect_ex(str(path)) == 0:
             raise SocketTaken(
-                f"a runtime already serves at {path}: use it, or stop it with `armwright off --quit`"
+                f"a runtime already serves at {path}: use it, or stop it with `armwright off --quit --socket {path}`"
             )
 
 

@@ -99,6 +99,16 @@ def find_sockets(arm_name: str = "*") -> list[Path]:
     return list(dict.fromkeys(path.resolve() for path in found if path.is_socket()))
 
 
+def running_arms() -> list[str]:
+    """Names of this user's arms whose runtimes answer at their default sockets."""
+    found = []
+    for path in find_sockets():
+        with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as probe:
+            if path.parent in socket_folders() and probe.connect_ex(str(path)) == 0:
+                found.append(path.stem)
+    return sorted(found)
+
+
 def _own_folders() -> Iterator[Path]:
     for folder in socket_folders():
         with contextlib.suppress(OSError, ForeignFolder):

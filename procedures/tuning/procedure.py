@@ -125,7 +125,7 @@ def tune(arm: Arm, clock: Clock, options: TuningOptions, advance: Advance) -> Tu
 
     Gains are set only in the runtimes started here; the arm's own file never changes.
     """
-    _require_loop(arm, options.joints)
+    require_loop(arm, options.joints)
     pose = _pose(arm, options)
     measuring = in_voltage_mode(arm)
     advance("homing", 0.0)
@@ -190,7 +190,8 @@ def tunable(arm: Arm) -> tuple[int, ...]:
     )
 
 
-def _require_loop(arm: Arm, joints: tuple[int, ...]) -> None:
+def require_loop(arm: Arm, joints: tuple[int, ...]) -> None:
+    """NotTuned where a board closes the loop of a joint itself, or of all."""
     can = tunable(arm)
     beyond = [str(joint) for joint in joints if joint not in can]
     if beyond or not joints:

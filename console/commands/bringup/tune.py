@@ -11,7 +11,7 @@ from control.model.arm import Arm
 from control.model.description import save_arm
 from procedures.bringup.bench import opened
 from procedures.folders import require_writable
-from procedures.tuning.procedure import NotTuned, TuningOptions, TuningResult, tunable, tune
+from procedures.tuning.procedure import NotTuned, TuningOptions, TuningResult, require_loop, tunable, tune
 
 LOWEST_Hz, HIGHEST_Hz = 2.0, 40.0
 
@@ -26,10 +26,11 @@ def run(given: argparse.Namespace) -> int:
     require_writable(out.parent)
     with opened(given) as setting:
         options = _options(given, setting.draft)
-        if setting.rig is None and not given.yes and not _allowed(setting.draft, options):
-            sys.stderr.write("armwright: cancelled; nothing moved\n")
-            return 2
         try:
+            require_loop(setting.draft, options.joints)
+            if setting.rig is None and not given.yes and not _allowed(setting.draft, options):
+                sys.stderr.write("armwright: cancelled; nothing moved\n")
+                return 2
             with Bar("tuning") as bar:
                 result = tune(setting.arm, setting.clock, options, bar.advance)
         except NotTuned as reason:

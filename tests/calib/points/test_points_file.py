@@ -108,7 +108,11 @@ def test_a_bad_file_is_one_message_with_file_line_and_column(tmp_path: Path, tex
     ("name", "content", "remedy"),
     [
         ("run.armlog", b"ARMLOG2\n\xff", "`armwright export` makes a log.csv.gz of it"),
-        ("points.csv", GOOD.encode("utf-16"), "save the file in UTF-8"),
+        (
+            "points.csv",
+            GOOD.encode("utf-16"),
+            "save it in UTF-8; `armwright import-points` reads other encodings",
+        ),
     ],
 )
 def test_what_is_no_text_is_refused_with_what_to_do(

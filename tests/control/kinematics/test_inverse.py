@@ -337,3 +337,20 @@ def test_turns_are_whole_and_toward_the_wanted_side() -> None:
     assert joints.excess_rad((0.0, 0.9, 0.0)) == pytest.approx(0.1)
     assert not joints.is_inside((0.0, math.nan, 0.0))
     assert joints.toward((2.5, 0.0, 0.0), (2.5 - 2 * math.pi, 0.0, 0.0)) == (2.5, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "name", ["so101", "widowx250"]
+)  # 5 and 6 joints; a position leaves 2 and 3 of them free
+def test_with_joints_to_spare_the_pose_is_near_the_one_before(name: str) -> None:
+    arm, source = load_arm(name), np.random.default_rng(1)
+    inverse, (lower, upper) = InverseKinematics(arm), np.array(arm.limits_rad).T
+    longer = []
+    for _ in range(30):
+        near = source.uniform(0.7 * lower, 0.7 * upper)
+        known = np.clip(near + source.uniform(-0.6, 0.6, len(near)), 0.9 * lower, 0.9 * upper)
+        tip_m = inverse.kinematics.tip(*known)
+        found = inverse.nearest(tip_m, tuple(near))
+        assert math.dist(inverse.kinematics.tip(*found), tip_m) < 1e-8
+        longer.append(travel_rad(found, near) / travel_rad(known, near))
+    assert max(longer) < 1.5  # the least sum of squares, whose largest part may be somewhat larger

@@ -545,3 +545,20 @@ def test_an_arm_s_name_leads_to_no_other_folder(name: str) -> None:
     with pytest.raises(ArmError, match="sockets and recordings are named after the arm"):
         default_path(name)
     assert sockets.find_sockets(name) == []
+
+
+def test_an_arm_that_does_not_run_is_answered_with_those_that_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    folder = tmp_path / "armwright"
+    folder.mkdir(mode=0o700)
+    left_over, listens = (socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) for _ in range(2))
+    with left_over, listens:
+        left_over.bind(str(folder / "gone.sock"))  # a killed runtime's
+        listens.bind(str(folder / "fee5.sock"))
+        listens.listen()
+        with pytest.raises(
+            RuntimeGone, match=r"start one with `armwright serve`, or ask the one that runs: `--arm fee5`$"
+        ):
+            SocketChannel(folder / "right.sock")
