@@ -224,7 +224,7 @@ def measure_joint(
     wiring: MeasuredWiring, caution: Caution, say: Callable[[str], None],
 ) -> None:  # fmt: skip
     drive = arm.drive(wiring.joint)
-    say(f"Joint {wiring.joint}, at most {caution.current_A:.2f} A.")
+    say(f"Joint {wiring.joint}{f', at most {caution.current_A:.2f} A' if bench.limits_current else ''}.")
     driver = JointDriver(
         bench, drive, wiring.node, wiring.channel, wiring.motor_direction, wiring.encoder_direction, caution
     )

@@ -82,10 +82,12 @@ def pulse(
     """
     volts, name, node = caution.voltage_V(drive), named(drive), node_of(drive)
     per_rad = abs(JointMap(drive).counts_per_radian)
+    strength = f"of at most {caution.current_A:.2f} A and {volts:.2f} V"
+    if not bench.limits_current:
+        strength = "as strong as its board's own settings let it be"
     if not operator.allow(
-        f"{name[:1].upper()}{name[1:]} (joint {drive.joint} in the draft): a pulse of at most"
-        f" {caution.current_A:.2f} A and {volts:.2f} V. One joint should turn by about {math.degrees(PULSE_RAD):.0f}"
-        f" deg, at most {math.degrees(BLIND_RAD):.0f} deg."
+        f"{name[:1].upper()}{name[1:]} (joint {drive.joint} in the draft): a pulse {strength}. One joint should turn by"
+        f" about {math.degrees(PULSE_RAD):.0f} deg, at most {math.degrees(BLIND_RAD):.0f} deg."
     ):
         raise Stopped("the operator did not confirm the pulse")
     bench.prepare()

@@ -1,7 +1,8 @@
 """What decides, in poses and in time series: every threshold with its unit and its reason.
 
-Nothing that decides stands elsewhere. Elsewhere stand the effort of the search (`search.py`), the sizes and shapes of effects and
-blocks (their records), what measurements are like (`poses/floor.py`, `signals/`), and what is refused or warned of as misread.
+Elsewhere stand how recordings are split (`INTERVAL_sd`, `GROUPS_LEAST`, `FREEDOM_LEAST`, `REPORT_SHARE`), the effort of the
+search (`search.py`), the sizes and shapes of effects and blocks (their records), what measurements are like (`poses/floor.py`,
+`signals/`), and what is refused or warned of as misread.
 """
 
 from __future__ import annotations
