@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 from hil_mocks.devices.motor_inputs import Output
 
-# With this speed gain an STS3215 at 12 V is as stiff as one that was identified: 17.8 N m/rad (TheRobotStudio/SO-ARM100,
-# Simulation/SO101/joints_properties.xml). A softer loop swings past its goal with half a kilogram in the hand.
-POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL, SPEED_FILTER_S = 15.0, 3.4, 15.0, 0.003
+# With this speed gain an STS3215 at 12 V has 12 N m/rad; one that was identified, 17.8 (TheRobotStudio/SO-ARM100,
+# Simulation/SO101/joints_properties.xml). A softer loop swings past its goal with half a kilogram in the hand. A stiffer one
+# draws too much in a strong motor, as the gain counts in shares of the motor's own voltage per speed.
+POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL, SPEED_FILTER_S = 15.0, 2.0, 15.0, 0.003
 LIMITED_FADE = 0.99  # of the integral, each period
 
 

@@ -16,7 +16,7 @@ from calib.gap.effects.record import load_of
 from calib.gap.poses.currents import SATURATED
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.recordings import EVERY, RECORDINGS_LEAST, recordings, split
-from calib.gap.posterior.constants import INFLATED
+from calib.gap.posterior.constants import INFLATED, UNMEASURED
 from calib.identify.identification import Identification
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -208,6 +208,8 @@ def about_fit(arm: Arm, found: Identification, floor: Floor, noise_m: float) -> 
             f" of arm {arm.name}, with its zeros?"
         )
     yield from about_settling(found)
+    if floor.doubt >= UNMEASURED:
+        yield f"the noise is {floor.source}: repeat a dozen poses, or give [camera] position_noise_m"
     if times > INFLATED:
         yield (
             f"everything that was found leaves {times:.1f} times the noise floor ({floor.source}): names are weighed against that"

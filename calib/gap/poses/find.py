@@ -17,7 +17,7 @@ from calib.gap.effects.record import PoseScene
 from calib.gap.finding import EffectName
 from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_orientations, about_outliers, cleaned, require_posed
-from calib.gap.poses.floor import FINEST_m, Floor, middle, noise_floor, outlying
+from calib.gap.poses.floor import REPEATS_LEAST, FINEST_m, Floor, middle, noise_floor, outlying
 from calib.gap.poses.linear import Fit, Linear
 from calib.gap.poses.nameless import SKEWED
 from calib.gap.poses.outcome import StaticGap
@@ -135,8 +135,8 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
     left = gram.left - 2.0 * size @ gram.pull + size @ gram.tip @ size
     return Floor(
         max(scale * math.sqrt(max(left, 0.0) / freedom), FINEST_m),
-        "what the best explanation leaves: there are no repeats and no camera's noise, so that an effect beyond the list would"
-        " pass for noise",
+        f"what the best explanation leaves: there are fewer than {REPEATS_LEAST} pairs of repeats in one posture and no camera's"
+        " noise, so that an effect beyond the list would pass for noise",
         UNMEASURED,
     )
 
