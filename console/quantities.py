@@ -29,8 +29,9 @@ def quantity(text: str, unit: str, what: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
+        comma = "; write a decimal point, not a comma" if "," in text else ""
         raise ArmError(
-            f'{what}: expected a number with one of the units {", ".join(UNITS[unit])}, got "{text}"'
+            f'{what}: expected a number with one of the units {", ".join(UNITS[unit])}, got "{text}"{comma}'
         )
     return value
 

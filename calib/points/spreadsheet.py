@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.arrays import Array
 from calib.errors import PointsFileError
 from calib.points.points import TIP, Points, make_points
 from control.files import read_bytes
@@ -131,13 +132,16 @@ def understood(
         )
     found = {ours: _column(sheet, ours, pattern, columns) for ours, pattern in wanted.items()}
     of_angle, of_length = [found[name] or "" for name in joints], [found[name] or "" for name in TIP]
-    angle = _unit(sheet, of_angle, angles, "--angles", ANGLES)
-    length = _unit(sheet, of_length, lengths, "--lengths", LENGTHS)
+    notes: list[str] = []
+    angle = _unit(sheet, of_angle, angles, "--angles", ANGLES, notes)
+    length = _unit(sheet, of_length, lengths, "--lengths", LENGTHS, notes)
     q_rad = np.column_stack([sheet.numbers(name) for name in of_angle]) * ANGLES[angle]
     tip_m = np.column_stack([sheet.numbers(name) for name in of_length]) * LENGTHS[length]
     named = {ours: sheet.words(name) for ours in OPTIONAL if (name := found[ours])}
     setup = named.get("setup") or ["free"] * len(q_rad)
     point = named.get("point") or [f"p{k}" for k in range(1, len(q_rad) + 1)]
+    if found["repeat"] is None:
+        point = _poses_again(setup, point, q_rad, notes)
     words = [f'{ours} is "{name}"' for ours, name in found.items() if name]
     unused = [name for name in sheet.names if name not in found.values()]
     further = JOINT.format(rf"(?:{arm.joint_count + 1})")
@@ -152,6 +156,7 @@ def understood(
             sheet.about,
             f"{', '.join(words)}; angles in {angle}, lengths in {length}",
             *([f"not used: {', '.join(unused)}"] if unused else []),
+            *notes,
         ),
     )
 
@@ -174,19 +179,38 @@ def _column(sheet: Spreadsheet, ours: str, pattern: str, columns: Mapping[str, s
 
 
 def _unit(
-    sheet: Spreadsheet, names: Sequence[str], given: str | None, option: str, units: Mapping[str, float]
+    sheet: Spreadsheet,
+    names: Sequence[str],
+    given: str | None,
+    option: str,
+    units: Mapping[str, float],
+    notes: list[str],
 ) -> str:
-    """The unit of columns: as given, else what their header says."""
-    if given is not None:
-        return given
+    """The unit of columns: as given, else what their header says. A header that says another one than was given is noted."""
     said = {
         next((unit for unit, form in UNITS if re.search(ALONE.format(form), name.lower())), None)
         for name in names
     }
     (unit,) = said if len(said) == 1 else (None,)
+    if given is not None:
+        if unit in units and unit != given:
+            notes.append(f'{option} {given}, although the header says {unit} ("{names[0]}"): is that right?')
+        return given
     if unit is None or unit not in units:
         raise Unclear(f"{sheet.path}: the unit of {', '.join(names)}", option, "", tuple(units))
     return unit
+
+
+def _poses_again(setup: Sequence[str], point: Sequence[str], q_rad: Array, notes: list[str]) -> list[str]:
+    """Names of points (m,), where rows with the same angles, q_rad (m, n), are repeats of the first of them, whatever they are
+    called: a running number names every measurement, and not a pose.
+    """
+    first: dict[tuple[object, ...], str] = {}
+    rows = zip(setup, point, q_rad.tolist(), strict=True)
+    names = [first.setdefault((own, *angles), name) for own, name, angles in rows]
+    if again := sum(a != b for a, b in zip(names, point, strict=True)):
+        notes.append(f"rows with the angles of an earlier one: {again}, taken as repeats of its point")
+    return names
 
 
 def _repeats(sheet: Spreadsheet, name: str | None, setup: Sequence[str], point: Sequence[str]) -> list[int]:

@@ -77,17 +77,22 @@ def _look(
     model = write_gap(outcome, arm, recordings, out)
     if record is not None and model.calibration is not None:
         record.append(model.calibration.inputs, quantities=quantities_of(outcome.finding))
-    _say(given, outcome, out)
+    _say(given, outcome, out, bool(points))
     return 0
 
 
-def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path) -> None:
+def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path, has_points: bool) -> None:
     warn((*outcome.warnings, *outcome.agreement))
     if given.json:
         sys.stdout.write(json_text(gap_content(outcome.finding)))
         return
     sys.stdout.write("".join(f"{sentence}\n" for sentence in in_words(outcome.finding)))
     sys.stdout.write(f"\nreport  {out / 'report.html'}\nmodel   {out / 'arm.toml'}\n")
+    if has_points:
+        sys.stdout.write(
+            f"Next: ask other points whether to use it: armwright verify --arm {out / 'arm.toml'} --against {given.arm}"
+            " --points OTHERS.csv\n"
+        )
 
 
 def _record(given: argparse.Namespace, arm: Arm, without: tuple[str, ...]) -> int:

@@ -104,3 +104,23 @@ def test_what_is_no_value_is_refused(row: str, said: str, tmp_path: Path) -> Non
 def test_an_answer_about_no_column_of_ours_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PointsFileError, match="--columns tipx: expected one of q1_rad"):
         points_of(tmp_path / "t.csv", f"{ENGLISH}1;2;3;4;5;6;a;1\n", tipx="x mm")
+
+
+def test_rows_with_the_same_angles_are_repeats_of_one_point_whatever_their_running_number(
+    tmp_path: Path,
+) -> None:
+    text = GERMAN.replace("Stelle", "Punkt") + "1;1;2;3;4;5;6;\n2;7;8;9;4;5;6;\n3;1;2;3;4;5;7;\n"
+    points = points_of(tmp_path / "t.csv", text)
+    assert (points.point, points.repeat) == (("1", "2", "1"), (1, 1, 2))
+    said = understood(read_sheet(tmp_path / "t.csv"), RIGHT, {}, None, None).in_words
+    assert said[-1] == "rows with the angles of an earlier one: 1, taken as repeats of its point"
+
+
+def test_a_unit_that_contradicts_the_header_is_noted(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(GERMAN + "a;1;2;3;4;5;6;\n", encoding="utf-8")
+    sheet = read_sheet(tmp_path / "t.csv")
+    assert (
+        understood(sheet, RIGHT, {}, "rad", "mm").in_words[-1]
+        == '--angles rad, although the header says deg ("Achse 1 [°]"): is that right?'
+    )
+    assert len(understood(sheet, RIGHT, {}, "deg", "mm").in_words) == 3
