@@ -387,7 +387,7 @@ class LimitSwitch:
         return level is not None and level is self.is_active_high
 
 
-class LimitSwitches:
+class LimitSwitchWatch:
     """Stops what moves towards an active limit switch, homed or not; away from it, everything goes."""
 
     def __init__(self, switches: Sequence[LimitSwitch]) -> None:

@@ -18,7 +18,7 @@ from control.loop.cross_checks import (
     CrossChecks,
     IndexWatch,
     LeadWatch,
-    LimitSwitches,
+    LimitSwitchWatch,
     MotorCountWatch,
     SwitchWatch,
 )
@@ -118,7 +118,7 @@ class Checks:
     switches: SwitchWatch
     motor_counts: MotorCountWatch
     leads: LeadWatch
-    limit_switches: LimitSwitches
+    limit_switches: LimitSwitchWatch
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from control.loop.cross_checks import (
     IndexWatch,
     LeadWatch,
     LimitSwitch,
-    LimitSwitches,
+    LimitSwitchWatch,
     MotorCountWatch,
     SwitchPlace,
     SwitchWatch,
@@ -127,7 +127,7 @@ def _checks(arm: Arm, measurement: Measurement, names: Sequence[str], period_s: 
         switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
         motor_counts=_motor_counts(arm, names),
         leads=LeadWatch(arm.limits.transmission_slack_rad, names),
-        limit_switches=LimitSwitches(list(_limit_switches(arm, names))),
+        limit_switches=LimitSwitchWatch(list(_limit_switches(arm, names))),
     )
 
 
