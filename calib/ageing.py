@@ -600,9 +600,6 @@ def _first_day(constant: Array, mixed: Array, square: Array, tolerance_m: float)
     return np.where(room <= 0.0, 0.0, np.where(square > 0.0, days, math.inf))
 
 
-# The trend in sentences, as text and as JSON.
-
-
 MILLI = 1e3
 CLOCKS_DIFFER = datetime.timedelta(days=1)  # of computers, and of dates that name no zone
 

@@ -23,9 +23,6 @@ from calib.results import Provenance, write_json
 from control.files import parsed_json, read_text
 from control.tables import TableColumn, TableFormat, read_table
 
-# boards.json: registered poses of the calibration board in each setup.
-
-
 FORMAT = "boards/1"
 SD_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 DECIMALS = 12

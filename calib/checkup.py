@@ -306,9 +306,6 @@ def _mean_of(logs: list[float]) -> float:
     return top + math.log(sum(math.exp(one - top) for one in logs) / len(logs))
 
 
-# From causes and their probabilities to what to do: nothing, recalibrate, or look at a joint.
-
-
 SURE: Final = 0.9  # probability from which one decision is given
 SLIP_rad: Final = (
     0.008  # of a zero: settling and temperature move it by less, a slipped coupling or a lost tooth by more
@@ -471,9 +468,6 @@ def decision_json(found: CheckupDecision) -> dict[str, object]:
         "left_rms_m": found.left_m,
         "in_words": sentences(found),
     }
-
-
-# Which few poses tell the causes apart best, by what the earlier points leave uncertain.
 
 
 POSES: Final = 8  # each is visited from two opposite sides

@@ -114,9 +114,6 @@ class Grammar:
         return parser
 
 
-# Runs operator lines in order over one connection, and stops at the first failure.
-
-
 NAMED_MOST = 5  # invalid lines of a script
 
 

@@ -23,8 +23,6 @@ from hil_mocks.devices.vesc import VescMock, VescSetup
 from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import JointWiring
 
-# The bought boards of a mock arm that are on its CAN bus: which joints they drive, and what their faults do.
-
 
 class PlantState(NamedTuple):
     """What the boards see of the plant, by joint: currents in the boards' own sense, supply, whether a bridge is at a limit."""

@@ -173,9 +173,6 @@ class SteppedCell(Closing):
         self.wires.close()
 
 
-# Plants of several arms in one world of MuJoCo.
-
-
 @dataclass(frozen=True, slots=True)
 class PlacedPlant:
     """What `plants_of` builds the plant of one arm from."""

@@ -288,8 +288,6 @@ class Wires:
             camera.close()
 
 
-# How a mock camera's packets reach the host: each transport is one class with the same methods. Nothing blocks.
-
 _LONGEST_DATAGRAM = 65536
 LOOPBACK = "127.0.0.1"
 

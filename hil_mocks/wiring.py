@@ -140,8 +140,6 @@ class Channels:
         return raw, is_home
 
 
-# Wiring between boards and motors, and its errors: swapped plugs, broken wires, jams, another gear, a loose coupling.
-
 LOOSE_PART = 0.05  # default share of motion lost by a loose coupling
 _SLIP_TURNS = 0.3  # motor turns, on average, between slips of a loose coupling
 

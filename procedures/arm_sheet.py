@@ -24,9 +24,6 @@ from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz
 from control.model.joint_map import JointMap
 from firmware_iface.encoder.wire import REPORT_WIRE_BYTES
 
-# Figures of an arm from its file alone: by sampled poses within its limits, nothing connected.
-
-
 POSES: Final = 4000
 BITS_A_BYTE: Final = 10  # 8N1
 
@@ -214,9 +211,6 @@ def _buses(arm: Arm, rate_Hz: float) -> Buses | None:
     )
 
 
-# What an arm.toml lacks, and which commands that keeps from working.
-
-
 @dataclass(frozen=True, slots=True)
 class Missing:
     """Something that is not in the file, and what is not possible without it."""
@@ -308,9 +302,6 @@ def _electrical(arm: Arm) -> Iterator[Missing]:
 
 def _joints(numbers: list[int]) -> str:
     return f"joint{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
-
-
-# The figures of an arm as text: lengths in mm, angles in deg.
 
 
 FULL = 1.0

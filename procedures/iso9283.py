@@ -225,9 +225,6 @@ def _require_clear(arm: Arm, poses: Sequence[Sequence[float]]) -> None:
             )
 
 
-# The test programmes on a mock arm in this process, on the stepped clock.
-
-
 def record_on_mock(
     arm: Arm, scenario: str, seed: int | None, planned: Planned, out: Path, speed: float, advance: Advance
 ) -> None:
@@ -235,9 +232,6 @@ def record_on_mock(
     advance("homing", 0.0)
     with saved_mock(arm, scenario, seed, out, speed) as (bench, client, recording):
         record(arm, Bench(client, recording, bench.rig.set_payload, speed=speed), planned, out, advance)
-
-
-# Evaluates recorded files to iso9283.json and iso9283.html.
 
 
 def evaluate_files(

@@ -47,9 +47,6 @@ from procedures.child_process import ends_with_parent
 from procedures.folders import free_folder
 from procedures.ports import move_together
 
-# An arm.toml for a mock arm: the arm's own, with the mock's ports.
-
-
 # The mock's boards and the loop share this machine with other programs, and a virtual machine may stall either for some
 # tenths of a second. Real boards are not stalled, so 20 ms of silence matter there; a mock arm is harmless.
 SHARED_MACHINE_STALE_S = 0.3
@@ -268,9 +265,6 @@ class RealTimeBench:
         self._folder.cleanup()
 
 
-# A mock cell on the bench, stepped in this process, and the runtime that is connected to it.
-
-
 Wired = Callable[[Arm, MockPorts], Arm]
 SHIFT_m, TURN_rad = 0.004, 0.007  # a base that was placed by tape measure, against its file
 
@@ -381,9 +375,6 @@ def as_bolted_down(cell: Cell, seed: int) -> Cell:
         rows = rotation_of(draw.normal(0.0, TURN_rad, 3)) @ np.array(placed.rotation)
         moved.append(Placed(placed.arm, (x, y, z), quaternion_of(rows.tolist())))
     return dataclasses.replace(cell, arms=tuple(moved))
-
-
-# The scenario of a mock arm as the text of a file, to be saved beside its measurements.
 
 
 def seeded_scenario(name: str, seed: int | None, was_homed: bool) -> bytes:

@@ -122,9 +122,6 @@ def together(masses: list[Mass]) -> Mass | None:
     return Mass(total, com, inertia, max(masses, key=lambda one: one.mass_kg).where)
 
 
-# The serial arm in a tree: which links lie between base and tip, its axes, and what each joint carries.
-
-
 @dataclass(frozen=True, slots=True)
 class SerialArm:
     """Joints from base to tip in the base link's frame at zero: axes, what they are, what each carries up to the next."""

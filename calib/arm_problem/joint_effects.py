@@ -247,8 +247,6 @@ def _named(name: str) -> tuple[str, int | None, int]:
     raise CalibrationError(f'no correction is called "{name}"')
 
 
-# Static effects as laws that are linear in their unknowns; `joint_effects` applies them.
-
 COUPLING: Final = "belt_coupling"
 DRIFT: Final = "thermal_drift"
 SHARE_PARTS: Final = 8

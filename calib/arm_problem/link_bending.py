@@ -138,9 +138,6 @@ def known_bending(
     return Bending(frozen(shift), frozen(turn))
 
 
-# Frames of all links for many poses, needed for effects that act on a link.
-
-
 @dataclass(frozen=True, slots=True)
 class LinkFrames:
     """Frames 0 (base) to L (last link) of m poses: origins (m, L + 1, 3) and axes (m, L + 1, 3, 3; columns x, y, z).

@@ -132,9 +132,6 @@ def inverse_jacobians(vectors: Array) -> Array:
     return np.asarray(np.eye(3) - 0.5 * cross + weight[:, None, None] * (cross @ cross))
 
 
-# Residual rows that are added behind those of an inner problem, with first derivatives only (Gauss-Newton).
-
-
 @dataclass(frozen=True, slots=True)
 class WithRows:
     """An inner expansion with the first `own` unknowns, and added residuals (r, 3) with their jacobian (r, 3, k).

@@ -254,8 +254,6 @@ def _linearised(both: _Overlap, x: Array, turn: Array, shift: Array) -> tuple[Ar
     return turned + shift - slopes.tips, jacobian
 
 
-# The arm's side of an alignment: joint angles over the encoders' time, from one log.
-
 STILL_rad_s = 0.005
 LEAP_rad, FASTEST_rad_s = 0.02, 50.0  # between samples; beyond both it is no motion
 SLOPE_s = 0.05  # over which speeds are taken: a count of an encoder is no speed

@@ -233,9 +233,6 @@ def contact_errors_m(arms: tuple[Arm, Arm], base: Frame, contacts: Contacts) -> 
     return problem.errors_m(np.zeros(len(problem.parameters)))
 
 
-# Results of two arms in contact: text for a terminal, pair.json, both arms' files.
-
-
 FORMAT = "pair/1"
 SCALE = (
     "Contacts in one place leave the scale of both arms open: it stays at nominal. Contacts at a known distance (distance_m)"
@@ -366,8 +363,6 @@ def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
         "in_words": open_in_words(found.known.undetermined),
     }
 
-
-# What a reader of a pair's calibration must know: whether it explains the contacts, which the others contradict, bounds.
 
 EXPLAINED = 0.5  # of the error of contacts left out: a calibration that leaves more has not understood them
 CONTRADICTED = 6.0  # times the median error of contacts left out

@@ -152,11 +152,6 @@ def _rest_rad(arm: Arm) -> Sequence[float]:
     return arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
 
 
-# Which contacts of a cell's two arms to take: the D-optimal ones of those that are reachable and clear, and these candidates.
-
-
-# Places where the tips of two arms of a cell can meet: both reach them, clear of each other, of themselves and of the floor.
-
 DRAWN = 6000  # poses of the first arm; one in ten gives a contact
 STARTS = 12  # from which postures of the second arm are searched
 LEVER = (

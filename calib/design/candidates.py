@@ -24,9 +24,6 @@ from control.model.arm import Arm, Table
 from control.model.table import SETUPS, board_cavities, board_rotation
 from control.motion.joint_limits import reach_m
 
-# Reachable poses of an arm: within its limits, clear of floor and board, with the tip at a given position.
-
-
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]
 LIMIT_MARGIN_RAD = 0.05  # an uncalibrated arm turns a little further than planned
@@ -135,9 +132,6 @@ def heights_over_board(points_m: Array, board: PlacedBoard) -> tuple[Array, Mask
     local = (points_m - board.origin_m) @ board.rotation
     is_over = np.hypot(local[:, :, 0], local[:, :, 1]) <= board.reach_m + BOARD_EDGE_M
     return local[:, :, 2], is_over & board.has_plane
-
-
-# Poses of the calibration board in each setup, for planning.
 
 
 OTHER_TILTS = ("roll-", "pitch-", "roll+pitch")  # the opposite tilts, and both tilts at once
@@ -279,9 +273,6 @@ def _fitted(arm: Arm, setup: str, points: Points | None) -> PlacedBoard | None:
 
 def _all(arm: Arm) -> dict[str, tuple[float, float, float]]:
     return {} if arm.table is None else board_cavities(arm.table)
-
-
-# Candidate poses: cavities of the board in each setup, and free poses visible to a camera.
 
 
 FREE = "free"

@@ -48,9 +48,6 @@ from calib.results import entries, write_json
 from control.model.arm import Arm
 from control.model.table import SETUPS
 
-# A request for a plan, and the plan.
-
-
 USUAL_COUNT = 12
 
 
@@ -215,9 +212,6 @@ def _information_of(experiment: Experiment, row: int) -> Array:
     return np.asarray(experiment.rows[row].T @ experiment.rows[row])
 
 
-# Visiting order of planned poses: setups together, short paths, none through floor or board.
-
-
 WAY_SAMPLES = 16
 WAY_HEIGHT_M = (
     0.05  # of the nominal tip above floor and boards between poses; an uncalibrated arm may be 4 cm off
@@ -289,9 +283,6 @@ def _untangled(path: list[int], ways: Array) -> list[int]:
     return path
 
 
-# plan.csv for the session, plan.json for other programs.
-
-
 FORMAT = "plan/1"
 
 
@@ -342,9 +333,6 @@ def _state(state: Uncertainty) -> dict[str, object]:
             "unit": state.least_known_unit,
         },
     }
-
-
-# Summary of a plan in sentences for the operator.
 
 
 NOTICEABLE = 0.03  # uncertainties that differ by less than this share count as equal
@@ -446,9 +434,6 @@ def _notes(plan: Plan) -> list[str]:
             f"Between free poses {before} and {after} a straight joint move hits the floor or the board: take a detour."
         )
     return sentences
-
-
-# Plans the next poses: candidates, selection, gain of each pose, and alternatives.
 
 
 WORKSPACE_POSES_COUNT = 400

@@ -44,9 +44,6 @@ from calib.validation.verify import Comparison, compare
 from control.model.arm import Arm
 from control.progress import Advance, silent
 
-# The whole calibration with lengths: where the devices stand, the arm's parameters, and readings left out.
-
-
 LEAST_READINGS = 6
 FOLDS = 5
 ONE_SEARCH = 0  # no further starts
@@ -243,9 +240,6 @@ def _as_vectors(errors_m: Array) -> Array:
     return np.column_stack((errors_m, np.zeros((len(errors_m), 2))))
 
 
-# The result of a calibration with lengths: text for a terminal, entries of calibration.json.
-
-
 def distances_text(made: DistancesFound) -> str:
     """Readings left out first, then what is determined, then the arm and where the devices stand."""
     tips = f", {made.tips} measured tips" if made.tips else ""
@@ -322,9 +316,6 @@ def distances_json(made: DistancesFound) -> dict[str, object]:
 
 def _mm(errors_m: Array) -> str:
     return f"{1e3 * float(np.abs(errors_m).mean()):.3f}"
-
-
-# Two models of an arm on lengths that calibration did not use: measured against modelled.
 
 
 def compare_lengths(

@@ -137,8 +137,6 @@ def massless_joints(bodies: tuple[ExportedLink, ...]) -> tuple[int, ...]:
     return tuple(joint for joint, does in weighs.items() if joint and not does)
 
 
-# XML output: numbers that read back exactly, and safe names and comments.
-
 # Not allowed in XML 1.0 even escaped: controls, lone surrogates, the last two of the first plane.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
@@ -170,9 +168,6 @@ def about(arm: Arm) -> str:
         return f"{text}; not calibrated"
     inputs = ", ".join(f"{name} (SHA-256 {digest})" for name, digest in made.inputs.items())
     return f"{text}; calibrated from {made.source} on {made.date}, {made.objective}, {made.program_version}, with {inputs}"
-
-
-# A drive at its joint for other formats, and messages about everything that a format cannot represent.
 
 
 HELD = ("viscous_friction", "coulomb_friction")
@@ -258,9 +253,6 @@ def _rest(arm: Arm, form: str) -> list[str]:
         if part
     ]
     return [f"{form} cannot express: {', '.join(parts)}; omitted"] if parts else []
-
-
-# A drive for other formats: joint limits, torque, speed, friction, rotor inertia, all at the joint.
 
 
 @dataclass(frozen=True, slots=True)

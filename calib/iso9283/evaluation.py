@@ -75,8 +75,6 @@ def _bands(first: Criterion, band_m: float | None) -> Bands | None:
     return Bands(found[0].value, "the repeatability RP_l of P1") if found and found[0].value > 0.0 else None
 
 
-# Criteria 4, 5 and 12 of recorded approaches: stabilization time, overshoot, minimum posing time.
-
 REST_s = 0.3  # at the end of an approach, of which the attained pose is the mean
 NOISE_SIGMAS = 4.5  # standard deviations per axis: exceeded by less than one of a thousand positions at rest
 
@@ -185,8 +183,6 @@ def posing_criterion(runs: Sequence[RecordedRun], bands: Bands | None) -> Criter
     ]
     return criterion(12, with_headlines(figures), needs)
 
-
-# Criteria 8 to 11 and 14 of recorded runs: paths, corners, speeds, path.
 
 POINTS_ON_PATH = 100
 PATH_MARGIN = 0.05  # of the length, at either end, omitted for start and stop

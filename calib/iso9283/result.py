@@ -142,9 +142,6 @@ def write_document(path: Path, evaluation: Evaluation, arm: str, made: Provenanc
     write_json(path, made.heading(FORMAT, arm=arm) | {"criteria": criteria, "notes": evaluation.notes})
 
 
-# iso9283.html: one file without any outside resource, a table of the fourteen criteria, pictures, every figure.
-
-
 SHOWN = {"m": (1e3, "mm", 3), "m/s": (1.0, "m/s", 4), "m/N": (1e6, "µm/N", 3), "rad": (1e3, "mrad", 3)}
 
 
@@ -217,8 +214,6 @@ def summary_text(criteria: Sequence[Criterion]) -> str:
 def _place(figure: Figure) -> str:
     return f"{figure.where}; {figure.count} cycles"
 
-
-# The report's pictures as SVG text: attained poses, path deviations, settling.
 
 STYLES = (
     ("#0072B2", "-"), ("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#000000", "-"), ("#E69F00", "--"),

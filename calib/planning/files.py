@@ -112,8 +112,6 @@ def _angles(q_rad: Sequence[float]) -> str:
     return " ".join(f"{q:.6f}" for q in q_rad)
 
 
-# What a plan brings, and why, in sentences.
-
 Plan = PathPlan | StopsPlan
 
 

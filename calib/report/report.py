@@ -38,8 +38,6 @@ from calib.validation.verify import (
 from control.files import write_whole
 from control.model.arm import Arm
 
-# Data of a report: plain dataclasses filled in by the caller.
-
 UNUSED = "at points that calibration did not use"
 
 

@@ -156,8 +156,6 @@ def _tool(nominal: Arm, calibrated: Arm) -> str:
     return f"Tip in the last frame: {was} mm nominal, {now} mm calibrated."
 
 
-# Sections of a report that compare errors before and after: at points, and along paths.
-
 SHOWN = 24  # most points listed unfolded
 SUMMARY = ("mean [mm]", "95 % of the mean [mm]", "RMS [mm]", "max [mm]", "sd [mm]")
 

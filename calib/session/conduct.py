@@ -166,9 +166,6 @@ def _require_cavities(targets: Sequence[Target], cavities_m: Mapping[str, Vector
             raise SessionError(f"the table has no cavity {target.point} ({target.name}); it has {some}, ...")
 
 
-# A session of one arm: its tip in the cavities of a board, or at free poses (calib.session.conversation).
-
-
 class AutomaticHand(Protocol):
     """An automatic hand: the mock arm's, which knows the true board pose."""
 

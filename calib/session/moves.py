@@ -120,9 +120,6 @@ class Geometry(Protocol):
         """Posture near which an arm at q_rad approaches a point."""
 
 
-# Forward and inverse kinematics of the nominal arm for a session.
-
-
 class ArmGeometry:
     """`calib.session.moves.ports.Geometry` of an arm."""
 

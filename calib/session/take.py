@@ -239,8 +239,6 @@ def _progress(
     return SessionProgress(stage, done, len(all_points), target.setup, target.point, record, reason)
 
 
-# The calibration table in a session and in an identification: points to visit, and reference tips.
-
 Cavities = Mapping[str, Sequence[float] | Array]
 
 

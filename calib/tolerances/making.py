@@ -330,9 +330,6 @@ def _gears(arm: Arm, terms: tuple[MakingTerm, ...], at: Conditions) -> tuple[Arr
     return state.flank, state.gravity_Nm
 
 
-# Draws arms as they are made: every tolerance is a factor, drawn on its own or exact.
-
-
 STEPS: Final = "encoder steps"
 # Key of tolerances.toml, term, whether the term is its inverse; and the effect of arm.toml that is the same, with its parameter.
 LAWS: Final[tuple[tuple[str, Kind, bool, str, str], ...]] = (

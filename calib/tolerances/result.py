@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# What the study says: how accurate the arms are at each stage, and what each tolerance costs.
-
-
 PERCENTILES: Final = (0.05, 0.5, 0.95)
 
 
@@ -121,9 +118,6 @@ def _cost(name: str, every: Array, exact: Array) -> FactorShare:
 def costliest(made: Made, stage: int) -> list[FactorShare]:
     """The factors by what they cost at a stage, the costliest first."""
     return sorted(made.costs, key=lambda one: -one.share[stage].value)
-
-
-# The study's result in sentences and as text.
 
 
 LISTED = 8
@@ -275,9 +269,6 @@ def _stage(made: Made, stage: int, tolerance_m: float | None) -> dict[str, objec
 # costs what.
 
 
-# Pictures of the study: how many arms keep what, where errors are large, and what costs most.
-
-
 STYLES = ((BEFORE, "--"), (AFTER, "-."), ("#009E73", "-"))
 BARS = 9
 COLOURS = "viridis"
@@ -351,9 +342,6 @@ def _draw_costs(figure: Figure, made: Made) -> None:
         axes.set(xlabel="mean square error less if exact [%]")
         axes.set_title(STAGES[stage], loc="left")
         axes.grid(visible=False, axis="y")
-
-
-# The page of the tolerance study.
 
 
 ABOUT = (

@@ -155,8 +155,6 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:NAMED_MOST]) + (f" and {more} more" if more > 0 else "")
 
 
-# Results of cameras as text for a terminal.
-
 REJECTED_NAMED = 8
 
 

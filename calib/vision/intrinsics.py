@@ -222,9 +222,6 @@ def _held_out(pictures: Sightings) -> float | None:
     return math.sqrt(2.0 * squares / freedom)
 
 
-# camera.json: the lens of a camera with its covariance, written by `armwright camera calibrate`.
-
-
 FORMAT = "camera/1"
 PIXELS_MOST = 100_000
 READOUT_MOST_s = 1.0

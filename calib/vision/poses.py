@@ -397,8 +397,6 @@ def _blocks(parts: Sequence[tuple[Misfit, Misfit]]) -> tuple[list[Array], list[A
     )
 
 
-# Poses of a target as points of an arm: each picture belongs to the pose of points.csv that its name says.
-
 SETUP = "camera"  # of markers.csv: the frame is the first camera's
 
 

@@ -434,8 +434,6 @@ def _bilinear(picture: Picture, places: Array) -> Array:
     return np.asarray(upper * (1 - down) + (g[i + 1, j] * (1 - right) + g[i + 1, j + 1] * right) * down)
 
 
-# A target as a PDF page of its true size.
-
 DOTS_A_METRE = 12_000  # an edge is within 0.04 mm
 MARGIN_m = 0.01
 INCH_m = 0.0254
@@ -457,9 +455,6 @@ def write_print(path: Path, target: Charuco | Tags) -> Path:
     figure.savefig(content, format="pdf", dpi=DOTS_A_METRE * INCH_m)
     replace_file(path, content.getvalue())
     return path
-
-
-# What pictures show of a target: its corners, and how sharp and how well lit they are.
 
 
 TRIED = 10  # pictures that are looked at again

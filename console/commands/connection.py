@@ -66,9 +66,6 @@ def with_present_tool(arm: Arm, client: ArmClient) -> Arm:
     return arm.with_tool(on) if on else arm
 
 
-# The running arms of a cell: a client for each, at its usual socket.
-
-
 @contextmanager
 def connected_arms(given: argparse.Namespace, names: tuple[str, ...]) -> Iterator[Mapping[str, ArmClient]]:
     """Clients of some arms of the command's cell. ArmError if they are not on one runtime."""

@@ -37,9 +37,6 @@ def run(given: argparse.Namespace) -> int:
     return MOTIONS[given.command](given)
 
 
-# ---- moves
-
-
 def _move(given: argparse.Namespace) -> int:
     if (given.joints is None) == (given.tip is None):
         raise ArmError("move: give either --joints or --tip")
@@ -165,9 +162,6 @@ def _jog(given: argparse.Namespace) -> int:
     if limited:
         sys.stderr.write(f"armwright: {limited}\n")
     return 1 if limited and not limited.startswith("slowed") else 0
-
-
-# ---- saving the present pose
 
 
 def _mark(given: argparse.Namespace) -> int:

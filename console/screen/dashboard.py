@@ -165,9 +165,6 @@ class CommandBox(Input):
         self.cursor_position = len(self.value)
 
 
-# The contents of the main screen's panels: text and the arm are updated three times a second, plots once.
-
-
 TEXT_S, VIEW_S, PLOT_S = 0.3, 0.3, 0.9  # multiples, so that updates coincide and are drawn in one pass
 STILL_rad = 1e-3  # smaller changes of pose are not redrawn
 PanelSize = Callable[[str], tuple[int, int]]  # columns and rows inside a panel

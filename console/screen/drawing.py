@@ -31,9 +31,6 @@ from control.model import table as tables
 from control.model.arm import Arm
 from control.motion.joint_limits import reaches_m
 
-# The console's colours: one accent and two for warnings. Everything uses them through style.tcss.
-
-
 ACCENT = "#3fc1b0"
 THEME = Theme(
     name="armwright",
@@ -158,9 +155,6 @@ class Canvas:
         return (chr(_EMPTY + cell), self._looks[row][column]) if cell else (" ", "plain")
 
 
-# Converts drawings to ASCII for terminals that show nothing else.
-
-
 _PLAIN_TERMS = ("linux", "ansi", "vt100", "vt102", "vt220", "dumb")  # no braille in their fonts
 _BY_DOTS = " .:-+*oO#"  # a braille character by its number of dots
 _SIGNS = {
@@ -189,9 +183,6 @@ class AsciiFilter(LineFilter):
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
         """Convert the segments, keeping their lengths."""
         return [Segment(ascii_of(text), style, control) for text, style, control in segments]
-
-
-# The last half minute of plotted values in bins of time; a bin holds the value furthest from zero.
 
 
 BIN_s = 0.25
@@ -254,9 +245,6 @@ class History:
         if tip is None or last is None or now_s <= last[0]:
             return 0.0
         return math.dist(tip, last[1]) / float(now_s - last[0])
-
-
-# Plots over time in characters, with axes and numbers; lines are distinguished by their signs.
 
 
 GUTTER = 6  # columns for the numbers of the value axis
@@ -483,9 +471,6 @@ def _outline(arm: Arm) -> list[Point]:
     return [tables.to_base(arm.table, "normal", (x, y, 0.0)) for x, y in edge]
 
 
-# A panel of rows; only changed rows are redrawn.
-
-
 class Panel(Widget):
     """Rows with a title in the border."""
 
@@ -539,9 +524,6 @@ class Panel(Widget):
             found = self.get_component_rich_style(f"look--{look}") if look else self.rich_style
             self._styles[look] = found
         return self._styles[look]
-
-
-# A scrolling log: lines with the local time, wrapped to the panel's width.
 
 
 LONGEST = 500  # entries; older ones are dropped

@@ -320,8 +320,6 @@ class OperatingScreen(Screen[None]):
         await asyncio.sleep(0)
 
 
-# Modal dialogs. Space stops the arm in them, too.
-
 # No line is wider than 66: a terminal of 80 columns shows it whole.
 HELP = """\
 [b]space[/]     STOPS the arm, everywhere, and whatever line runs

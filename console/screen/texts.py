@@ -239,8 +239,6 @@ def _near(text: str, share: float) -> Span:
     return (f"~{text}", "warning") if share > NEAR else (text, "plain")
 
 
-# Events between two statuses of the runtime, as text for the log.
-
 Event = tuple[str, bool]  # text, whether it is a fault
 
 

@@ -279,8 +279,6 @@ ASSESSING = (
 )
 
 
-# Commands that plan with what is known of an arm's error.
-
 PLANNING = (
     CommandSpec(
         "plan-path",

@@ -322,8 +322,6 @@ CALIBRATING = (
 )
 
 
-# The command that names the effects that the model lacks.
-
 GAP = (
     CommandSpec(
         "gap",

@@ -108,9 +108,6 @@ FILES = (
 )
 
 
-# Commands that show recordings or the live arm, and completion for the shell.
-
-
 LOG_HELP = "a .armlog recording, the folder of a cell's run, a log.csv(.gz), or an MCAP of `armwright export`"
 
 VISUALISATION = (

@@ -285,8 +285,6 @@ OPERATING = (
 )
 
 
-# Commands for several arms of one cell.
-
 CELL_OF_CLIENT = option(
     "--cell",
     metavar="C",
@@ -349,8 +347,6 @@ CELLS = (
     ),
 )
 
-
-# Commands for what is at the end of the arm.
 
 LEVELS = ("on", "off")
 END_EFFECTOR = (

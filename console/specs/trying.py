@@ -94,9 +94,6 @@ TRYING = (
 )
 
 
-# Commands for a new arm: checks, bring-up and tuning.
-
-
 MOCK = (
     option("--mock", action="store_true", help="use a mock arm on a stepped clock"),
     scenario(),

@@ -36,8 +36,6 @@ from console.visualisation.metrics import tip_error_m
 from console.visualisation.series import SHORTEST, Array, Series, envelope, orders, spectrum
 from console.visualisation.traces import tips_of
 
-# Pictures of the whole arm: supply, spectra, tip, cycle timing.
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
@@ -168,9 +166,6 @@ def draw_lateness(figure: FigureBase, series: Series, joints: Sequence[int]) -> 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
-
-
-# Pictures with a row a joint: tracking, following errors, currents, voltages.
 
 
 def draw_tracking(figure: FigureBase, series: Series, joints: Sequence[int]) -> None:

@@ -122,8 +122,6 @@ def _numbers(texts: list[str]) -> Array:
         return np.full(len(texts), np.nan)
 
 
-# The recording of a cell as one series: the joints of all arms on one clock.
-
 PER_JOINT = (
     "q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A", "voltage_V", "supply_V", "temperature_C",
 )  # fmt: skip
@@ -177,9 +175,6 @@ def _known(series: Series) -> Series:
     for name in ("q_set_rad", "joint_set_rad"):
         angles[name] = followed * angles[name]
     return replace(series, **angles)
-
-
-# Reads an MCAP file of `armwright export`, complete or truncated, as a series.
 
 
 NOT_A_NUMBER = float("nan")

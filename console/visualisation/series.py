@@ -74,9 +74,6 @@ def _numbered_runs(run: Array, names: tuple[str, ...] | None) -> tuple[NDArray[n
     return numbers, tuple(str(number) for number in found)
 
 
-# The time series of a recording, independent of the file format.
-
-
 Array = NDArray[np.float64]
 FOLLOWING_MODES: Final = (
     "HOLDING",
@@ -224,9 +221,6 @@ def joined_runs(t_s: Array, run: NDArray[np.int64]) -> Array:
     if len(steps):
         steps[0] = 0.0
     return np.asarray(np.cumsum(steps))
-
-
-# Thinning of long recordings for drawing: envelopes that lose no peak, averaged spectra over time and over motor angle.
 
 
 BUCKETS: Final = 2000  # about the width of a figure in pixels

@@ -108,8 +108,6 @@ def seeds(
         yield tuple(q)
 
 
-# Newton's method for the tip position of a three-joint arm, one compiled straight-line step at a time.
-
 ACCURACY_M = 1e-9
 _NEWTON_STEPS = 8
 _QUADRATIC_M2 = 1e-10  # squared error from which one more step reaches the accuracy

@@ -242,8 +242,6 @@ def _without_constant(x: Symbol) -> tuple[Scalar, float]:
     return x, 0.0
 
 
-# Code generation from traced expressions: exact derivatives, and compiled straight-line functions.
-
 Owner = TypeVar("Owner")
 Built = TypeVar("Built")
 KEPT = 64  # compiled functions of each sort

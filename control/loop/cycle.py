@@ -324,8 +324,6 @@ class Cycle(ArmState):
         motion_modes.stop(self, why)
 
 
-# One cycle as a row of the recording, in the order of control.recording.record.Layout.
-
 GRIPPER_STATE_NUMBER = {state: number for number, state in enumerate(GripState)}
 MODE_NUMBER = {mode: number for number, mode in enumerate(Mode)}  # as recorded
 

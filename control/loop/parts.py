@@ -32,8 +32,6 @@ from control.recording.record import Recorder
 from control.safety.limits import SetPointLimits, UniqueTurn
 from control.servo.servo import GravityCompensation, Servo
 
-# Timing statistics of the last cycles: lateness, time spent, deadlines missed.
-
 Strain = Callable[[], tuple[int, int]]
 KEPT_CYCLES = 500  # a second at the usual rate
 

@@ -22,8 +22,6 @@ from control.motion.spline import CartesianSpline
 from control.motion.waypoints import Waypoints
 from control.safety.workspace import LinkThickness, Workspace
 
-# Samples of a whole path for the checks before a motion: numpy batches, not used in the cycle.
-
 Array = NDArray[np.float64]
 _SLOPE_RAD = 1e-5  # of the fastest joint: the difference that gives Jdot
 

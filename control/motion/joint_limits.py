@@ -71,8 +71,6 @@ class JointLimits:
         )
 
 
-# Limits of a jog: much slower than a checked motion, because a person is near.
-
 # For a joint without a zero, whose range is unknown: an end stop is reached slowly and with half of the current.
 UNHOMED_SPEED_rad_s = 0.1
 # The tip takes about 0.2 s from rest to speed; more if the joints cannot follow.

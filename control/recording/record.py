@@ -269,8 +269,6 @@ class Recorder:
         self._sink.close()
 
 
-# Which columns an arm's recording has, and what its header says about them.
-
 TOOL_FIELD = ("tool", "B")  # index into the header's `tools`
 GRIPPER_FIELDS = (("gripper_m", "f"), ("gripper_goal_m", "f"), ("gripper_A", "f"), ("gripper_state", "B"))
 DIGITAL_FIELD = ("digital", "I")  # bits, in the order of the header's `digital`

@@ -104,8 +104,6 @@ def middle(one: Capsule, other: Capsule) -> tuple[float, float, float]:
     )
 
 
-# The body of an arm as capsules in the frame of its cell: base, links, and the slender tool at its end.
-
 Capsules = tuple[Capsule, ...]
 BASE, TOOL = "base", "tool"
 LEAST_m = 1e-9  # a shorter link has no direction

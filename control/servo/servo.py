@@ -192,9 +192,6 @@ class Servo:
         return self._gain_shares(q_rad) if knows_pose else self._gain_shares.unknown
 
 
-# Feed-forward torques of a motion: rigid body, rotors, the effects of the arm's file, and what the last link carries.
-
-
 class MotionTorque:
     """The torques of one arm; `loads` may change at run time."""
 

@@ -354,9 +354,6 @@ def step_together(plants: Sequence[Plant], steps: int) -> None:
         done = until
 
 
-# Errors between the angle of the motor or joint and its encoder's reading.
-
-
 class Shaft:
     """Angle of what the encoder is on, in joint radians -> encoder angle. With eccentricity and drift, the joint leads."""
 

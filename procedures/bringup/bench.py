@@ -313,9 +313,6 @@ def _fault_names(motor: MotorBoard) -> str:
     return ", ".join(str(flag.name).lower().replace("_", " ") for flag in flags) or "no fault bit"
 
 
-# Opens the arm of a command: on its own ports or as a mock arm, with the matching clock.
-
-
 @dataclass(frozen=True, slots=True)
 class Setting:
     """An arm with its ports, the clock, and the mock behind the ports (None with real boards)."""

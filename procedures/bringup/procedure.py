@@ -153,9 +153,6 @@ def _with_friction(effects: list[Effect], joint: int, friction: list[float | Non
     return others
 
 
-# The whole bring-up: pulses on every motor board, then joint by joint; the journal lists the joints that passed.
-
-
 SURVEY_SPEED_rad_s = 0.3
 PASS_SPEED_rad_s = 0.45  # of the fastest friction pass
 CURRENT_SHARE = 0.15  # of the current limit, unless gravity needs more

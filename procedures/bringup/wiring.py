@@ -183,9 +183,6 @@ def _judged(
     )
 
 
-# Wiring from the pulses: the motor board and encoder channel of each joint, and their signs.
-
-
 NO_CURRENT = 0.1  # of the current that the voltage would drive through the windings at rest
 NO_CURRENT_A = 0.06  # more is not noise; friction of a small gear needs it
 SAME_COUNT = 0.5  # tolerance of the motor board's count: a joint sinks between readings

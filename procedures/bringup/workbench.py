@@ -228,9 +228,6 @@ class MockOperator:
             plant.block(j, j + 1 in joints, "operator")
 
 
-# What bring-up asks of the boards, whatever their kind, and what it is told in each cycle.
-
-
 Channel = tuple[int, int]
 """Encoder board and channel on it, both from 0."""
 

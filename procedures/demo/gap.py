@@ -39,8 +39,6 @@ from procedures.gap.recording import record
 from procedures.mock import MockBench
 from procedures.verify.survey import Model, Place, Programme, Survey, compared, paired, recorded, ways
 
-# The effect that is hidden: effect, joint and size, drawn by a seed or chosen.
-
 Range = tuple[float, float]
 GEOMETRY = {
     "d_m": 0.002,
@@ -331,9 +329,6 @@ def _newest(out: Path) -> Path:
     if not found:
         raise ArmError(f"{out / 'log'}: the runtime writes no recording")
     return found[-1]
-
-
-# The report of `armwright demo gap`: from the measurements to the corrected arm.
 
 
 def findings(circle: Circle) -> tuple[str, ...]:

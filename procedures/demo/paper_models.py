@@ -85,9 +85,6 @@ def free_poses(arm: Arm, seed: int = 0) -> Array:
     return np.asarray(q[taken])
 
 
-# Motions and recording of the replay: poses approached gently from a given side, and cavities with the tip seated by hand.
-
-
 APPROACH_rad: Final = 0.06  # last approach of every joint: several times the backlash
 # Of the joints' limits, for the approach. At full speed the links' inertia throws the gears onto the other flank when the arm
 # brakes, which neither currents nor directions show; at 0.3, link friction brakes harder than the motors.
@@ -169,9 +166,6 @@ def inside(arm: Arm, q_rad: Array) -> Array:
     """The angles within the joints' limits."""
     lower, upper = np.array(arm.limits_rad).T
     return np.clip(q_rad, lower, upper)
-
-
-# The identified models of the replay, and the encoder angles that move their tips to targets.
 
 
 TILTS, FREE, BACKLASH = "all tilts", "tilts and free", "with backlash"

@@ -50,9 +50,6 @@ OTHER_TRAJECTORY: Final = {
 }
 
 
-# Results of the replay: mean errors before and after, and improvements with 95 % intervals.
-
-
 PLACES = (*SETUPS, OTHER)
 
 
@@ -200,9 +197,6 @@ def widths_text(model: PaperModel) -> str:
     """Backlash of each joint of a model, in mrad."""
     widths = (f"joint {e.joint} {1e3 * e.parameters['width_rad']:.2f} mrad" for e in model.backlash)
     return ", ".join(widths) or "none"
-
-
-# report.html of the replay: measured and published results, and the differences between the experiments.
 
 
 DIFFERS = (

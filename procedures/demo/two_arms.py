@@ -311,9 +311,6 @@ def _on_circle(points_m: Array) -> Array:
     return np.asarray(CENTRE_m + RADIUS_m * flat / norms(flat)[:, None])
 
 
-# The report of `armwright demo two-arms`: where the tips met, what was found, and the circle of one beside the other.
-
-
 SHOWN_s = 12.0  # of the recording
 ARM_COLOURS = (BEFORE, AFTER)
 CALIBRATED = ("as the files say", "second base placed alone", "both arms calibrated")

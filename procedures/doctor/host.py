@@ -194,9 +194,6 @@ def _written(folder: Path, now_s: Callable[[], float]) -> tuple[float, float]:
         return DISK_TEST_bytes / max(now_s() - begun_s, 1e-9), longest_s
 
 
-# Ports and buses: stable names, latency settings, the state of a CAN interface before it is opened, and its frames after.
-
-
 PORTS = "ports"
 LEAST_QUEUE = 50  # frames: a burst of set-up requests must fit
 _ASK_LIMIT_S = 5.0
@@ -341,9 +338,6 @@ def kernel_details(channel: str) -> Mapping[str, Any] | None:
     except (OSError, subprocess.SubprocessError, ValueError):
         return {}
     return entries[0] if entries else {}
-
-
-# How the loop kept time in the last recording: age of the counts, lateness, and what caused it.
 
 
 LAST_RECORDING = "last recording"

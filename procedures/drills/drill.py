@@ -329,9 +329,6 @@ def _from_section_m(tip: Point, start: Point, end: Point) -> float:
     return math.dist(tip, [a + share * d for a, d in zip(start, along, strict=True)])
 
 
-# A drill on the stepped clock.
-
-
 WATCHED_S = 2.0  # after the fault
 KEPT = 0.5  # of the grip's force: less holds no part
 LOOKED = 10  # cycles between two looks at the speed of the tip
@@ -395,9 +392,6 @@ class Drill(Promise):
         elif self.during == MOVE and found:
             lost.append("the motion")
         return ", ".join((*lost, *(["the grip"] if has_dropped else []))) or "nothing"
-
-
-# The outcome of drills as text: one line a drill.
 
 
 HEADER = ("drill", "during", "noticed", "stood", "off path", "ran on", "lost", "found")

@@ -309,9 +309,6 @@ def _path_of(fd: int) -> Path:
     return Path(f"/proc/self/fd/{fd}").readlink()
 
 
-# Drills in real time: the loop's own process is killed or paused by a signal, mock arm and boards in another process.
-
-
 FROM_rad, TO_rad = (-1.0, -0.6, 0.2), (1.2, -0.6, 0.2)
 FAST_FROM_rad = -0.2  # joint 1 is at full speed from here on
 LOOK_S = 0.005

@@ -219,9 +219,6 @@ def _number(word: str, what: str) -> float:
     return value
 
 
-# The questions of `armwright new`: each has an option that answers it and a default; a bad answer is asked again.
-
-
 class Asker(Protocol):
     """Somebody who answers a line at a time."""
 

@@ -249,9 +249,6 @@ def _rounded(value: float) -> float:
     return float(f"{math.floor(value / step + 1e-9) * step:.2g}")
 
 
-# An arm from axes and lengths: at joint angles zero it stands stretched, its links along z.
-
-
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 ALONG_LIMIT_rad, ACROSS_LIMIT_rad = 2.6, 1.9  # cables; and a link that does not fold into the one before
 LEAST_LINK_m = 0.07  # as which a shorter link weighs

@@ -132,9 +132,6 @@ def mock_pair(cell: Cell, folder: SessionFolder, scenario: str | None) -> Iterat
         bench.close()
 
 
-# What a session of two arms in contact works with: both runtimes' ports, and on a mock the hands at both tips.
-
-
 Names = tuple[str, str]
 
 

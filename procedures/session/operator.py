@@ -479,9 +479,6 @@ def _finite(value: float) -> float | None:
     return round(value, 4) if math.isfinite(value) else None
 
 
-# The operator's side of `armwright session`: where answers come from, where messages go, what is said first and last.
-
-
 SPEED = 0.5  # of the joints' limits, for moves near people
 
 

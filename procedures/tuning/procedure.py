@@ -356,9 +356,6 @@ def _require_margins(joint: int, after: Trial) -> None:
         )
 
 
-# The tuning report: margins and steps before and after, Bode and Nyquist plots of the measurements.
-
-
 MEASURED = "#1d2430"
 TICKS_Hz = (2, 5, 10, 20, 50)
 

@@ -150,9 +150,6 @@ def usable(measured: MeasuredResponse, least_coherence: float) -> MeasuredRespon
     )  # fmt: skip
 
 
-# A runtime in this process for tuning, with a probe between it and the boards, and the test motions of a joint.
-
-
 # A probe between loop and boards: adds a known signal to one joint's output, and records commands and counts.
 @dataclass(slots=True)
 class Trace:

@@ -238,8 +238,6 @@ def _listed(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-# Measured orientations that are not what their columns say: another order, the inverse, another frame, another target.
-
 OFF_rad = (
     0.35  # mean angle at nominal beyond which they are not this arm's: deviations of 2 deg make a few of them
 )

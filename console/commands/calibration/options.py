@@ -78,9 +78,6 @@ def board_frames(file: str | None) -> dict[str, Frame]:
     }
 
 
-# The options --history and --measured: the result's line in the record of an arm.
-
-
 @dataclasses.dataclass(frozen=True, slots=True)
 class HistoryRecord:
     """Where and when; asked for and checked before anything is computed."""

@@ -106,9 +106,6 @@ def _pose_figures(trust: Trust, file: Path, recorded: Points) -> tuple[PoseFigur
     return found
 
 
-# `armwright trust --design`: how accurate arms will be that are made to given tolerances.
-
-
 OPTIONS = ("tolerances", "arms", "seed", "workers", "cluster")
 NOT_OURS = ("task", "visits", "boards")
 DESIGN_RESULTS = ("tolerances.json", "map.npz", "report.html")
