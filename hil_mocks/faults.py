@@ -32,7 +32,7 @@ OF_MOTOR = (
     | _BUILT_INTO_MOTOR
     | {"over_current", "over_temperature", "supply", "encoder_fault", "swapped_polarity"}
     | {"dead_motor", "stuck_joint", "says_current", "says_supply", "says_temperature"}
-    | {"switched_off", "switched_on"}
+    | {"switched_off", "switched_on", "stuck_encoder"}
 )
 OF_BOUGHT = ON_FRAMES | {
     "board_reset", "e_stop", "over_current", "over_temperature", "supply", "swapped_polarity", "dead_motor", "stuck_joint",

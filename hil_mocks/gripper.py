@@ -82,10 +82,12 @@ class PinWires:
         ]
 
     def set_level(self, name: str, level: bool) -> None:
-        """Put a level on an input from outside. RigError for an unknown name."""
+        """Put a level on an input from outside; its limit switch changes by hand from then on. RigError for an unknown name."""
         if name not in self._places:
             raise RigError(f'mock arm: no pin "{name}"; there are {", ".join(self._places) or "none"}.')
-        self._put(self._places[name], level)
+        place = self._places[name]
+        self._limits = [limit for limit in self._limits if limit[0] != place]
+        self._put(place, level)
 
     def levels(self) -> dict[str, bool]:
         """Levels at all named pins."""

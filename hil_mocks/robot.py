@@ -41,6 +41,7 @@ class MockRobot:
         arm = as_built(arm, scenario)
         self._tools = {tool.name: tool_parts(tool) for tool in arm.tools}
         self._loose: dict[int, LooseCoupling] = {}
+        self._stuck_counts: dict[int, int] = {}  # of motor boards, by joint
         self._turn_rad = [2.0 * math.pi / drive.gear_ratio for drive in arm.drives]
         self.plant = plant or build_plant(arm, scenario)
         self._reading_rad = self.plant.encoder_angles_rad()  # of this tick
@@ -273,9 +274,12 @@ class MockRobot:
         wired, loose = self._wiring[j], self._loose
         motor_count = wired.motor_count
         if wired.has_second_encoder:
-            return lambda: motor_count(self.plant.motor_rad(j))
+            stuck = self._stuck_counts
+            return lambda: stuck[j] if j in stuck else motor_count(self.plant.motor_rad(j))
 
         def count() -> int:
+            if j in self._stuck_counts:
+                return self._stuck_counts[j]
             reading_rad = self._reading_rad[j]
             if j in loose:
                 reading_rad += loose[j].slip_rad
@@ -376,7 +380,12 @@ class MockRobot:
             self._switch_encoder(fault, self._encoder_names.index(fault.board), is_on)
 
     def _switch_motor(self, fault: FaultTable, at: int, is_on: bool) -> None:
-        if not self._motors.switch(fault, self._motor_joints[at], is_on):
+        joint = self._motor_joints[at]
+        if fault.kind == "stuck_encoder":
+            self._stuck_counts.pop(joint, None)
+            if is_on:
+                self._stuck_counts[joint] = self._motor_counter(joint)()
+        elif not self._motors.switch(fault, joint, is_on):
             switch_motor_board(self.motor_boards[at], fault, is_on, self.now_s)
 
     def _switch_encoder(self, fault: FaultTable, i: int, is_on: bool) -> None:

@@ -372,7 +372,10 @@ class IndexWatch:
 
 @dataclass(frozen=True, slots=True)
 class LimitSwitch:
-    """A switch at an end of a joint's range (0-based), by the name of its pin. `side`: 1 at the upper end, -1 at the lower."""
+    """A switch at an end of a joint's range (0-based), by the name of its pin. `side`: 1 at the upper end, -1 at the lower.
+
+    It changes at one place, which is good to `edge_rad`.
+    """
 
     joint: int
     name: str
@@ -380,18 +383,46 @@ class LimitSwitch:
     side: float
     is_active_high: bool
     is_home: bool  # homing seeks it
+    edge_rad: float
 
-    def is_active(self, levels: Mapping[str, bool | None]) -> bool:
-        """Whether it is active; not while its board does not say."""
+    def is_active(self, levels: Mapping[str, bool | None]) -> bool | None:
+        """Whether it is active; None while its board does not say."""
         level = levels[self.pin]
-        return level is not None and level is self.is_active_high
+        return level if level is None else level is self.is_active_high
+
+
+class MetSwitch:
+    """Which way is barred by an active limit switch: the one in which its joint met it, whatever arm.toml says of its side.
+
+    So a switch that is wired to the other end stops its joint, too, and lets it back out. One that was active from the start
+    is taken at its word. Where it was left it may chatter: it is met there in the same direction.
+    """
+
+    __slots__ = ("_at_rad", "_was_active", "barred", "switch")
+
+    def __init__(self, switch: LimitSwitch) -> None:
+        self.switch = switch
+        self.forget()
+
+    def forget(self) -> None:
+        """Nobody looked: the joint was moved otherwise, or has another zero."""
+        self.barred, self._was_active, self._at_rad = self.switch.side, True, math.nan
+
+    def follow(self, is_active: bool, q_rad: float, speed_set_rad_s: float) -> None:
+        """Take a cycle's level."""
+        if is_active:
+            is_met = not self._was_active and not abs(q_rad - self._at_rad) <= self.switch.edge_rad
+            if is_met and speed_set_rad_s != 0.0:
+                self.barred = math.copysign(1.0, speed_set_rad_s)
+            self._at_rad = q_rad
+        self._was_active = is_active
 
 
 class LimitSwitchWatch:
-    """Stops what moves towards an active limit switch, homed or not; away from it, everything goes."""
+    """Stops what moves further into an active limit switch, or towards one that nobody knows of; out of it, everything goes."""
 
     def __init__(self, switches: Sequence[LimitSwitch]) -> None:
-        self._switches = tuple(switches)
+        self._met = tuple(MetSwitch(switch) for switch in switches)
         self._homes = tuple(switch for switch in switches if switch.is_home)
 
     def mark_homes(self, levels: Mapping[str, bool | None], channel_flags: list[int]) -> None:
@@ -400,25 +431,42 @@ class LimitSwitchWatch:
             if switch.is_active(levels):
                 channel_flags[switch.joint] |= HOME_SWITCH
 
+    def forget(self) -> None:
+        """Start anew: the set-point did not say where the joints go."""
+        for met in self._met:
+            met.forget()
+
     def look(
-        self, levels: Mapping[str, bool | None], speed_set_rad_s: Sequence[float], is_homing: bool
+        self,
+        levels: Mapping[str, bool | None],
+        q_rad: Sequence[float],
+        speed_set_rad_s: Sequence[float],
+        is_homing: bool,
     ) -> list[Fault]:
-        """Return a fault for each joint whose set-point moves towards an active switch, unless homing seeks it."""
-        return [
-            _of_limit(switch)
-            for switch in self._switches
-            if speed_set_rad_s[switch.joint] * switch.side > 0.0
-            and not (is_homing and switch.is_home)
-            and switch.is_active(levels)
-        ]
+        """Return a fault for each joint whose set-point moves further into a switch, unless homing seeks that end."""
+        faults = []
+        for met in self._met:
+            switch = met.switch
+            is_active, speed_rad_s = switch.is_active(levels), speed_set_rad_s[switch.joint]
+            if is_active is None:
+                if speed_rad_s * switch.side > 0.0:
+                    faults.append(_of_limit(switch, "whose board does not say whether it is active"))
+                continue
+            met.follow(is_active, q_rad[switch.joint], speed_rad_s)
+            is_at_its_end = met.barred == switch.side
+            is_sought = is_homing and switch.is_home and is_at_its_end
+            if is_active and speed_rad_s * met.barred > 0.0 and not is_sought:
+                says = "which is active" if is_at_its_end else "which seems to be wired to the other end"
+                faults.append(_of_limit(switch, says))
+        return faults
 
 
-def _of_limit(switch: LimitSwitch) -> Fault:
+def _of_limit(switch: LimitSwitch, says: str) -> Fault:
     end = "upper" if switch.side > 0.0 else "lower"
     return Fault(
         "limit_switch",
         switch.name,
-        f"it moved towards its {end} limit switch ({switch.pin}), which is active",
+        f"it moved towards its {end} limit switch ({switch.pin}), {says}",
         "jog it the other way; if it is not at its end, check the switch and its wire, the joint's zero and its limits in"
         " arm.toml",
         Reaction.CONTROLLED,

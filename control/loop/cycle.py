@@ -147,10 +147,14 @@ class Cycle(ArmState):
     def _at_limit_switches(self) -> list[Fault]:
         """What is about to move past the end of its range."""
         outputs = self.parts.outputs
-        if outputs is None or not self.is_controlled():
+        if outputs is None:
+            return []
+        watch, q_rad = self.parts.checks.limit_switches, self.parts.measurement.q_rad
+        if not self.is_controlled():
+            watch.forget()
             return []
         is_homing = self.monitor.mode is Mode.HOMING
-        return self.parts.checks.limit_switches.look(outputs.levels, self.set_point.speed_rad_s, is_homing)
+        return watch.look(outputs.levels, q_rad, self.set_point.speed_rad_s, is_homing)
 
     def _contradictions(self) -> list[Fault]:
         """What the boards' values say against each other, while they are fresh and the drives are on."""

@@ -118,7 +118,9 @@ class JointHoming:
         """Advance by one cycle and return the step of the set-point in rad. HomingFailed if switch or index is not found."""
         is_active = bool(feedback.channel_flags[self._joint] & HOME_SWITCH)
         if self.phase in (Phase.RELEASE, Phase.CHECK):
-            return self._release(is_active, elapsed_s)
+            if is_active or self._since_active_rad < self._home.backoff_rad:
+                return self._release(is_active, elapsed_s)
+            self._enter(Phase.SEEK)  # at once: behind it there may be the limit switch of the other end
         if self.phase is Phase.SEEK:
             return self._seek(is_active, elapsed_s)
         if self.phase is Phase.INDEX:
@@ -141,8 +143,6 @@ class JointHoming:
     def _release(self, is_active: bool, elapsed_s: float) -> float:
         step = self._go(-self._forth * self._home.speed_rad_s, elapsed_s)
         self._since_active_rad = 0.0 if is_active else self._since_active_rad + abs(step)
-        if not is_active and self._since_active_rad >= self._home.backoff_rad:
-            self._enter(Phase.SEEK)
         self._check(self._way_rad(), "its home switch stays active", "check for a stuck or inverted switch")
         return step
 

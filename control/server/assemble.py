@@ -250,7 +250,8 @@ def _limit_switches(arm: Arm, names: Sequence[str]) -> Iterator[LimitSwitch]:
         for end, pin, side in (("lower", switches.lower, -1.0), ("upper", switches.upper, 1.0)):
             is_home = drive.home is not None and drive.home.switch == end
             if pin:
-                yield LimitSwitch(joint, names[joint], pin, side, switches.active == "high", is_home)
+                is_high, edge_rad = switches.active == "high", _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
+                yield LimitSwitch(joint, names[joint], pin, side, is_high, is_home, edge_rad)
 
 
 def _edge_tolerance_rad(drive: Drive) -> float:

@@ -2,6 +2,7 @@
 host that is away.
 """
 
+import math
 import random
 import struct
 import time
@@ -16,7 +17,8 @@ import msgspec
 
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
-from control.model.arm import Arm
+from control.model.arm import Arm, LimitSwitches
+from control.model.end_effector import Digital
 from control.motion.plan import plan_path
 from control.server.messages import asked
 from firmware_iface.link import FrameLink
@@ -35,6 +37,7 @@ HOST_MOST_ID = 0x27F  # COMMAND 0x100, PARAMETER_REQUEST 0x200, emergency stop 0
 ENABLE_OPERATION = 0x0F
 PASSIVE_AFTER_S = 0.01  # of errors: a controller leaves the bus soon
 SEED = 1
+JOINT_COUNTS, SLIP_rad_s = 1 << 18, 0.1
 GUEST = 1  # another connection than the drill's own
 NAN = float("nan")
 _VALUES: tuple[Any, ...] = (None, NAN, 1e308, -1e308, "0.1", True, [], {}, [[0.0]], 10**30)
@@ -425,6 +428,55 @@ def _encoders() -> Iterator[Promise]:
                 most_mm=HOLDS.move_mm, inject=inject, arm=_narrow)  # fmt: skip
 
 
+def _two_encoders() -> Iterator[Promise]:
+    """Joint 1 has an encoder on the joint and one on its motor."""
+    slips = fault("drifting_encoder", "encoder", channel=0, value=SLIP_rad_s * JOINT_COUNTS / math.tau)
+    stands = fault("stuck_encoder", "motor1")
+    says = f"the encoder on joint 1 slips by {SLIP_rad_s:g} rad/s, too slowly for other checks"
+    for drill in (
+        *_each("joint-encoder-slips", says, slips, "encoders_differ", 0.8, BRAKES, (REST, MOVE)),
+        *_each(
+            "motor-encoder-stuck", "counts of motor 1 stand, those on the joint do not", stands, "encoders_differ",
+            most=BRAKES, during=(MOVE,),
+        ),
+    ):  # fmt: skip
+        assert isinstance(drill, Drill)
+        yield replace(drill, arm=_on_both_sides)
+
+
+def _on_both_sides(arm: Arm) -> Arm:
+    """The arm with an encoder of 18 bits on joint 1, beside the one of its motor."""
+    first = arm.drives[0]
+    both_sides = replace(
+        first, encoder_on="joint", encoder_counts_per_rev=JOINT_COUNTS, motor_counts_per_rev=first.encoder_counts_per_rev
+    )  # fmt: skip
+    return replace(arm, drives=(both_sides, *arm.drives[1:]))
+
+
+def _limit_switches() -> Iterator[Promise]:
+    """Joint 1 has a limit switch at each end; one that is met in the middle of its range is seen best."""
+    for name, says, pin in (
+        ("limit-switch", "the limit switch ahead of joint 1 is met, or its wire breaks", "high"),
+        ("limit-switch-crossed", "the same, wired to the other end", "low"),
+    ):
+        yield Drill(f"{name}-motion", says, MOVE, frozenset({"limit_switch"}), most_mm=2.0,
+                    inject=_pressed(pin), arm=_with_limit_switches)  # fmt: skip
+
+
+def _with_limit_switches(arm: Arm) -> Arm:
+    pins = (Digital("low", 1, 2, "input"), Digital("high", 1, 3, "input"))
+    switched = replace(arm.drives[0], limit_switches=LimitSwitches(lower="low", upper="high"))
+    return replace(arm, digital=pins, drives=(switched, *arm.drives[1:]))
+
+
+def _pressed(pin: str) -> Inject:
+    def inject(played: Stage) -> None:
+        played.rig.set_pin(pin, True)
+        played.undo.callback(played.rig.set_pin, pin, False)
+
+    return inject
+
+
 def _narrow(arm: Arm) -> Arm:
     """The arm with counters of 16 bits; that of joint 1 wraps at 0.08 rad."""
     narrow = [replace(drive, encoder_bits=16) for drive in arm.drives]
@@ -509,7 +561,8 @@ def _in_real_time() -> Iterator[Promise]:
 def drills() -> dict[str, Promise]:
     """Every drill, in the order of the table."""
     groups: tuple[Iterator[Promise], ...] = (
-        _frames(), _buses(), _boards(), _gripper(), _encoders(), _motors(), _host(), _requests(), _in_real_time(),
+        _frames(), _buses(), _boards(), _gripper(), _encoders(), _two_encoders(), _limit_switches(), _motors(), _host(),
+        _requests(), _in_real_time(),
         BoardsDrill.all(), PairDrill.all(), iter(FileDrill.all()),
     )  # fmt: skip
     return {drill.name: drill for group in groups for drill in group}

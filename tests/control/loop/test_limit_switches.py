@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -62,11 +63,88 @@ def test_a_broken_wire_is_a_switch_that_is_active() -> None:
     arm = with_switches(LimitSwitches(upper="high"))
     with holding_cell(near_it(True), arm) as cell:
         cell.run(0.1)
-        cell.rig.robot.pins._limits.clear()  # the wire of the contact
         cell.rig.set_pin("high", True)
         cell.start_move((0.0, 0.2, AT_rad, 0.0), 0.2)
         cell.until_fault(0.1)
         assert cell.faults == [("limit_switch", "joint 3")]
+
+
+@pytest.mark.parametrize("homed", [True, False])
+def test_a_switch_that_is_wired_to_the_other_end_stops_the_joint_and_lets_it_back_out(homed: bool) -> None:
+    swapped = LimitSwitches(lower="high", upper="low")
+    with open_cell(near_it(homed), with_switches(), believed=with_switches(swapped)) as cell:
+        cell.client.enable()
+        jog(cell, 0.2)
+        assert cell.faults == [("limit_switch", "joint 3")]
+        assert "wired to the other end" in str(cell.runtime.monitor.faults[0])
+        for _ in range(
+            2
+        ):  # further in is refused again and again, whatever the file says of the switch's side
+            cell.client.acknowledge()
+            cell.client.enable()
+            jog(cell, 0.2)
+            assert cell.faults == [("limit_switch", "joint 3")]
+            assert cell.rig.joint_rad()[2] < AT_rad + MARGIN_rad
+        cell.client.acknowledge()
+        cell.client.enable()
+        jog(cell, -0.2)
+        assert cell.faults == []
+        assert cell.rig.joint_rad()[2] < AT_rad - 0.05
+
+
+def test_a_switch_that_chatters_lets_the_joint_out_all_the_same() -> None:
+    with holding_cell(near_it(True), with_switches()) as cell:
+        jog(cell, 0.2)
+        assert cell.faults == [("limit_switch", "joint 3")]
+        cell.client.acknowledge()
+        cell.client.enable()
+        levels = itertools.cycle([False] * 30 + [True] * 30)  # some questions long
+        cell.watchers.append(lambda: cell.rig.set_pin("high", next(levels)))
+        cell.client.ask("jog", joint_speed_rad_s=[0.0, 0.0, -0.05, 0.0])
+        cell.run(0.2)
+        assert cell.faults == []
+        cell.client.ask("jog", joint_speed_rad_s=[0.0, 0.0, 0.05, 0.0])
+        cell.until_fault(0.3)
+
+
+def test_a_switch_of_which_the_board_says_nothing_bars_the_way_to_its_end() -> None:
+    with holding_cell(near_it(True), with_switches(LimitSwitches(upper="high"))) as cell:
+        boards = cell.connection.hardware.end.pins
+        assert boards is not None
+        board = boards._boards[3]
+        cell.watchers.append(lambda: setattr(board, "reply_at_s", -np.inf))
+        cell.run(0.1)
+        jog(cell, -0.1)
+        assert cell.faults == []
+        cell.client.ask("jog", joint_speed_rad_s=[0.0, 0.0, 0.1, 0.0])
+        cell.until_fault(0.2)
+        assert cell.faults == [("limit_switch", "joint 3")]
+        assert "does not say" in str(cell.runtime.monitor.faults[0])
+
+
+@pytest.mark.parametrize("start_rad", [-0.51, -0.3, AT_rad + 0.005])
+def test_homing_finds_its_limit_switch_from_there_and_from_the_other_end(start_rad: float) -> None:
+    arm = with_switches(LimitSwitches(lower="low", lower_rad=-0.5, upper="high", upper_rad=AT_rad))
+    arm = with_drive(arm, 3, home=Home(-0.5, -0.51, switch="lower"))
+    with open_cell(scenario((0.0, 0.2, start_rad, 0.0), homed=False), arm) as cell:
+        cell.client.enable()
+        cell.client.home()
+        assert cell.faults == []
+        off_rad = np.subtract(cell.runtime.parts.measurement.q_rad, cell.rig.joint_rad())
+        assert off_rad == pytest.approx(0, abs=1e-3)
+
+
+def test_homing_by_a_switch_of_the_other_end_ends_there() -> None:
+    switches = LimitSwitches(lower="low", lower_rad=-0.5, upper="high", upper_rad=AT_rad)
+    arm = with_drive(with_switches(switches), 3, home=Home(-0.5, -0.51, switch="lower"))
+    wrong = replace(switches, lower="high", upper="low")
+    believed = with_drive(arm, 3, limit_switches=wrong)
+    with open_cell(scenario((0.0, 0.2, 0.3, 0.0), homed=False), arm, believed=believed) as cell:
+        cell.client.enable()
+        cell.channel.request({"do": "home"})
+        cell.until_fault(60.0)
+        assert cell.faults[0] == ("limit_switch", "joint 3")
+        assert cell.rig.joint_rad()[2] > -0.5 - MARGIN_rad
 
 
 def test_homing_seeks_a_limit_switch_where_a_joint_has_no_other() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from console.main import main
+from control.model.description import load_arm
 from hil_mocks.firmware.choice import VARIABLE
 from procedures.drills.catalogue import drills
 from procedures.drills.drill import HEADER, Drill, gripping_stage, header, off_way_m, row, stage, verdict
@@ -39,6 +40,8 @@ AT_EACH_CHANGE = (
     "torque-lost-cia402",
     "torque-in-off-dynamixel",
     "turn-off-odrive",
+    "limit-switch-crossed-motion",
+    "joint-encoder-slips-rest",
     "below-floor-dynamixel",
     "brown-out-feetech",
     "own-error-odrive",
@@ -53,6 +56,8 @@ AT_NIGHT = (
     "two-clients-motion",
     "wrap-motion",
     "pause-190-motion",
+    "limit-switch-motion",
+    "motor-encoder-stuck-motion",
     "power-session",
     "cut-recording",
     "over-temperature-pair",
@@ -93,7 +98,7 @@ OF_ANOTHER_ARM = ("wrap", "unseen")  # homed first; what they do, others do too
 def test_neither_a_fault_nor_the_recovery_from_it_leaves_anything_for_the_collector(name: str) -> None:
     drill = drills()[name]
     assert isinstance(drill, Drill)
-    with gripping_stage() if drill.has_gripper else stage() as played:
+    with gripping_stage() if drill.has_gripper else stage(drill.arm(load_arm("right"))) as played:
         played.begin(drill.during)
         with nothing_left_for_the_collector():
             drill.inject(played)
