@@ -9,7 +9,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from console import options
 from console.specs.table import COMMANDS, FOR_TASKS, GROUPS
@@ -47,6 +47,27 @@ class _ByJob(argparse.HelpFormatter):
         return (f"\n  {title}:\n" if title else "") + super()._format_action(action)
 
 
+class _Subcommand(argparse.ArgumentParser):
+    """Is made when something is asked of it: all of them would be most of the time that a short command takes."""
+
+    def __init__(self, spec: options.CommandSpec, **keys: Any) -> None:
+        self._spec = spec
+        self._keys = keys
+
+    @property
+    def is_made(self) -> bool:
+        return "_keys" not in self.__dict__
+
+    def __getattr__(self, name: str) -> Any:
+        keys = self.__dict__.pop("_keys", None)
+        if keys is None:
+            raise AttributeError(f"{type(self).__name__} has no {name!r}")
+        super().__init__(**keys)
+        options.add(self, self._spec.options)
+        self.set_defaults(module=self._spec.module_name)
+        return getattr(self, name)
+
+
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = _CommandLine(
@@ -56,11 +77,11 @@ def parser() -> argparse.ArgumentParser:
         epilog="`armwright demo` shows the full workflow on a mock arm. Every command has its own --help.",
     )
     top.add_argument("--version", action="store_true", help="print the version and exit")
-    commands = top.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    commands = top.add_subparsers(
+        dest="command", metavar="COMMAND", title="commands", parser_class=_Subcommand
+    )
     for command in COMMANDS:
-        sub = commands.add_parser(command.name, help=command.summary, description=command.description)
-        options.add(sub, command.options)
-        sub.set_defaults(module=command.module_name)
+        commands.add_parser(command.name, help=command.summary, description=command.description, spec=command)
     return top
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import json
 import re
@@ -116,6 +117,13 @@ def test_the_help_lists_each_command_once_under_its_job() -> None:
             assert found[1] not in under
             under[found[1]] = job
     assert under == {command.name: job for job, group in GROUPS.items() for command in group}
+
+
+def test_a_command_does_not_wait_for_the_options_of_others() -> None:
+    top = parser()
+    assert top.parse_args(["status", "--json"]).module == "requests"
+    (commands,) = (action for action in top._actions if isinstance(action, argparse._SubParsersAction))
+    assert {name for name, sub in commands.choices.items() if sub.is_made} == {"status"}
 
 
 @pytest.mark.parametrize("word", FOR_TASKS)
