@@ -21,7 +21,7 @@ from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
 from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
 from hil_mocks.devices.vesc import VescMock, VescSetup
 from hil_mocks.scenario import FaultTable
-from hil_mocks.wiring import JointWiring
+from hil_mocks.wiring import OWN_INPUT, JointWiring, limit_switches
 
 
 class PlantState(NamedTuple):
@@ -136,6 +136,7 @@ class CanBoards:
         made = KINDS[kind]
         self.carried = made.carried
         self._wiring, self._errors = wiring, made.errors
+        self._limits = {j: _own_limits(drive) for j, drive in enumerate(arm.drives) if _own_limits(drive)}
         numbers = {board.name: board.address for board in arm.boards if board.kind == kind}
         self.joints = [j for j, drive in enumerate(arm.drives) if drive.board in numbers]
         on_them = [(j, arm.drives[j], numbers[arm.drives[j].board]) for j in self.joints]
@@ -150,6 +151,12 @@ class CanBoards:
         outputs: list[Driven] = []
         for j, mock in zip(self.joints, self.mocks, strict=True):
             mock.is_home = self._wiring[j].is_at_switch(seen.joint_rad[j])
+            if j in self._limits and isinstance(mock, Cia402Mock):
+                active = {
+                    direction: (seen.joint_rad[j] - at_rad) * side >= 0.0
+                    for at_rad, side, direction in self._limits[j]
+                }
+                mock.at_limits = (active.get(-1.0, False), active.get(1.0, False))
             mock.tick(now_s, seen.currents_A[j], seen.supply_V[j])
             outputs.append((j, mock.output, mock.limit_A))
         return outputs
@@ -167,6 +174,15 @@ class CanBoards:
     def joint(self, fault: FaultTable) -> int:
         """The joint of a fault's board."""
         return self.joints[self.names.index(fault.board)]
+
+
+def _own_limits(drive: Drive) -> list[tuple[float, float, float]]:
+    """Of each limit switch at the drive's own inputs: where it changes, the side of the joint, and of the drive's encoder."""
+    return [
+        (at_rad, side, side * drive.encoder_direction)
+        for pin, at_rad, side in limit_switches(drive)
+        if pin == OWN_INPUT
+    ]
 
 
 def _repeats(arm: Arm, drive: Drive) -> float:

@@ -12,12 +12,9 @@ from hil_mocks.firmware.choice import motor_board_class
 from hil_mocks.plant.gripper import GripperParts, GripperPlant
 from hil_mocks.plant.parts import rotor_inertia_kg_m2
 from hil_mocks.scenario import Scenario
-from hil_mocks.wiring import MOTOR_BOARD_SERIAL
+from hil_mocks.wiring import MOTOR_BOARD_SERIAL, OWN_INPUT, limit_switches
 
 _RATING_mA = 8000
-_BEHIND_rad = (
-    0.02  # a limit switch, from the end of the range, where nothing else is said; end stops are at 0.05
-)
 _NO_ENCODER_COUNTS = 4  # a board says some number, whether an encoder is connected or not
 
 
@@ -72,13 +69,8 @@ class PinWires:
         self._limits = [
             (self._place(name), j, at_rad, side, drive.limit_switches.active == "high")
             for j, drive in enumerate(arm.drives)
-            if drive.limit_switches is not None
-            for name, given_rad, end_rad, side in (
-                (drive.limit_switches.lower, drive.limit_switches.lower_rad, drive.joint_lower_rad, -1.0),
-                (drive.limit_switches.upper, drive.limit_switches.upper_rad, drive.joint_upper_rad, 1.0),
-            )
-            for at_rad in [end_rad + side * _BEHIND_rad if given_rad is None else given_rad]
-            if name
+            for name, at_rad, side in limit_switches(drive)
+            if drive.limit_switches is not None and name != OWN_INPUT
         ]
 
     def set_level(self, name: str, level: bool) -> None:

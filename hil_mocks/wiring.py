@@ -57,6 +57,25 @@ class JointWiring:
         return self.raw_count(self.index_rad)
 
 
+LIMIT_BEHIND_rad = 0.02  # the end of the range, where nothing else is said; end stops are at 0.05
+OWN_INPUT = "drive"
+
+
+def limit_switches(drive: Drive) -> list[tuple[str, float, float]]:
+    """Of each limit switch of a joint its pin, where it changes, and the side on which it is active."""
+    if (switches := drive.limit_switches) is None:
+        return []
+    ends = (
+        (switches.lower, switches.lower_rad, drive.joint_lower_rad, -1.0),
+        (switches.upper, switches.upper_rad, drive.joint_upper_rad, 1.0),
+    )
+    return [
+        (pin, end_rad + side * LIMIT_BEHIND_rad if given_rad is None else given_rad, side)
+        for pin, given_rad, end_rad, side in ends
+        if pin
+    ]
+
+
 def wiring_of(arm: Arm, scenario: Scenario) -> list[JointWiring]:
     """Wiring of all joints. Raises ScenarioError for a swap with a missing channel."""
     source = random.Random(f"wiring {scenario.seed}")

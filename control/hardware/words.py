@@ -25,6 +25,9 @@ HOME_SWITCH: Final = 1 << 2
 ZERO_SET: Final = 1 << 3
 QUADRATURE_ERROR: Final = 1 << 4
 SIGNAL_LOST: Final = 1 << 5
+# Of a drive's own inputs for limit switches, in the joint's sense: no encoder channel has them.
+LOWER_LIMIT: Final = 1 << 8
+UPPER_LIMIT: Final = 1 << 9
 
 # Statuswords of CiA 402, low byte, docs/motor_board.md.
 STATE_MASK: Final = 0x6F

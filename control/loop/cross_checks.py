@@ -372,9 +372,9 @@ class IndexWatch:
 
 @dataclass(frozen=True, slots=True)
 class LimitSwitch:
-    """A switch at an end of a joint's range (0-based), by the name of its pin. `side`: 1 at the upper end, -1 at the lower.
+    """A switch at an end of a joint's range (0-based). `side`: 1 at the upper end, -1 at the lower.
 
-    It changes at one place, which is good to `edge_rad`.
+    The level is that of a pin, by name, or of a flag of the joint's channel. It changes at one place, good to `edge_rad`.
     """
 
     joint: int
@@ -384,10 +384,11 @@ class LimitSwitch:
     is_active_high: bool
     is_home: bool  # homing seeks it
     edge_rad: float
+    flag: int = 0
 
-    def is_active(self, levels: Mapping[str, bool | None]) -> bool | None:
+    def is_active(self, levels: Mapping[str, bool | None], channel_flags: Sequence[int]) -> bool | None:
         """Whether it is active; None while its board does not say."""
-        level = levels[self.pin]
+        level = bool(channel_flags[self.joint] & self.flag) if self.flag else levels[self.pin]
         return level if level is None else level is self.is_active_high
 
 
@@ -422,13 +423,14 @@ class LimitSwitchWatch:
     """Stops what moves further into an active limit switch, or towards one that nobody knows of; out of it, everything goes."""
 
     def __init__(self, switches: Sequence[LimitSwitch]) -> None:
+        self.are_there = bool(switches)
         self._met = tuple(MetSwitch(switch) for switch in switches)
         self._homes = tuple(switch for switch in switches if switch.is_home)
 
     def mark_homes(self, levels: Mapping[str, bool | None], channel_flags: list[int]) -> None:
         """Let the limit switches that homing seeks be the home switches of their joints."""
         for switch in self._homes:
-            if switch.is_active(levels):
+            if switch.is_active(levels, channel_flags):
                 channel_flags[switch.joint] |= HOME_SWITCH
 
     def forget(self) -> None:
@@ -439,6 +441,7 @@ class LimitSwitchWatch:
     def look(
         self,
         levels: Mapping[str, bool | None],
+        channel_flags: Sequence[int],
         q_rad: Sequence[float],
         speed_set_rad_s: Sequence[float],
         is_homing: bool,
@@ -447,7 +450,7 @@ class LimitSwitchWatch:
         faults = []
         for met in self._met:
             switch = met.switch
-            is_active, speed_rad_s = switch.is_active(levels), speed_set_rad_s[switch.joint]
+            is_active, speed_rad_s = switch.is_active(levels, channel_flags), speed_set_rad_s[switch.joint]
             if is_active is None:
                 if speed_rad_s * switch.side > 0.0:
                     faults.append(_of_limit(switch, "whose board does not say whether it is active"))

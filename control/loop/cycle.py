@@ -16,7 +16,8 @@ modes are in control.loop.set_points, motion_modes, homing, shutdown and fault_r
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from control.end_effector.grip_state import GripState
 from control.hardware.interface import Hardware, OutputMode
@@ -34,6 +35,7 @@ from firmware_iface.errors import AnotherHost, BoardReset, LinkError
 # Feed-forward and PID share the weight: 1 kg at 0.75 m is 7 Nm, which the PID takes over in a second without being noticed.
 PAYLOAD_RATE_kg_s = 1.0
 RECORDING_LOOK_cycles = 50  # 0.1 s at 500 Hz; asking costs a system call
+NO_PINS: Mapping[str, bool | None] = MappingProxyType({})
 UNRECORDED_STOPS = (Mode.MOVING, Mode.HOMING)
 UNWATCHED = frozenset({Mode.OFF, Mode.HELD})  # nothing is commanded, so nothing is compared with it
 UNLOADED = UNWATCHED | {Mode.BRAKED}  # nothing depends on the model's masses
@@ -102,8 +104,8 @@ class Cycle(ArmState):
                 feedback.count, feedback.shift_count, feedback.counted_at_s, feedback.count_late_s
             ):
                 set_points.follow_shift(self)
-            if self.parts.outputs is not None:
-                self.parts.checks.limit_switches.mark_homes(self.parts.outputs.levels, feedback.channel_flags)
+            if self.parts.checks.limit_switches.are_there:
+                self.parts.checks.limit_switches.mark_homes(self._levels(), feedback.channel_flags)
             if self.parts.second_encoders:
                 self.parts.motor_leads.update(feedback.motor_counts, self.parts.measurement.q_rad)
         camera = self.parts.camera
@@ -146,15 +148,19 @@ class Cycle(ArmState):
 
     def _at_limit_switches(self) -> list[Fault]:
         """What is about to move past the end of its range."""
-        outputs = self.parts.outputs
-        if outputs is None:
+        watch = self.parts.checks.limit_switches
+        if not watch.are_there:
             return []
-        watch, q_rad = self.parts.checks.limit_switches, self.parts.measurement.q_rad
         if not self.is_controlled():
             watch.forget()
             return []
-        is_homing = self.monitor.mode is Mode.HOMING
-        return watch.look(outputs.levels, q_rad, self.set_point.speed_rad_s, is_homing)
+        flags, is_homing = self.parts.hardware.feedback.channel_flags, self.monitor.mode is Mode.HOMING
+        q_rad, speed_rad_s = self.parts.measurement.q_rad, self.set_point.speed_rad_s
+        return watch.look(self._levels(), flags, q_rad, speed_rad_s, is_homing)
+
+    def _levels(self) -> Mapping[str, bool | None]:
+        """At the named pins of the boards."""
+        return NO_PINS if self.parts.outputs is None else self.parts.outputs.levels
 
     def _contradictions(self) -> list[Fault]:
         """What the boards' values say against each other, while they are fresh and the drives are on."""

@@ -67,6 +67,7 @@ class JointHome:
     travel_rad: float
     switch_rad: float
     index_rad: float
+    sense: float  # 1 or -1: the direction in which the switch becomes active
     edge_rad: float  # by which the switch may move
     turn_rad: float  # from one index to the next
     index_count: int
@@ -110,7 +111,7 @@ class JointHoming:
         self._place_rad = 0.0  # since the start
         self._edge_rad: float | None = None  # where the switch became active first
         self._since_active_rad = home.backoff_rad
-        self._forth = 1.0 if home.index_rad >= home.switch_rad else -1.0
+        self._forth = home.sense
         self._quiet_s = 0.0
         self._rest_count = 0
 

@@ -6,6 +6,7 @@ from collections.abc import Hashable, Iterable, Sequence
 from control.model.arm import ENCODER_CHANNELS, Arm, Board, Drive, Home, Table
 from control.model.board_kinds import KINDS, BoardKind, bus_conflict
 from control.model.camera import CameraStream
+from control.model.drive import OWN_INPUT
 from control.model.effects import check_effect
 from control.model.end_effector import Gripper
 from control.model.joint_map import JointMap
@@ -321,10 +322,15 @@ def _check_limit_switches(arm: Arm) -> None:
         switches, home = drive.limit_switches, drive.home
         for end in ("lower", "upper"):
             path, name = ("drive", i, "limit_switches", end), getattr(switches, end, "")
-            if name and name not in inputs:
+            is_own = name == OWN_INPUT
+            if name and name not in inputs and not (is_own and arm.kind_of(drive).has_limit_inputs):
                 known = ", ".join(inputs) or "none"
-                raise Rejected(path, f"the name of a [[digital]] that is an input ({known})", f'"{name}"')
-            named += [(path, name)] if name else []
+                own = ", ".join(kind for kind, offers in KINDS.items() if offers.has_limit_inputs)
+                expected = (
+                    f'the name of a [[digital]] that is an input ({known}); "{OWN_INPUT}" is for: {own}'
+                )
+                raise Rejected(path, expected, f'"{name}"')
+            named += [(path, name)] if name and not is_own else []
             if home is not None and home.switch == end and not name:
                 expected = f"a limit switch for homing: `{end}` of [drive.limit_switches]"
                 raise Rejected(("drive", i, "home", "switch"), expected, "none")

@@ -54,6 +54,7 @@ class BoardKind:
     shared_bits: int = 0  # the same, once for all boards of a bus
     sent_bits_s: float = 0.0  # of what it sends unasked, at the rates that its page asks for
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
+    has_limit_inputs: bool = False  # says of limit switches at its own inputs
 
 
 REFERENCE: Final = BoardKind(
@@ -95,6 +96,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             uses_other_encoder=False,
             cycle_bits=125 + 75 + 2 * 135,  # its PDOs of 7, 2, 8 and 8 bytes
             shared_bits=55,  # SYNC
+            has_limit_inputs=True,
         ),
         "dynamixel": BoardKind(
             line="serial",

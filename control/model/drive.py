@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from control.model.rules import (
     BACKOFF,
@@ -57,15 +57,28 @@ class Home:
         "the joint's home switch, or one of its limit switches, which takes its place",
     ] = "own"
 
+    @property
+    def sense(self) -> float:
+        """The direction in which homing seeks the switch: that of its end, or from switch to index, or upwards."""
+        if self.switch != "own":
+            return -1.0 if self.switch == "lower" else 1.0
+        return 1.0 if self.index_rad >= self.switch_rad else -1.0
+
+
+OWN_INPUT: Final = "drive"
+
 
 @dataclass(frozen=True, slots=True)
 class LimitSwitches:
     """Switches at the ends of a joint's range: nothing moves further towards one that is active.
 
     They are inputs of motor boards, [[digital]]. Wire a contact that opens, so that a broken wire is an active switch.
+    Some drives have inputs of their own for them, and say which end is meant: OWN_INPUT.
     """
 
-    lower: Annotated[str, "name of the [[digital]] of the one at the lower end"] = ""
+    lower: Annotated[
+        str, 'name of the [[digital]] of the one at the lower end, or "drive": its own input'
+    ] = ""
     upper: Annotated[str, "and at the upper end"] = ""
     lower_rad: Annotated[float | None, LIMIT, "where it changes", "a little beyond the range"] = None
     upper_rad: Annotated[float | None, LIMIT, "where it changes", "a little beyond the range"] = None

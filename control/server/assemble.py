@@ -17,6 +17,7 @@ from control.hardware.gripper_on_board import PlacedOnBoard
 from control.hardware.interface import Hardware, OutputMode
 from control.hardware.measurement import Measurement, MotorLeads
 from control.hardware.tip_camera import TipCamera
+from control.hardware.words import LOWER_LIMIT, UPPER_LIMIT
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.loop.cell import CellRuntime
@@ -39,6 +40,7 @@ from control.loop.runtime import Runtime
 from control.loop.watch import MeasuredLimits, Watch, WatchLimits
 from control.model.arm import Arm, Drive
 from control.model.cell import Cell
+from control.model.drive import OWN_INPUT
 from control.model.joint_map import JointMap
 from control.motion.guard import Guard
 from control.motion.joint_limits import JogLimits, JointLimits
@@ -238,20 +240,24 @@ def _indices(arm: Arm, measurement: Measurement, names: Sequence[str]) -> IndexW
 def _switch_place(drive: Drive) -> SwitchPlace | None:
     if (home := drive.home) is None:
         return None
-    sense = 1.0 if home.index_rad >= home.switch_rad else -1.0
     tolerance_rad = _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
-    return SwitchPlace(f"joint {drive.joint}", home.switch_rad, sense, tolerance_rad)
+    return SwitchPlace(f"joint {drive.joint}", home.switch_rad, home.sense, tolerance_rad)
 
 
 def _limit_switches(arm: Arm, names: Sequence[str]) -> Iterator[LimitSwitch]:
     for joint, drive in enumerate(arm.drives):
         if (switches := drive.limit_switches) is None:
             continue
-        for end, pin, side in (("lower", switches.lower, -1.0), ("upper", switches.upper, 1.0)):
+        for end, pin, side, own in (
+            ("lower", switches.lower, -1.0, LOWER_LIMIT),
+            ("upper", switches.upper, 1.0, UPPER_LIMIT),
+        ):
             is_home = drive.home is not None and drive.home.switch == end
             if pin:
                 is_high, edge_rad = switches.active == "high", _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
-                yield LimitSwitch(joint, names[joint], pin, side, is_high, is_home, edge_rad)
+                flag = own if pin == OWN_INPUT else 0
+                says = "its drive's own input" if flag else pin
+                yield LimitSwitch(joint, names[joint], says, side, is_high, is_home, edge_rad, flag)
 
 
 def _edge_tolerance_rad(drive: Drive) -> float:
@@ -366,6 +372,7 @@ def _homes(arm: Arm) -> list[tuple[int, JointHome]]:
                     travel_rad=HOMING_TRAVEL * range_rad,
                     switch_rad=drive.home.switch_rad,
                     index_rad=drive.home.index_rad,
+                    sense=drive.home.sense,
                     edge_rad=_edge_tolerance_rad(drive),
                     turn_rad=drive.encoder_turn_rad,
                     index_count=JointMap(drive).count(drive.home.index_rad),

@@ -50,7 +50,7 @@ _TPDO_1 = struct.Struct("<Hih")
 _TPDO_2 = {(SUPPLY, INPUTS): struct.Struct("<II"), (INPUTS,): struct.Struct("<I")}
 SUPPLY_EVERY_s = 0.05  # where it is asked for by SDO: a drop is seen within 0.1 s
 SUPPLY_LATE_s = 0.5  # an older one says nothing of the supply now
-HOME_INPUT = 1 << 2  # of 0x60FD
+NEGATIVE_LIMIT, POSITIVE_LIMIT, HOME_INPUT = 1 << 0, 1 << 1, 1 << 2  # of 0x60FD
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +159,11 @@ class Cia402Drive:
     def is_switch_on(self) -> bool:
         """Whether its home input is on."""
         return bool(self._inputs & HOME_INPUT)
+
+    @property
+    def are_limits_on(self) -> tuple[bool, bool]:
+        """Whether its negative and its positive limit switch are on."""
+        return bool(self._inputs & NEGATIVE_LIMIT), bool(self._inputs & POSITIVE_LIMIT)
 
     # ---- in the cycle
 

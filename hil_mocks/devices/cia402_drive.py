@@ -94,6 +94,7 @@ class Cia402Mock:
         self._read_shaft = read_shaft
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.is_home = False  # digital input "home switch"
+        self.at_limits = (False, False)  # digital inputs "negative limit switch", "positive limit switch"
         self.outgoing: list[Frame] = []
         self._stored: dict[tuple[int, int], tuple[str, int]] = {}
         self.power_up()
@@ -158,7 +159,8 @@ class Cia402Mock:
             case 0x2200:
                 return round(self._supply_V * 10) if sub else 1
             case 0x60FD:
-                return 4 if self.is_home else 0
+                negative, positive = self.at_limits
+                return negative | positive << 1 | self.is_home << 2
             case 0x603F:
                 return self.error
             case 0x6061:

@@ -314,7 +314,7 @@ def place_home(result: Diagnosis, found: JointMeasurements, offset_rad: float, s
             )
         return offset_rad
     above = {(direction > 0) == is_active for _, direction, is_active in found.edges}
-    if len(above) == 1 and above != {home.index_rad >= home.switch_rad}:
+    if len(above) == 1 and above != {home.sense > 0.0}:
         result.problems.append(
             f"{name}: HOME SWITCH INVERTED: it is active {'above' if above == {True} else 'below'} its edge, expected"
             " on the side of index_rad: invert the switch, or set index_rad and switch_rad for the other side"
@@ -344,7 +344,7 @@ def _place_index(
                 f" {math.degrees(home.index_rad):.2f} deg (one turn of the encoder is {math.degrees(turn_rad):.2f} deg):"
                 f" index_rad = {index_rad:g}; calibration refines the zero"
             )
-    forth = 1 if home.index_rad >= home.switch_rad else -1
+    forth = round(home.sense)
     edges = [edge for edge, direction, is_active in found.edges if direction == forth and is_active]
     switch_rad = home.switch_rad + (index_rad - home.index_rad)
     if edges:

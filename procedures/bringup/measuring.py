@@ -446,7 +446,7 @@ def _creep(
         is_active = bool(run.flags[-1] & HOME_SWITCH)
         found.edges.append((edge_rad, direction, is_active))
         home = driver.drive.home
-        forth = 1 if home is None or home.index_rad >= home.switch_rad else -1
+        forth = 1 if home is None else round(home.sense)
         if not found.has_index and is_active and direction == forth:
             found.index_rad = edge_rad
         elif is_active and direction == forth and math.isnan(found.index_rad):

@@ -13,12 +13,14 @@ from control.hardware.opened import Opened
 from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,
+    LOWER_LIMIT,
     OVER_CURRENT,
     OVER_TEMPERATURE,
     OWN_ENCODER,
     STATE_MASK,
     SUPPLY_HIGH,
     SUPPLY_LOW,
+    UPPER_LIMIT,
     WATCHDOG,
     Wanted,
 )
@@ -65,6 +67,23 @@ _FAULT_OF = (
     (0x4000, 0xF000, OVER_TEMPERATURE),
     (0x8100, 0xFF00, WATCHDOG),
 )
+
+
+class Cia402Encoder(NodeEncoder):
+    """The encoder of a drive, and the limit switches at its inputs: negative and positive are in the encoder's sense."""
+
+    def __init__(self, drive: Cia402Drive, joint: int, described: Drive) -> None:
+        super().__init__(drive, joint, is_asked=True)
+        self._drive = drive
+        flags = (LOWER_LIMIT, UPPER_LIMIT)
+        self._negative, self._positive = flags if JointMap(described).counts_per_radian > 0.0 else flags[::-1]
+
+    def take(self, feedback: Feedback) -> None:
+        """Write the newest count, and the inputs of the same moment or of the SYNC before."""
+        super().take(feedback)
+        at_negative, at_positive = self._drive.are_limits_on
+        found = (self._negative if at_negative else 0) | (self._positive if at_positive else 0)
+        feedback.channel_flags[self._joint] |= found
 
 
 class Cia402Joint:
@@ -272,7 +291,7 @@ def _open_drive(
     _require_mode(node, drive)
     _require_wide_window(node, drive, limits.following_error_rad)
     reaction = node.read_if_there(FAULT_REACTION)
-    encoder = NodeEncoder(node, joint, is_asked=True)
+    encoder = Cia402Encoder(node, joint, drive)
     driven = Cia402Joint(node, encoder, joint, drive, period_s, limits.watchdog_s, bus.sync)
     driven.configure(encoder.fresh_count)
     opened.encoders.append(encoder)

@@ -30,6 +30,7 @@ HOME = JointHome(
     travel_rad=3.0,
     switch_rad=0.2,
     index_rad=0.23,
+    sense=1.0,
     edge_rad=0.35 * TURN_rad,
     turn_rad=TURN_rad,
     index_count=2300,
@@ -148,7 +149,7 @@ def test_wherever_the_joint_stands_and_the_counter_starts_its_zero_is_found(
 @pytest.mark.parametrize("start_rad", [-1.5, 0.1, 0.9])
 def test_a_switch_that_is_active_below_is_searched_downwards(start_rad: float) -> None:
     joint = Joint(start_rad, 1.0, index_rad=0.17, sign=-1.0)
-    home(joint, replace(HOME, index_rad=0.17, index_count=1700))
+    home(joint, replace(HOME, index_rad=0.17, sense=-1.0, index_count=1700))
     assert is_homed(joint)
 
 

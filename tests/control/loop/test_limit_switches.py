@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
+from control.hardware.words import ZERO_SET
 from control.model.arm import Arm, Home, LimitSwitches
 from control.model.arm_checks import check_arm
 from control.model.end_effector import Digital
 from control.model.reader import Rejected
 from control.safety.table import Mode
 from hil_mocks.scenario import Scenario
+from procedures.on_boards import on_boards
 from tests.cell import Cell, holding_cell, open_cell, scenario, with_drive
 from tests.control.loop.test_encoder_places import FRICTION, arm_of_four
 
@@ -163,7 +166,11 @@ def test_homing_seeks_a_limit_switch_where_a_joint_has_no_other() -> None:
 @pytest.mark.parametrize(
     ("switches", "home", "said"),
     [
-        (LimitSwitches(lower="nowhere"), None, r'an input .low, high., got "nowhere"'),
+        (
+            LimitSwitches(lower="nowhere"),
+            None,
+            r'an input .low, high.; "drive" is for: cia402, got "nowhere"',
+        ),
         (LimitSwitches(lower="low", upper="low"), None, "low a second time"),
         (LimitSwitches(lower="low"), Home(0.1, 0.11, switch="upper"), "a limit switch for homing"),
         (
@@ -177,3 +184,36 @@ def test_switches_that_cannot_be_are_refused(switches: LimitSwitches, home: Home
     arm = with_switches(switches)
     with pytest.raises(Rejected, match=said):
         check_arm(with_drive(arm, 3, home=home) if home else arm)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_drive_of_cia_402_says_of_switches_at_its_own_inputs(direction: Literal[1, -1]) -> None:
+    """Bits 0 and 1 of 0x60FD, negative and positive in the sense of the drive, which may not be that of the joint."""
+    own = LimitSwitches(lower="drive", lower_rad=-0.5, upper="drive", upper_rad=AT_rad)
+    arm = on_boards(replace(arm_of_four("motor"), effects=FRICTION), "cia402")
+    arm = with_drive(arm, 1, limit_switches=own, encoder_direction=direction, motor_direction=direction)
+    arm = with_drive(arm, 1, home=Home(-0.5, -0.5, speed_rad_s=0.1, switch="lower"))
+    check_arm(arm)
+    start = scenario(
+        (AT_rad - 0.05, 0.0, 0.0, 0.0), homed=False
+    )  # upright axis: it does not fall before it holds
+    with open_cell(start, arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        cell.client.enable()
+        for _ in range(10):
+            if cell.mode is not Mode.FAULT:
+                cell.client.ask("jog", joint_speed_rad_s=[0.2, 0.0, 0.0, 0.0])
+            cell.run(0.1)
+        assert cell.faults == [("limit_switch", "joint 1")]
+        assert AT_rad <= cell.rig.joint_rad()[0] < AT_rad + 2.0 * MARGIN_rad
+        cell.client.acknowledge()
+        cell.client.enable()
+        cell.channel.request({"do": "home"})
+        cell.until(lambda: bool(cell.runtime.hardware.feedback.channel_flags[0] & ZERO_SET), 40.0)
+        assert cell.faults == []
+        assert cell.runtime.parts.measurement.q_rad[0] == pytest.approx(cell.rig.joint_rad()[0], abs=5e-3)
+
+
+def test_limit_switches_at_boards_that_do_not_say_of_them_are_refused() -> None:
+    arm = on_boards(arm_of_four("motor"), "roboclaw")
+    with pytest.raises(Rejected, match=r'\[\[digital\]\] that is an input \(none\); "drive" is for: cia402'):
+        check_arm(with_drive(arm, 3, limit_switches=LimitSwitches(lower="drive")))
