@@ -1,6 +1,7 @@
 """Serial links and ports. The only file that imports pyserial."""
 
 import contextlib
+import errno
 import fcntl
 import os
 import select
@@ -46,7 +47,10 @@ def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink
         claim = claim_serial(url, port.port if isinstance(port, serial.Serial) else None)
         port.open()
     except (serial.SerialException, OSError, ValueError, ImportError) as problem:
-        raise PortMissing(f"serial port {url}: cannot open it: {problem}; {_ports_here()}") from None
+        reason = next((part for part in problem.args if isinstance(part, str)), str(problem))
+        if isinstance(number := getattr(problem, "errno", None), int):
+            reason = "there is no such port" if number == errno.ENOENT else os.strerror(number)
+        raise PortMissing(f"serial port {url}: cannot open it: {reason}; {_ports_here()}") from None
     if type(port) is serial.Serial and os.name == "posix":
         # Only real UARTs on USB have this mode; a pty answers with an error, and needs none.
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):

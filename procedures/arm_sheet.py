@@ -313,6 +313,11 @@ UNITS = ("", "deg", "deg/s", "deg/s", "N m", "N m", "%", "N m", "mdeg")
 def sheet_lines(arm: Arm, found: ArmSheet, absent: tuple[Missing, ...]) -> Iterator[str]:
     """The lines of `armwright arm` behind the DH table."""
     reach = found.reach
+    if arm.placeholders:
+        yield (
+            f"{' and '.join(arm.placeholders)}: PLACEHOLDERS, chosen by `armwright new`: torques, speeds and payload below are"
+            " theirs, not your arm's. Write in what your parts have, then take the words out of `placeholders`"
+        )
     yield (
         f"reach: {1e3 * reach.farthest_m:.0f} mm from axis 1; heights {1e3 * reach.lowest_m:.0f} to"
         f" {1e3 * reach.highest_m:.0f} mm; {100 * reach.above_floor:.0f} % of all poses stay above the floor"

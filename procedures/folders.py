@@ -8,8 +8,10 @@ from control.errors import ArmError
 
 
 def free_folder(wanted: Path) -> Path:
-    """`wanted`, or the first of `wanted-2`, `wanted-3`, ... that does not exist."""
+    """`wanted`, or the first of `wanted-2`, `wanted-3`, ... that is not used. ArmError for a file."""
     folder, number = wanted, 1
+    if wanted.exists() and not wanted.is_dir():
+        raise ArmError(f"--out {wanted}: expected a folder, new or old, got a file: choose another place")
     while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         number += 1
         folder = wanted.with_name(f"{wanted.name}-{number}")

@@ -137,6 +137,7 @@ def calibration_report(made: Calibrated, provenance: Provenance) -> ReportData:
         steps=_steps(made),
         identification=found,
         calibration=_comparison(made),
+        held=made.held,
         arms=(made.nominal, made.arm),
         notes=made.warnings,
         verdict=made.verdict.in_words(),

@@ -25,6 +25,7 @@ from calib.report.report_sections import (
     verification_section,
 )
 from calib.results import Provenance, entries, write_json
+from calib.validation.holdout import HeldOut
 from calib.validation.statistics import Difference, PairedFinding
 from calib.validation.verify import (
     ALL,
@@ -63,6 +64,7 @@ class ReportData:
     verdict: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
     verified_at: str = UNUSED
+    held: HeldOut | None = None  # what a calibration gives for points that it does not use
 
 
 def write_report(path: Path, report: ReportData) -> None:
@@ -97,10 +99,16 @@ def _parts(report: ReportData) -> Iterator[Section | str]:
 
 def _results(report: ReportData) -> Iterator[tuple[str, str, str]]:
     """The result in a few figures."""
-    judged = report.verification or report.calibration
-    if judged is not None:
+    judged, held = report.verification or report.calibration, report.held
+    if held is not None:
+        what = "scatter" if held.is_scatter else "error"
+        where = "at points that were left out of the fit"
+        yield "before", f"{1e3 * float(held.before_m.mean()):.2f} mm", f"mean {what} before, {where}"
+        yield "after", f"{1e3 * float(held.after_m.mean()):.2f} mm", f"mean {what} after, {where}"
+        yield "", f"{held.improvement_percent:.1f} %", f"smaller mean {what}, {where}"
+    elif judged is not None:
         entry = judged.of("all")
-        where = report.verified_at if report.verification is not None else "at the calibration points"
+        where = report.verified_at if report.verification is not None else "at the points of the fit itself"
         yield "before", f"{1e3 * entry.before.mean_m:.2f} mm", f"mean error before, {where}"
         yield "after", f"{1e3 * entry.after.mean_m:.2f} mm", f"mean error after, {where}"
         yield "", f"{entry.improvement_percent:.1f} %", f"smaller mean error, {where}"
@@ -134,6 +142,11 @@ class Verification:
     turns: TurnComparison | None = None
 
     @property
+    def verifies_nothing(self) -> bool:
+        """Whether every pose was used for the calibration."""
+        return self.used_count >= self.comparison.of(ALL).after.count
+
+    @property
     def is_worse(self) -> bool:
         """Whether the calibrated arm is significantly worse than the nominal one over all points."""
         return self.comparison.of(ALL).difference.finding is PairedFinding.WORSE
@@ -143,7 +156,13 @@ class Verification:
         """The result at the points and along the trajectories."""
         entry = self.comparison.of(ALL)
         before, after = (1e3 * summary.mean_m for summary in (entry.before, entry.after))
-        sentences = [
+        sentences = []
+        if self.used_count:
+            sentences.append(
+                f"NOT VERIFIED: {self.used_count} of the {entry.after.count} poses were used for the calibration, and an arm fits"
+                " the points of its own fit: verify at others."
+            )
+        sentences += [
             f"The calibrated arm is {_spelled(entry.difference)} over {entry.after.count} points:"
             f" {before:.2f} mm before, {after:.2f} mm after ({entry.improvement_percent:+.1f} %)."
         ]
@@ -153,10 +172,6 @@ class Verification:
         along = compare_tracks(self.paths)
         if along is not None:
             sentences.append(f"Along trajectories: {along.of(ALL).difference.in_words()}.")
-        if self.used_count:
-            sentences.append(
-                f"{self.used_count} of the poses were used for the calibration: the result is biased and verifies nothing."
-            )
         return tuple(sentences)
 
     def _worse_alone(self) -> list[SetupComparison]:

@@ -1,6 +1,7 @@
 """Shared by the client commands: the socket of the selected arm."""
 
 import argparse
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,8 +26,10 @@ def listening(given: argparse.Namespace) -> ArmClient:
     if (connect := getattr(given, "connect", None)) is not None:
         client: ArmClient = connect()
         return client
-    path = Path(given.socket) if given.socket else default_path(load_arm(given.arm).name)
-    return ArmClient(SocketChannel(path))
+    if given.socket:
+        return ArmClient(SocketChannel(Path(given.socket)))
+    served_by = shlex.join(["armwright", "serve", "--arm", str(given.arm)])
+    return ArmClient(SocketChannel(default_path(load_arm(given.arm).name), served_by=served_by))
 
 
 def connected(given: argparse.Namespace, arm: Arm | None = None) -> ArmClient:

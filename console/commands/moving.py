@@ -24,6 +24,7 @@ from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, Wayp
 from control.server.channel import RuntimeGone, SocketChannel
 from control.server.client import ArmClient
 from control.server.sockets import default_path
+from firmware_iface.mocap.bodies import RigidPose, compose
 
 HEADER = ",".join(POSITION_COLUMNS)
 FULL_HEADER = ",".join((*POSITION_COLUMNS, *ORIENTATION_COLUMNS))
@@ -40,9 +41,32 @@ def run(given: argparse.Namespace) -> int:
 def _move(given: argparse.Namespace) -> int:
     if (given.joints is None) == (given.tip is None):
         raise ArmError("move: give either --joints or --tip")
-    if given.orientation is not None and given.tip is None:
-        raise ArmError("move: --orientation needs --tip")
-    return _joint_move(given, given.joints, given.tip, given.orientation)
+    if given.tip is None and (given.orientation is not None or given.frame != "base"):
+        raise ArmError("move: --orientation and --frame need --tip")
+    tip_m, orientation = given.tip, given.orientation
+    if given.frame == "tracker":
+        turned = (1.0, 0.0, 0.0, 0.0) if orientation is None else tuple(orientation)
+        in_base = compose(tracker_place(load_arm(given.arm)), RigidPose(tuple(tip_m), turned))
+        tip_m, orientation = in_base.position_m, None if orientation is None else in_base.quaternion
+    return _joint_move(given, given.joints, tip_m, orientation)
+
+
+def tracker_place(arm: Arm) -> RigidPose:
+    """Where the frame of camera or tracker is in the arm's base frame, as `calibrate` found it. ArmError if it was not asked."""
+    stream = arm.camera.stream if arm.camera is not None else None
+    if stream is not None and stream.origin_m is not None:
+        return RigidPose(stream.origin_m, stream.orientation)
+    found = next((effect.parameters for effect in arm.effects if effect.effect == "base_frame"), None)
+    if found is None:
+        raise ArmError(
+            f"move --frame tracker: {arm.path} does not say where the tracker's frame is: expected origin_m in [camera.stream] or"
+            " an [[effect]] base_frame, as `armwright calibrate` writes them; in the arm's own frame leave --frame out"
+        )
+    x, y, z, *turn_rad = (found.get(key, 0.0) for key in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"))
+    angle_rad = math.hypot(*turn_rad)
+    share = 0.5 if angle_rad < 1e-9 else math.sin(0.5 * angle_rad) / angle_rad
+    a, b, c = (share * turn for turn in turn_rad)
+    return RigidPose((x, y, z), (math.cos(0.5 * angle_rad), a, b, c))
 
 
 def _go(given: argparse.Namespace) -> int:

@@ -90,8 +90,10 @@ def run(given: argparse.Namespace) -> int:
     new = compose(serial, answers)
     source = given.from_urdf or given.from_mjcf
     origin = f"from {Path(source).name}" if source else "from the answers to `armwright new`"
-    if given.as_given:
-        new = dataclasses.replace(new, arm=dataclasses.replace(new.arm, as_given=True))
+    arm = dataclasses.replace(
+        new.arm, as_given=bool(given.as_given), placeholders=("motors",) if model else ("masses", "motors")
+    )
+    new = dataclasses.replace(new, arm=arm)
     text = commented_text(new, origin)
     _require_readable(text, out, new, source)
     _write(out, text)

@@ -7,6 +7,7 @@ from console.options import (
     FREE_ZERO,
     JSON,
     OUT,
+    OUT_OR_NEXT,
     SOCKET,
     WIRE_AT,
     CommandSpec,
@@ -30,7 +31,7 @@ ASSESSING = (
                 metavar="A",
                 help="the nominal arm (default: the one named in the calibrated arm.toml)",
             ),
-            OUT,
+            OUT_OR_NEXT,
             JSON,
             option(
                 "--points",
@@ -72,7 +73,7 @@ ASSESSING = (
             ),
         ),
         "The arm must be homed and holding. The tip moves above the board with each model, and the camera measures."
-        " Exit status 1 if the calibrated arm is significantly worse.",
+        " Exit status 1 if the calibrated arm is significantly worse, or every point was used for the calibration.",
         module="calibration.verify",
     ),
     CommandSpec(

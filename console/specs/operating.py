@@ -91,14 +91,21 @@ OPERATING = (
                 type=finite,
                 nargs=3,
                 metavar=("X", "Y", "Z"),
-                help="tip position in the base frame in m",
+                help="tip position in m, in the arm's base frame",
+            ),
+            option(
+                "--frame",
+                choices=("base", "tracker"),
+                default="base",
+                help="with --tip: the arm's base frame, which no calibration moves (default), or that of the camera or tracker,"
+                " where `calibrate` has found it",
             ),
             option(
                 "--orientation",
                 type=finite,
                 nargs=4,
                 metavar=("QW", "QX", "QY", "QZ"),
-                help="with --tip: orientation of the last link frame in the base frame, a unit quaternion",
+                help="with --tip: orientation of the last link frame in that frame, a unit quaternion",
             ),
             MOVE_SPEED,
         ),

@@ -27,7 +27,7 @@ TRYING = (
             option(
                 "--out",
                 metavar="DIR",
-                help="folder of the results (default: out/demo, out/demo-paper, ...)",
+                help="folder of the results; with something in it, the next free one: DIR-2 (default: out/demo, ...)",
             ),
             option(
                 "--realtime",

@@ -201,7 +201,8 @@ class Jogging:
         if any(twist[3:]) and not self._inverse.held.has_orientation:
             count = len(set_point.q_rad)
             raise MotionError(
-                f"jog: an arm of {count} joints cannot turn its tip: its orientation follows from its position"
+                f"jog: an arm of {count} joints cannot turn its tip: its orientation follows from its position;"
+                " turn a joint instead (`armwright jog --joint`)"
             )
         if not of_tip:
             return a, b, c, d, e, f

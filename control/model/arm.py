@@ -170,6 +170,10 @@ class Arm:
         bool,
         "overrides guesses about units that refuse the file",
     ] = False
+    placeholders: Annotated[
+        tuple[Literal["masses", "motors"], ...],
+        "chosen by `armwright new`, not measured; take a word out when its values are those of your parts",
+    ] = ()
     dh_convention: Annotated[
         Convention,
         '"standard": Tz(d) Rz(theta) Tx(L) Rx(alpha); "modified": Rx(alpha) Tx(L) Rz(theta) Tz(d)',

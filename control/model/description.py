@@ -77,15 +77,21 @@ def load_arm(path_or_name: str | Path) -> Arm:
     path = Path(path_or_name)
     if path.suffix == ".toml" or path.exists():
         return parse_arm(_text_of(path), path)
-    return parse_arm(supplied_text(str(path_or_name)), SUPPLIED / f"{path_or_name}.toml")
+    name = _supplied_name(str(path_or_name))
+    return parse_arm(supplied_text(name), SUPPLIED / f"{name}.toml")
 
 
 def supplied_text(name: str) -> str:
-    """Return the file of a supplied arm; ArmFileError lists their names."""
-    if name not in arm_names():
+    """Return the file of a supplied arm, its name in capitals or with dashes as well; ArmFileError lists their names."""
+    return (SUPPLIED / f"{_supplied_name(name)}.toml").read_text(encoding="utf-8")
+
+
+def _supplied_name(name: str) -> str:
+    plain = re.sub(r"[-_ .]", "", name).lower()
+    if plain not in arm_names():
         names = " or ".join(f'"{name}"' for name in arm_names())
         raise ArmFileError(name, None, "", f"a path to an arm.toml, or {names}", "an unknown name")
-    return (SUPPLIED / f"{name}.toml").read_text(encoding="utf-8")
+    return plain
 
 
 def arm_names() -> tuple[str, ...]:

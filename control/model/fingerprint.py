@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 NOT_COMPARED: Final = frozenset(
     {
-        "name", "as_given", "rest", "recording", "calibration", "encoder_board", "can", "board", "digital", "gripper",
-        "link.joint_name", "link.link_name",
+        "name", "as_given", "placeholders", "rest", "recording", "calibration", "encoder_board", "can", "board", "digital",
+        "gripper", "link.joint_name", "link.link_name",
         "camera.udp_port", "camera.position_noise_m", "camera.orientation_noise_rad", "camera.stream.host", "camera.stream.port",
         "drive.encoder_board", "drive.encoder_channel", "drive.motor_node", "drive.motor_serial_number", "drive.board",
         "drive.board_channel", "drive.servo", "drive.board_holds", "drive.home", "drive.pid.kp", "drive.pid.ki", "drive.pid.kd",

@@ -38,7 +38,8 @@ class Channel(Protocol):
 class SocketChannel:
     """A channel over the runtime's local socket: one JSON object a line, both ways."""
 
-    def __init__(self, path: Path, timeout_s: float = 2.0) -> None:
+    def __init__(self, path: Path, timeout_s: float = 2.0, served_by: str = "armwright serve") -> None:
+        """`served_by`: the command that starts the runtime, for the error when there is none."""
         self._path = path
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         whole_s = int(timeout_s)
@@ -52,7 +53,7 @@ class SocketChannel:
             others = [f"`--arm {name}`" for name in running_arms()]
             ask = f", or ask the one that runs: {' or '.join(others)}" if others else ""
             raise (NoRuntime if is_none else RuntimeGone)(
-                f"no runtime answers at {path} ({error.strerror or error}): start one with `armwright serve`{ask}"
+                f"no runtime answers at {path} ({error.strerror or error}): start one with `{served_by}`{ask}"
             ) from error
         self._socket.settimeout(timeout_s)
         try:

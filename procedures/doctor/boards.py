@@ -107,7 +107,10 @@ def _open_bought(boards: AnsweringBoards, arm: Arm, clock: Clock, period_s: floa
     for where, identity in opened.identities:
         boards.note(Level.OK, where, identity)
     for failure in opened.failures:
-        boards.note(Level.BAD, "bought boards", str(failure), "", "docs/boards.md has a page for each kind")
+        remedy = "docs/boards.md has a page for each kind"
+        if isinstance(failure, PortMissing):
+            remedy = "connect the board, or correct the port of its [[board]] in arm.toml"
+        boards.note(Level.BAD, "bought boards", str(failure), "", remedy)
     for encoders in opened.encoders:
         what = f"joint {encoders.joints[0] + 1}: answers with its counts"
         try:

@@ -18,6 +18,7 @@ from control.kinematics.corners import Corners
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
 from control.model.board_kinds import KINDS
+from procedures.arm_sheet import sheet
 from procedures.new_arm.answers import Answers, ChosenParts
 from procedures.new_arm.motors import SERVOS, JointLoad, WITHOUT_LIMIT_rad, drives, is_level, loads, range_of
 from procedures.on_boards import on_boards, serial_lines
@@ -67,7 +68,7 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
     arm = dataclasses.replace(
         bare, drives=drives(serial.joints, needed, answers.parts, rest), rest=Rest(rest), limits=limits
     )
-    arm = _wired(arm, answers.parts)
+    arm = _wired(_with_payload_limit(arm), answers.parts)
     return NewArm(
         arm,
         (
@@ -86,6 +87,17 @@ def compose(serial: SerialArm, answers: Answers) -> NewArm:
             for joint, mass in zip(serial.joints, serial.masses, strict=True)
         ),
     )
+
+
+def _with_payload_limit(arm: Arm) -> Arm:
+    """What its motors hold in every pose, rounded down to two digits, is the most that a client may state."""
+    payload = sheet(arm).payload
+    if payload is None or not payload.everywhere_kg < arm.limits.payload_limit_kg:
+        return arm
+    held_kg = payload.everywhere_kg
+    digit_kg = 10.0 ** (math.floor(math.log10(held_kg)) - 1) if held_kg > 0.0 else 1.0
+    limit_kg = round(math.floor(held_kg / digit_kg) * digit_kg, 6)
+    return dataclasses.replace(arm, limits=dataclasses.replace(arm.limits, payload_limit_kg=limit_kg))
 
 
 def _wired(arm: Arm, parts: ChosenParts) -> Arm:

@@ -53,7 +53,14 @@ def commented_text(new: NewArm, origin: str) -> str:
     lines = [f"# Arm {arm.name}, {origin}. SI units, radians; every key: armwright arm --keys."]
     lines += [f"# {_plain(note)}." for note in new.notes]
     lines += _keys(
-        arm, Arm, ("name", *(("as_given",) if arm.as_given else ()), "gravity_m_s2", "dh_convention")
+        arm,
+        Arm,
+        (
+            "name",
+            *(key for key in ("as_given", "placeholders") if getattr(arm, key)),
+            "gravity_m_s2",
+            "dh_convention",
+        ),
     )
     lines += _links(arm)
     if arm.tool != Tool():

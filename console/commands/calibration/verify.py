@@ -48,7 +48,7 @@ class ArmAtHold:
 
 
 def run(given: argparse.Namespace) -> int:
-    """Verify; exit status 1 if the calibrated arm is significantly worse, or the arm could not continue."""
+    """Verify; exit status 1 if the calibrated arm is significantly worse, all points are its own, or the arm could not go on."""
     calibrated = load_arm(given.arm)
     pair = ModelPair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
     require_writable(Path(given.out))
@@ -153,13 +153,14 @@ def _mock(given: argparse.Namespace, pair: ModelPair, out: Path, stack: ExitStac
 
 def _finish(given: argparse.Namespace, verification: Verification, out: Path) -> int:
     write(verification, out)
+    status = 1 if verification.is_worse or verification.verifies_nothing else 0
     if given.json:
         sys.stdout.write((out / "verify.json").read_text(encoding="utf-8"))
-        return 1 if verification.is_worse else 0
+        return status
     warnings = "".join(f"note: {line}\n" for line in verification.warnings)
     verdict = "\n".join(verification.verdict)
     sys.stdout.write(
         f"{comparison_text(verification.comparison)}\n\n{verdict}\n{warnings}\n"
         f"  report   {out / 'report.html'}\n  figures  {out / 'verify.json'}\n"
     )
-    return 1 if verification.is_worse else 0
+    return status

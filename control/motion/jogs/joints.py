@@ -63,7 +63,8 @@ class JointJog:
         goal = self._state.q_rad[joint] + by_rad
         if not lower <= goal <= upper:
             raise MotionError(
-                f"jog: joint {joint + 1} cannot go to {goal:.4f} rad, outside of its range {lower:.4f} .. {upper:.4f} rad"
+                f"jog: joint {joint + 1} cannot go to {goal:.4f} rad, outside of its range {lower:.4f} .. {upper:.4f} rad:"
+                f" jog by {lower - self._state.q_rad[joint]:.4f} to {upper - self._state.q_rad[joint]:.4f} rad"
                 f"{ANGLE.doubt(by_rad)}"
             )
         speed = min(abs(speed_rad_s), self._limits.speed_rad_s[joint])

@@ -19,6 +19,7 @@ from calib.report.pictures import SAMPLES_DRAWN, thinned
 from calib.report.report import ReportData, report_html, write_report
 from calib.report.report_sections import dh_section, parameters_section
 from calib.results import InputFile, Provenance, input_file
+from calib.validation.holdout import Fold, HeldOut
 from calib.validation.statistics import PairedFinding, difference, student_t
 from calib.validation.verify import (
     PARTS,
@@ -231,6 +232,15 @@ def test_the_report_says_what_was_found(written_page: str) -> None:
 
 def test_the_same_inputs_make_the_same_page(result, written_page: str, tmp_path: Path) -> None:
     assert report_html(full_report(result, tmp_path)) == written_page
+
+
+def test_the_large_figures_of_a_calibration_are_those_of_points_that_it_did_not_use(result) -> None:
+    found, comparison = result
+    held = HeldOut("2", (Fold("every 2nd", (0, 1), "error", np.full(2, 0.0123), np.full(2, 0.00045)),))
+    made = Provenance((), "d", "v")
+    report = ReportData("t", "a", made, ("did it",), identification=found, calibration=comparison, held=held)
+    large = re.findall(r'<div class="tile"><b class="\w*">(.*?)</b>', report_html(report))
+    assert large[:3] == ["12.30 mm", "0.45 mm", "96.3 %"]
 
 
 def test_a_report_with_nothing_but_steps_is_a_page() -> None:

@@ -5,19 +5,24 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import pytest
 
 from benchmarks.arms import SIX
 from console.commands import script
+from console.commands.moving import tracker_place
 from console.lines import NOT_HERE, Grammar, LineError, LineOutcome, parse_lines, replay
 from console.main import main
 from console.places import PlacesError, find_place, read_places, save_place
 from console.specs.table import COMMANDS
-from control.model.arm import Effect
+from control.errors import ArmError
+from control.model.arm import Camera, Effect
+from control.model.camera import CameraStream
 from control.model.description import save_arm
 from control.safety.table import Mode
+from firmware_iface.mocap.bodies import RigidPose, compose
 from hil_mocks.scenario import EffectTable
 from tests.cell import RIGHT, STRETCHED, Cell, handled, holding_cell, scenario, with_drive
 
@@ -403,3 +408,25 @@ def test_marking_in_a_file_that_is_no_places_file_leaves_it_as_it_is(tmp_path: P
 def test_a_name_that_toml_would_not_take_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(PlacesError, match="letters, digits"):
         save_place(tmp_path / "places.toml", name, (0.0,))
+
+
+# ---- where the tip is meant to be
+
+
+@pytest.mark.parametrize("where", ["base_frame", "stream"])
+def test_a_tip_that_is_said_in_the_trackers_frame_goes_there(where: str) -> None:
+    """A tracker 2 m away, turned by 90 deg about z: its x is the base's y."""
+    turn_rad, origin_m = 0.5 * math.pi, (2.0, -0.3, 0.5)
+    if where == "base_frame":
+        values = dict(zip(("x_m", "y_m", "z_m", "rz_rad"), (*origin_m, turn_rad), strict=True))
+        arm = dataclasses.replace(RIGHT, effects=(*RIGHT.effects, Effect("base_frame", None, values)))
+    else:
+        half = 0.5 * turn_rad
+        stream = CameraStream(
+            "vicon", "tool", origin_m=origin_m, orientation=(math.cos(half), 0.0, 0.0, math.sin(half))
+        )
+        arm = dataclasses.replace(RIGHT, camera=Camera(stream=stream))
+    place = compose(tracker_place(arm), RigidPose((0.4, 1.5, 0.0), (1.0, 0.0, 0.0, 0.0)))
+    assert place.position_m == pytest.approx((2.0 - 1.5, -0.3 + 0.4, 0.5))
+    with pytest.raises(ArmError, match="does not say where the tracker's frame is"):
+        tracker_place(RIGHT)

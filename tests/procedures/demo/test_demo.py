@@ -134,6 +134,8 @@ def test_results_are_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "demo-2").write_text("a file is in the way")
     assert demo_command.free_folder(wanted) == tmp_path / "demo-3"
     assert (wanted / "report.html").read_text() == "first"
+    with pytest.raises(ArmError, match="expected a folder, new or old, got a file"):
+        demo_command.free_folder(wanted / "report.html")
 
 
 @pytest.mark.parametrize(

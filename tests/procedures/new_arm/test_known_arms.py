@@ -186,3 +186,11 @@ def test_a_servo_that_cannot_be_is_refused_with_its_line(old: str, new: str, sai
         parse_arm(text, Path("mine.toml"))
     assert said in str(refused.value)
     assert str(refused.value).startswith("mine.toml, line ")
+
+
+@pytest.mark.parametrize("spelled", ["so-101", "SO101", "Widow_X 250"])
+def test_a_known_arm_is_found_as_people_spell_it(spelled: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    assert main(["new", "--like", spelled, "--out", str(file)]) == 0
+    known = "so101" if "101" in spelled else "widowx250"
+    assert load_arm(file).links == load_arm(known).links

@@ -19,6 +19,7 @@ from control.model.board_kinds import KINDS
 from control.model.description import load_arm
 from firmware_iface.serial_link import PortHere
 from hil_mocks.scenario import load_scenario
+from procedures.arm_sheet import sheet
 from procedures.new_arm.answers import usual_ports
 from procedures.new_arm.motors import SERVOS
 from tests.cell import open_cell
@@ -330,3 +331,26 @@ def test_a_message_about_a_model_names_its_element_and_not_the_file_that_was_not
     assert not (tmp_path / "arm.toml").exists()
     assert main(["arm", "--from-urdf", str(model), "--as-given", "--out", str(tmp_path / "arm.toml")]) == 0
     assert load_arm(tmp_path / "arm.toml").as_given
+
+
+def test_what_it_has_chosen_itself_is_called_a_placeholder_until_the_word_is_taken_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, file = new(tmp_path, "--joints", "4", "--yes")
+    arm, payload = load_arm(file), sheet(load_arm(file)).payload
+    assert arm.placeholders == ("masses", "motors")
+    assert payload is not None
+    assert 0.9 * payload.everywhere_kg < arm.limits.payload_limit_kg <= payload.everywhere_kg
+    urdf = tmp_path / "mine.urdf"
+    urdf.write_text(export_text(arm, "urdf"), encoding="utf-8")
+    _, modelled = new(tmp_path, "--from-urdf", str(urdf), "--yes", name="modelled.toml")
+    assert load_arm(modelled).placeholders == ("motors",)
+    capsys.readouterr()
+    assert main(["arm", str(file)]) == 0
+    assert "masses and motors: PLACEHOLDERS" in capsys.readouterr().out
+    text = file.read_text(encoding="utf-8")
+    file.write_text(
+        re.sub("^placeholders.*$", "placeholders = []", text, flags=re.MULTILINE), encoding="utf-8"
+    )
+    assert main(["arm", str(file)]) == 0
+    assert "PLACEHOLDERS" not in capsys.readouterr().out
