@@ -11,6 +11,8 @@ from control.safety.table import Mode
 from procedures.on_boards import NAMES, on_boards
 from tests.cell import RIGHT, holding_cell, scenario
 
+NEAR_HOME = (-0.1, 0.0, 0.6)  # just below the switches: a short search
+
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_an_arm_on_boards_of_any_kind_is_written_and_read_back(kind: str, tmp_path: Path) -> None:
@@ -32,14 +34,14 @@ def test_where_a_switch_is_the_zero_its_edge_is_approached_so_slowly_that_it_is_
 ):
     arm = on_boards(RIGHT, "roboclaw")
     assert [drive.home.speed_rad_s for drive in arm.drives if drive.home] == [0.1, 0.1, 0.1]
-    with holding_cell(scenario(homed=False), arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+    with holding_cell(scenario(NEAR_HOME, homed=False), arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
         assert cell.client.home()
         assert cell.client.status()["q_rad"] == pytest.approx(cell.rig.joint_rad(), abs=1e-3)
 
 
 def test_on_mixed_boards_only_joints_without_an_absolute_encoder_home() -> None:
     arm = on_boards(RIGHT, "mixed")
-    with holding_cell(scenario(homed=False), arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+    with holding_cell(scenario(NEAR_HOME, homed=False), arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
         assert cell.runtime.parts.servo.modes[0] is not cell.runtime.parts.servo.modes[2]
         before_rad = cell.rig.joint_rad()[2]
         assert cell.client.home()

@@ -84,7 +84,13 @@ def require_same(one: StaticGap, other: StaticGap) -> None:
     assert other.finding.gap_after == pytest.approx(one.finding.gap_after, rel=1e-5)
 
 
-@pytest.mark.parametrize("has_time", [True, False], ids=["with times", "without times"])
+@pytest.mark.parametrize(
+    "has_time",
+    [
+        pytest.param(True, id="with times"),
+        pytest.param(False, id="without times", marks=pytest.mark.nightly),
+    ],
+)
 def test_rows_in_another_order_have_the_same_answer(has_time: bool) -> None:
     arm, points, found = recorded(has_time)
     require_same(found, find(arm, shuffled(points)[0]))
@@ -202,9 +208,21 @@ def require_equal(found: GapFinding, other: GapFinding, rel: float = 1e-5) -> No
     assert other.gap_after == pytest.approx(found.gap_after, rel=rel)
 
 
+# Every way and both kinds at each change, and all pairs at night.
+PAIRS = [
+    pytest.param(
+        kind,
+        way,
+        id=f"{kind.__name__}-{way}",
+        marks=[] if (number + (kind is series)) % 2 else pytest.mark.nightly,
+    )
+    for kind in (poses, series)
+    for number, way in enumerate(WAYS)
+]
+
+
 @pytest.mark.usefixtures("without_motion")
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("kind", [poses, series], ids=["poses", "series"])
+@pytest.mark.parametrize(("kind", "way"), PAIRS)
 def test_the_same_recording_written_down_in_another_way_has_the_same_answer(
     kind: Callable[[Path], tuple[Arm, Path]], way: str, folder: Path, tmp_path: Path
 ) -> None:
@@ -264,15 +282,14 @@ def test_one_processor_has_the_same_answer_as_two(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("without_motion")
-def test_neither_current_limits_nor_the_order_of_runs_say_anything_of_a_log() -> None:
+def test_neither_current_limits_nor_the_order_of_runs_say_anything_of_a_log(folder: Path) -> None:
     drives = tuple(dataclasses.replace(one, current_limit_A=6.0 * one.current_limit_A) for one in LONG.drives)
     without = [name for name in EFFECTS if name not in TRIED]
-    found, wider, turned = (
+    found = plain(series, folder)
+    wider, turned = (
         find_gap(arm, None, log, without=without).finding
-        for arm, log in (
-            (LONG, moved()), (dataclasses.replace(LONG, drives=drives), moved()), (LONG, Log(moved().runs[::-1])),
-        )
-    )  # fmt: skip
+        for arm, log in ((dataclasses.replace(LONG, drives=drives), moved()), (LONG, Log(moved().runs[::-1])))
+    )
     assert values_of(found).keys() == {EffectName("load_friction", 2)}
     require_equal(found, wider)
     require_equal(found, turned)

@@ -61,12 +61,12 @@ def slow(arm: Arm, pole_rad_s: float = 12.0) -> Arm:
 
 
 @contextmanager
-def homed_cell(arm: Arm, **keys: Any) -> Iterator[Cell]:
-    """The arm on its mock, which hides play, a spring and a belt; homed from a zero that nobody knows."""
+def holding_four(arm: Arm, knows_zero: bool = True, **keys: Any) -> Iterator[Cell]:
+    """The arm on its mock, which hides play, a spring and a belt, HOLDING; else homed from a zero that nobody knows."""
     start = arm.rest.q_rad if arm.rest else None
-    with open_cell(scenario(start, homed=False, effect=HIDDEN), arm, **keys) as cell:
+    with open_cell(scenario(start, homed=knows_zero, effect=HIDDEN), arm, **keys) as cell:
         cell.client.enable()
-        cell.client.home()
+        assert cell.client.home() is not knows_zero
         yield cell
 
 
@@ -82,14 +82,14 @@ def worst_rad(cell: Cell) -> float:
 
 @pytest.mark.parametrize("side", ["joint", "motor"])
 def test_a_joint_with_its_own_encoder_rests_where_it_is_sent_whatever_is_in_its_gear(side: str) -> None:
-    with homed_cell(slow(arm_of_four(side))) as cell:
+    with holding_four(slow(arm_of_four(side)), knows_zero=False) as cell:
         error_rad = worst_rad(cell)
         assert cell.mode is Mode.HOLDING
         assert error_rad < PLAY_rad / 6 if side == "joint" else error_rad > PLAY_rad
 
 
 def test_an_encoder_that_stands_on_a_moving_joint_is_found_once_play_cannot_explain_it() -> None:
-    with homed_cell(slow(arm_of_four("joint"))) as cell:
+    with holding_four(slow(arm_of_four("joint"))) as cell:
         cell.start_move(PLACES[0], 0.3)
         cell.run(0.6)
         before_rad = cell.rig.joint_rad()
@@ -129,7 +129,7 @@ def with_both(arm: Arm, counts: int = 2048) -> Arm:
 
 def test_two_encoders_show_the_play_and_the_spring_between_motor_and_joint() -> None:
     arm = with_both(slow(arm_of_four("joint")))
-    with homed_cell(arm) as cell:
+    with holding_four(arm) as cell:
         leads: list[list[float]] = [[], [], [], []]
         true: list[list[float]] = [[], [], [], []]
 
@@ -154,7 +154,7 @@ def test_two_encoders_show_the_play_and_the_spring_between_motor_and_joint() -> 
 @pytest.mark.parametrize("share", [0.8, 1.2])
 def test_an_encoder_that_slips_by_more_than_play_and_springs_is_found_by_the_other(share: float) -> None:
     arm = with_both(slow(arm_of_four("joint")))
-    with homed_cell(arm) as cell:
+    with holding_four(arm) as cell:
         slack_rad = arm.limits.transmission_slack_rad
         cell.run(0.5)
         slip = round(share * slack_rad * arm.drives[3].counts_per_joint_turn / (2.0 * np.pi) / 8)
@@ -171,7 +171,7 @@ def in_position_mode(arm: Arm) -> Arm:
 
 
 def test_a_motor_board_closes_its_position_loop_on_the_encoder_of_the_motor() -> None:
-    with homed_cell(in_position_mode(with_both(slow(arm_of_four("joint"))))) as cell:
+    with holding_four(in_position_mode(with_both(slow(arm_of_four("joint"))))) as cell:
         cell.client.move_joints(PLACES[0], 0.3)
         cell.run(1.0)
         off_rad = np.subtract(cell.rig.joint_rad(), PLACES[0])

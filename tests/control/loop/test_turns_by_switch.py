@@ -21,7 +21,9 @@ from control.server.client import ArmFaulted
 from procedures.on_boards import on_boards
 from tests.cell import RIGHT, Cell, open_cell, restarted, scenario, with_drive
 
-START = (0.3, 0.2, 0.4, -0.2)
+START = (0.1, -0.2, -0.1, 1.1)  # ten, three, two turns of the encoders and one before their switches
+
+pytestmark = pytest.mark.usefixtures("nobody_below")
 
 
 @cache
