@@ -31,6 +31,7 @@ from calib.identify.identification import Identification
 from calib.results import entries
 from control.files import NotWritten, append_whole, open_to_append, read_bytes, require_writable
 from control.model.arm import Arm
+from control.plain_text import aligned
 
 # history.jsonl: an append-only record of calibrations and gaps, a line each. Reference: docs/formats.md.
 #
@@ -753,10 +754,10 @@ def _about_due(trend: Trend) -> Iterator[str]:
 
 def as_text(trend: Trend) -> str:
     """What the command prints."""
-    rows = [f"  {one.name:<44}{_value(one):>12}{_rate(one):>36}{one.count:>9}" for one in trend.rates]
-    head = f"  {'':<44}{'last':>12}{'change in a year (95 %)':>36}{'records':>9}"
-    table = ["", head, *rows] if rows else []
-    return "\n".join([*sentences(trend), *table]) + "\n"
+    rows = [(one.name, _value(one), _rate(one), str(one.count)) for one in trend.rates]
+    head = ("", "last", "change in a year (95 %)", "records")
+    table = ("", aligned([head, *rows], indent="  ")) if rows else ()
+    return "\n".join((*sentences(trend), *table)) + "\n"
 
 
 def trend_json(trend: Trend) -> dict[str, object]:

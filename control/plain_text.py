@@ -1,10 +1,10 @@
-"""Output on any terminal: symbols missing from its encoding are replaced by ASCII, and file names are written byte by byte.
-
-One error handler for all streams of the program, so that callers of print need not care.
+"""Output on any terminal: tables of aligned columns; symbols missing from its encoding are replaced by ASCII, and file names are
+written byte by byte. One error handler for all streams of the program, so that callers of print need not care.
 """
 
 import codecs
 import sys
+from collections.abc import Iterable, Sequence
 from typing import Final, TextIO
 
 HANDLER: Final = "armwright"
@@ -33,6 +33,17 @@ def ascii_fallback(error: UnicodeError) -> tuple[str | bytes, int]:
     if ord(character) in ESCAPED_BYTES:
         return bytes([ord(character) & 0xFF]), after
     return IN_ASCII.get(character) or character.encode("ascii", "backslashreplace").decode("ascii"), after
+
+
+def aligned(rows: Iterable[Sequence[str]], left: int = 1, indent: str = "") -> str:
+    """Rows of cells as lines of columns, each as wide as its widest cell: the first `left` flush left, the others flush right."""
+    cells = list(rows)
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    sides = [str.ljust] * left + [str.rjust] * (len(widths) - left)
+    return "\n".join(
+        (indent + "  ".join(side(cell, w) for cell, w, side in zip(row, widths, sides, strict=True))).rstrip()
+        for row in cells
+    )
 
 
 def _reconfigure(stream: TextIO | None, errors: str) -> None:

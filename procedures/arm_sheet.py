@@ -22,6 +22,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Drive
 from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz
 from control.model.joint_map import JointMap
+from control.plain_text import aligned
 from firmware_iface.encoder.wire import REPORT_WIRE_BYTES
 
 POSES: Final = 4000
@@ -322,9 +323,7 @@ def sheet_lines(arm: Arm, found: ArmSheet, absent: tuple[Missing, ...]) -> Itera
         f"reach: {1e3 * reach.farthest_m:.0f} mm from axis 1; heights {1e3 * reach.lowest_m:.0f} to"
         f" {1e3 * reach.highest_m:.0f} mm; {100 * reach.above_floor:.0f} % of all poses stay above the floor"
     )
-    widths = (6, 18, 8, 8, 9, 9, 7, 9, 8)
-    for row in (HEAD, UNITS, *(_row(joint) for joint in found.joints)):
-        yield "".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+    yield aligned((HEAD, UNITS, *(_row(joint) for joint in found.joints)))
     yield "free: without load; gravity, moving (at the acceleration limit): worst pose above the floor; step: of the encoder"
     if found.payload is not None:
         payload = found.payload

@@ -30,6 +30,7 @@ from control.kinematics.rotation import quaternion_of, quaternions
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.model.description import save_arm
+from control.plain_text import aligned
 from control.progress import Advance, silent
 
 CONTACTS_LEAST = 6
@@ -260,8 +261,7 @@ def pair_text(nominal: tuple[Arm, Arm], found: PairFound) -> str:
         *(f"{sentence}." for sentence in (*remarks(found), *open_in_words(found.known.undetermined))),
         *([] if found.has_distance else [SCALE]),
         "",
-        f"{'parameter':<22}{'unit':<6}{'nominal':>12}{'identified':>12}{'sd':>10}",
-        *(_line(one) for one in found.estimates if one.parameter.has_bound or "_tool_" in one.parameter.name),
+        aligned([("parameter", "unit", "", "nominal", "identified", "sd"), *map(_row, _own(found))], left=3),
         "",
         _stand(names_of(nominal), found.base),
     ]
@@ -285,14 +285,19 @@ def _rms(angles_rad: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(angles_rad**2, axis=1))))
 
 
-def _line(one: Estimate) -> str:
+def _own(found: PairFound) -> list[Estimate]:
+    """The parameters of the arms and their tools, without those of where the bases stand."""
+    return [one for one in found.estimates if one.parameter.has_bound or "_tool_" in one.parameter.name]
+
+
+def _row(one: Estimate) -> tuple[str, ...]:
     unit, factor, digits = ("deg", math.degrees(1.0), 4) if one.parameter.unit == "rad" else ("mm", 1e3, 3)
-    values = f"{factor * one.parameter.nominal:>12.{digits}f}{factor * one.value:>z12.{digits}f}"
+    values = (f"{factor * one.parameter.nominal:.{digits}f}", f"{factor * one.value:z.{digits}f}")
     if one.undetermined_share > NO_EFFECT:
-        return f"{one.parameter.name:<22}{unit:<6}{values}{'':>10}  no effect here"
+        return (one.parameter.name, unit, "no effect here", *values, "")
     spread = "" if math.isnan(one.sd) else f"{factor * one.sd:.{digits}f}"
     remark = "at its bound" if one.is_at_bound else "" if one.is_determined else "not determined alone"
-    return f"{one.parameter.name:<22}{unit:<6}{values}{spread:>10}  {remark}".rstrip()
+    return (one.parameter.name, unit, remark, *values, spread)
 
 
 def _stand(names: tuple[str, str], base: Frame) -> str:
@@ -348,8 +353,7 @@ def pair_json(nominal: tuple[Arm, Arm], found: PairFound) -> dict[str, object]:
         "parameters": {
             one.parameter.name: entries(one.parameter, "unit", "nominal")
             | entries(one, "value", "sd", "is_determined", "is_at_bound")
-            for one in found.estimates
-            if one.parameter.has_bound or "_tool_" in one.parameter.name
+            for one in _own(found)
         },
         "second_base": {
             "origin_m": found.base.origin_m,

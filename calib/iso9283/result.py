@@ -15,6 +15,7 @@ from calib.report.page import PLANNED, Cell, Section, bullets, page, svg, table
 from calib.report.report_sections import inputs_section
 from calib.results import Provenance, entries, write_json
 from control.files import write_whole
+from control.plain_text import aligned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -206,13 +207,10 @@ def summary_text(criteria: Sequence[Criterion]) -> str:
     lines = []
     for c in criteria:
         lines.append(f"{c.number:2d}  {c.name}")
-        lines += [f"      {f.symbol:<14} {shown(f.value, f.unit):>16}   {_place(f)}" for f in c.headlines]
+        rows = [(f.symbol, f"{f.where}; {f.count} cycles", shown(f.value, f.unit)) for f in c.headlines]
+        lines += [aligned(rows, left=2, indent="      ")] if rows else []
         lines += [f"      needs {need}" for need in c.needs]
     return "\n".join(lines)
-
-
-def _place(figure: Figure) -> str:
-    return f"{figure.where}; {figure.count} cycles"
 
 
 STYLES = (

@@ -33,6 +33,7 @@ from calib.studies.chunks import ChunkStore
 from calib.tolerances.making import MadeArms
 from calib.tolerances.study import COST_ARMS, SHARE, STAGES, StudyDesign
 from calib.validation.statistics import Z95, IntervalFigure, proportion, quantile
+from control.plain_text import aligned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -121,6 +122,7 @@ def costliest(made: Made, stage: int) -> list[FactorShare]:
 
 
 LISTED = 8
+COSTS_HEAD = ("error less by", "left [mm]")
 SAMPLE = 4000  # arms drawn for the check of bounds
 BEYOND = 0.01  # of the arms beyond a bound, from which it is said
 
@@ -200,8 +202,8 @@ def as_text(made: Made, tolerance_m: float | None) -> str:
     """What the command prints."""
     lines = list(sentences(made, tolerance_m))
     for stage, name in enumerate(STAGES):
-        lines += ["", f"  {f'{name}: if this were exact':<40}{'error less by':>26}{'left [mm]':>12}"]
-        lines += [f"  {what:<40}{share:>26}{left:>12}" for what, share, left in cost_rows(made, stage)]
+        head = (f"{name}: if this were exact", *COSTS_HEAD)
+        lines += ["", aligned([head, *cost_rows(made, stage)], indent="  ")]
     return "\n".join(lines) + "\n"
 
 
@@ -358,7 +360,7 @@ def tolerances_report(
     made: Made, tolerance_m: float | None, warnings: Sequence[str], provenance: Provenance
 ) -> str:
     """The page."""
-    head = ("tolerance", "error less by", "left [mm]")
+    head = ("tolerance", *COSTS_HEAD)
     costs = [f"<h3>{name}</h3>{table(head, cost_rows(made, stage))}" for stage, name in enumerate(STAGES)]
     stages = table(stage_heading(tolerance_m), stage_rows(made, tolerance_m))
     parts: list[Section | str] = [

@@ -30,6 +30,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model import table as tables
 from control.model.arm import Arm
+from control.plain_text import aligned
 
 # Detects points that the calibration has already used, by the file's hash and pose by pose.
 
@@ -250,7 +251,6 @@ __all__ = [
     "Comparison",
     "ErrorSummary",
     "SetupComparison",
-    "aligned",
     "compare",
     "compare_repeated",
     "comparison_text",
@@ -419,18 +419,6 @@ def _figures(summary: ErrorSummary) -> tuple[str, ...]:
 def findings(comparison: Comparison) -> tuple[str, ...]:
     """Significance of the difference for each setup, and for all together."""
     return tuple(f"{entry.setup}: {entry.difference.in_words()}" for entry in comparison.by_setup())
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of cells as columns: the first left-aligned, the others right-aligned."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(w) if k == 0 else cell.rjust(w)
-            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    )
 
 
 # Compares two models of an arm on recorded poses: predictions from the encoders against measured tips.

@@ -11,6 +11,7 @@ from calib.arrays import Array
 from calib.vision.intrinsics import LensFit, SeenPicture, TILT_rad
 from calib.vision.lens import NAMES
 from calib.vision.poses import MeasuredPose, PoseSet
+from control.plain_text import aligned
 
 PICTURES_WANTED = 15
 CELLS = 3  # rows and columns of the picture that each need corners
@@ -167,14 +168,13 @@ def lens_text(fit: LensFit) -> str:
         f" {fit.rms_px:.3f} px (rms distance){held}.",
         f"A corner is found to {lens.noise_px:.3f} px (standard deviation of one axis).",
         "",
-        f"{'lens':<8}{'value':>12}{'sd':>11}",
     ]
+    rows = [("lens", "value", "sd")]
     for name, value, sd in zip(NAMES, lens.values, lens.sd, strict=True):
         unit = " px" if name in NAMES[:4] else ""
-        spread = f"{sd:>11.4f}" if sd > 0.0 else f"{'':>11}  kept: these pictures do not determine it"
-        lines.append(f"{name:<8}{value:>12.4f}{spread}{unit}")
-    lines += ["", f"{'picture':<20}{'corners':>8}{'px':>8}{'mm away':>9}{'tilt, deg':>14}{'blur px':>9}"]
-    lines += [_picture_line(one) for one in fit.seen]
+        rows.append((f"{name}{unit}", f"{value:.4f}", f"{sd:.4f}" if sd > 0.0 else "not determined: kept"))
+    pictures = [("picture", "corners", "px", "mm away", "tilt, deg", "blur px"), *map(_picture, fit.seen)]
+    lines += [aligned(rows), "", aligned(pictures)]
     said = advice(fit)
     lines += (
         ["", *(f"To do: {sentence}." for sentence in said)] if said else ["", "The pictures lack nothing."]
@@ -182,13 +182,11 @@ def lens_text(fit: LensFit) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _picture_line(one: SeenPicture) -> str:
-    about_x, about_y = (math.degrees(angle) for angle in one.tilt)
+def _picture(one: SeenPicture) -> tuple[str, ...]:
+    tilt = " ".join(f"{math.degrees(angle):4.0f}" for angle in one.tilt)
     blur = "" if math.isnan(one.sighting.blur_px) else f"{one.sighting.blur_px:.1f}"
-    return (
-        f"{one.sighting.name[:19]:<20}{len(one.sighting.corners):>8}{one.rms_px:>8.3f}{1e3 * one.distance_m:>9.0f}"
-        f"{about_x:>8.0f}{about_y:>6.0f}{blur:>9}"
-    )
+    corners = str(len(one.sighting.corners))
+    return (one.sighting.name, corners, f"{one.rms_px:.3f}", f"{1e3 * one.distance_m:.0f}", tilt, blur)
 
 
 def poses_text(found: PoseSet) -> str:

@@ -1,7 +1,6 @@
 """`armwright arm` checks and summarises an arm.toml; `armwright export-arm` converts it to other formats."""
 
 import argparse
-import dataclasses
 import json
 import math
 import sys
@@ -11,11 +10,13 @@ from typing import Any
 
 import msgspec
 
+from console.commands.progress import answer
 from control.errors import ArmError
-from control.model.arm import Arm, Effect
+from control.model.arm import Arm
 from control.model.description import load_arm, save_arm
 from control.model.effects import place_of
-from procedures.arm_sheet import ArmSheet, Missing, missing, sheet, sheet_lines, warnings
+from control.plain_text import aligned
+from procedures.arm_sheet import missing, sheet, sheet_lines, warnings
 
 LEROBOT, PYTHON = "lerobot", "python"
 
@@ -40,37 +41,9 @@ def run(given: argparse.Namespace) -> int:
     if given.lerobot:
         return _taken_over(arm, given)
     found, absent = sheet(arm), missing(arm)
-    if given.json:
-        text = json.dumps({**summary(arm), **_figures(found, absent)}, indent=2)
-    else:
-        text = "\n".join([described(arm), *sheet_lines(arm, found, absent)])
-    sys.stdout.write(f"{text}\n")
+    figures = {"figures": found, "warnings": list(warnings(found)), "missing": absent}
+    answer(given, summary(arm) | figures, "\n".join([described(arm), *sheet_lines(arm, found, absent)]))
     return 0
-
-
-def _figures(found: ArmSheet, absent: tuple[Missing, ...]) -> dict[str, Any]:
-    """Figures for programs: what is unknown or infinite is null."""
-    return {
-        "figures": _plain(dataclasses.asdict(found)),
-        "warnings": list(warnings(found)),
-        "missing": [dataclasses.asdict(one) for one in absent],
-    }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _effect(one: Effect) -> str:
-    """An effect as a line: where it is, and its parameters."""
-    where = "" if one.joint is None else f" of {place_of(one.effect)} {one.joint}"
-    return (
-        f"{one.effect}{where}: {', '.join(f'{name} {value:.4g}' for name, value in one.parameters.items())}"
-    )
 
 
 def _imported(given: argparse.Namespace) -> int:
@@ -148,16 +121,17 @@ def summary(arm: Arm) -> dict[str, Any]:
 
 def described(arm: Arm) -> str:
     """Summary of the arm for people."""
-    lines = [
-        f"arm {arm.name} ({arm.path}): {arm.joint_count} joints, {len(arm.drives)} drives, {arm.dh_convention} DH",
-        f"{'link':<6}{'joint':<10}{'d [mm]':>12}{'theta [deg]':>14}{'L [mm]':>12}{'alpha [deg]':>14}",
-    ]
+    rows = [("link", "joint", "d [mm]", "theta [deg]", "L [mm]", "alpha [deg]")]
     for number, link in enumerate(arm.links, start=1):
         theta_deg, alpha_deg = math.degrees(link.theta_rad), math.degrees(link.alpha_rad)
-        lines.append(
-            f"{number:<6}{link.joint:<10}{1e3 * link.d_m:>12.3f}{theta_deg:>14.4f}{1e3 * link.L_m:>12.3f}{alpha_deg:>14.4f}"
-        )
-    lines += [f"effect {_effect(one)}" for one in arm.effects]
+        figures = (f"{1e3 * link.d_m:.3f}", f"{theta_deg:.4f}", f"{1e3 * link.L_m:.3f}", f"{alpha_deg:.4f}")
+        rows.append((str(number), link.joint, *figures))
+    drives = f"{arm.joint_count} joints, {len(arm.drives)} drives, {arm.dh_convention} DH"
+    lines = [f"arm {arm.name} ({arm.path}): {drives}", aligned(rows, left=2)]
+    for one in arm.effects:
+        where = "" if one.joint is None else f" of {place_of(one.effect)} {one.joint}"
+        values = ", ".join(f"{name} {value:.4g}" for name, value in one.parameters.items())
+        lines.append(f"effect {one.effect}{where}: {values}")
     if arm.calibration:
         lines.append(
             f"calibrated from {arm.calibration.source} on {arm.calibration.date} ({arm.calibration.objective})"

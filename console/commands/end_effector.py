@@ -1,13 +1,12 @@
 """Commands for what is at the end of the arm: tool, gripper, digital pins."""
 
 import argparse
-import json
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from console.commands.connection import connected
+from console.commands.progress import answer
 from control.errors import ArmError
 from control.server.client import ArmClient
 
@@ -25,10 +24,10 @@ class Answer:
 
 def run(given: argparse.Namespace) -> int:
     """Send the command's request, wait for its end, and print what has become of it."""
-    answer = COMMANDS[given.command](connected(given), given)
-    text = json.dumps(answer.content, indent=2) if given.json else "\n".join(answer.lines)
-    sys.stdout.write(f"{text}\n" if text else "")
-    return 1 if answer.is_failure else 0
+    found = COMMANDS[given.command](connected(given), given)
+    if given.json or found.lines:
+        answer(given, found.content, "\n".join(found.lines))
+    return 1 if found.is_failure else 0
 
 
 def _tool(client: ArmClient, given: argparse.Namespace) -> Answer:

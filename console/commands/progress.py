@@ -1,10 +1,14 @@
-"""A progress bar with the remaining time on a terminal; occasional lines if output goes to a file."""
+"""What a command tells its user: its result, warnings, and its progress, as a bar with the remaining time on a terminal."""
 
+import argparse
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+from control.plain_text import aligned
 
 LINES = 10  # of a job, without a terminal
 
@@ -14,8 +18,21 @@ def warn(sentences: Iterable[str]) -> None:
     sys.stderr.writelines(f"armwright: warning: {sentence}\n" for sentence in sentences)
 
 
+def answer(
+    given: argparse.Namespace, content: object, text: str, files: Mapping[str, Path] | None = None
+) -> None:
+    """Print a result: with --json `content` (a path is a file that holds it), else `text` and where the files are."""
+    if given.json:
+        from calib.results import json_text
+
+        sys.stdout.write(content.read_text("utf-8") if isinstance(content, Path) else json_text(content))
+        return
+    where = aligned([(what, str(file)) for what, file in (files or {}).items()], left=2, indent="  ")
+    sys.stdout.write("\n\n".join(filter(None, (text.rstrip("\n"), where))) + "\n")
+
+
 class Bar:
-    """Shows the progress of a job; a context manager."""
+    """Shows the progress of a job; a context manager. Where output goes to a file, it writes some lines."""
 
     def __init__(self, title: str) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn

@@ -1,11 +1,12 @@
 """`armwright script FILE`: runs operator lines from a file until the end or the first failure."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
+from calib.results import entries
 from console.commands.connection import in_control
+from console.commands.progress import answer
 from console.lines import Grammar, LineError, LineOutcome, parse_lines, replay
 from console.specs.table import COMMANDS
 from control.files import read_text
@@ -32,9 +33,7 @@ def run(given: argparse.Namespace) -> int:
 
     status = replay(lines, lambda: in_control(given), say)
     if given.json:
-        terminal.write(
-            json.dumps({"status": status, "lines": [_message(o) for o in outcomes]}, indent=2) + "\n"
-        )
+        answer(given, {"status": status, "lines": [_message(outcome) for outcome in outcomes]}, "")
     return status
 
 
@@ -64,10 +63,4 @@ def _indented(text: str) -> str:
 
 
 def _message(outcome: LineOutcome) -> dict[str, object]:
-    return {
-        "number": outcome.number,
-        "line": outcome.line,
-        "status": outcome.status,
-        "transcript": outcome.transcript,
-        "took_s": round(outcome.took_s, 3),
-    }
+    return entries(outcome, "number", "line", "status", "transcript") | {"took_s": round(outcome.took_s, 3)}

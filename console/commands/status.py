@@ -1,15 +1,16 @@
 """`armwright status`: the state of the arm as text or JSON."""
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Sequence
 
 from console.commands.connection import listening
 from console.commands.end_effector import gripper_text, pin_text
+from console.commands.progress import answer
 from control.errors import ArmError
 from control.model.description import load_arm
+from control.plain_text import aligned
 from control.recording.recorder_state import RecorderState
 from control.server.channel import Message
 
@@ -30,8 +31,7 @@ def run(given: argparse.Namespace) -> int:
             client.require_arm(load_arm(given.arm))
         except ArmError as error:
             status["warnings"].append(str(error))
-    text = json.dumps(status, indent=2) if given.json else described(status)
-    sys.stdout.write(f"{text}\n")
+    answer(given, status, described(status))
     return 1 if status["mode"] == "FAULT" else 0
 
 
@@ -46,7 +46,7 @@ def described(status: Message) -> str:
         f"arm {status['arm']}: {status['mode']}, {homed}{done}{pace}{step}{held}",
         *_cell_line(status),
         "",
-        *_joint_rows(status),
+        aligned(_joint_rows(status)),
         "",
         *stale_lines(status),
         *_tip_lines(status),
@@ -71,22 +71,22 @@ def _cell_line(status: Message) -> list[str]:
     return [f"cell {cell['name']}: {others}"]
 
 
-def _joint_rows(status: Message) -> list[str]:
+def _joint_rows(status: Message) -> list[tuple[str, ...]]:
     encoder, drive = status["encoder_stale_s"], status["drive_stale_s"]
+    joints = range(1, len(encoder) + 1)
+    degrees = [math.degrees(q) for q in status["q_rad"]]
+    error_mrad = [1e3 * error for error in status["following_error_rad"]]
     return [
-        _row("joint", [f"{joint + 1}" for joint in range(len(status["q_rad"]))]),
-        _row("angle [rad]", _marked(_numbers(status["q_rad"], 4), encoder)),
-        _row("angle [deg]", _marked(_numbers([math.degrees(q) for q in status["q_rad"]], 2), encoder)),
-        _row("set-point [rad]", _numbers(status["q_set_rad"], 4)),
-        _row(
-            "following error [mrad]",
-            _marked(_numbers([1e3 * e for e in status["following_error_rad"]], 2), encoder),
-        ),
-        _row("count", _marked([str(count) for count in status["count"]], encoder)),
-        _row("current [A]", _marked(_numbers(status["current_A"], 2), drive)),
-        _row("supply [V]", _marked(_numbers(status["supply_V"], 1), drive)),
-        _row("temperature [°C]", _marked(_numbers(status["temperature_C"], 0), drive)),
-        _row("drive", _marked(status["drive_state"], drive)),
+        ("joint", *map(str, joints)),
+        ("angle [rad]", *_marked(_numbers(status["q_rad"], 4), encoder)),
+        ("angle [deg]", *_marked(_numbers(degrees, 2), encoder)),
+        ("set-point [rad]", *_numbers(status["q_set_rad"], 4)),
+        ("following error [mrad]", *_marked(_numbers(error_mrad, 2), encoder)),
+        ("count", *_marked([str(count) for count in status["count"]], encoder)),
+        ("current [A]", *_marked(_numbers(status["current_A"], 2), drive)),
+        ("supply [V]", *_marked(_numbers(status["supply_V"], 1), drive)),
+        ("temperature [°C]", *_marked(_numbers(status["temperature_C"], 0), drive)),
+        ("drive", *_marked(status["drive_state"], drive)),
     ]
 
 
@@ -128,10 +128,6 @@ def stale_lines(status: Message) -> list[str]:
 def _marked(cells: Sequence[str], ages_s: Sequence[float | None]) -> list[str]:
     """The cells, with a mark at each value of a silent board."""
     return [cell if age_s is None else f"{cell}{STALE}" for cell, age_s in zip(cells, ages_s, strict=True)]
-
-
-def _row(name: str, cells: Sequence[str]) -> str:
-    return f"{name:<24}" + "".join(f"{cell:>20}" for cell in cells)
 
 
 def _numbers(values: Sequence[float], decimals: int) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from console.visualisation.series import Array, Series
+from control.plain_text import aligned
 
 NEAR_LIMIT: Final = 0.98  # of current limit or supply: saturated
 FORMAT: Final = "plot/1"
@@ -192,8 +193,7 @@ def metrics_text(series: Series, merit: Metrics) -> str:
         ("supply, least [V]", [_shown(j.supply_min_V, 1.0, 2) for j in joints]),
         ("temperature, highest [°C]", [_shown(j.temperature_max_C, 1.0, 1) for j in joints]),
     ]
-    lines = [f"{series.name}: {span}", ""]
-    lines += [f"{title:<34}" + "".join(f"{cell:>11}" for cell in cells) for title, cells in rows]
+    lines = [f"{series.name}: {span}", "", aligned((title, *cells) for title, cells in rows)]
     if merit.tip_rms_m is not None:
         lines.append(
             f"\ntip, camera minus model: {_shown(merit.tip_rms_m, 1e3, 3)} mm rms, {_shown(merit.tip_max_m, 1e3, 3)}"

@@ -29,7 +29,7 @@ from calib.report.page import (
 from calib.report.report_sections import inputs_section
 from calib.results import Provenance, entries
 from calib.validation.statistics import mean_half_width, student_t
-from calib.validation.verify import aligned
+from control.plain_text import aligned
 from procedures.demo.paper_models import BACKLASH, FREE, OTHER, SETUPS, TILTS, Goal, PaperModel
 
 if TYPE_CHECKING:

@@ -105,20 +105,18 @@ def run(arm: Arm, scenario_file: Path, out: Path, advance: Advance) -> WebcamOut
     return WebcamOutcome(fit, webcam.focal_px[0], poses, made, rank, before, after)
 
 
-def summary(outcome: WebcamOutcome, out: Path) -> str:
+def findings(outcome: WebcamOutcome) -> tuple[str, ...]:
     """What was found, against the truth."""
     found, lens = outcome.made.found, outcome.lens.lens
     return (
-        f"\nLens: {len(outcome.lens.seen)} pictures, residual {outcome.lens.rms_px:.3f} px; focal length"
-        f" {lens.values[0]:.2f} px (sd {lens.sd[0]:.2f}), true {outcome.true_focal_px:.2f} px.\n"
+        f"Lens: {len(outcome.lens.seen)} pictures, residual {outcome.lens.rms_px:.3f} px; focal length"
+        f" {lens.values[0]:.2f} px (sd {lens.sd[0]:.2f}), true {outcome.true_focal_px:.2f} px.",
         f"Poses: {len(outcome.poses.measured)} of {ARM_PICTURES} pictures; the points scatter {found.weighted or 0.0:.2f} times"
-        " as much as their covariances say.\n"
+        " as much as their covariances say.",
         f"Determined: {found.rank} of {len(found.estimates)} parameters with orientations, {outcome.rank_by_position} of"
-        f" {len(found.estimates) - 3} by positions alone.\n"
+        f" {len(found.estimates) - 3} by positions alone.",
         f"Error of the target at {WORKSPACE_POSES} poses all over the workspace, against the truth:"
-        f" {_words(outcome.before_m)} before, {_words(outcome.after_m)} after.\n\n"
-        f"  pictures        {out / 'lens'}, {out / 'arm'}\n  camera          {out / 'camera.json'}\n"
-        f"  points          {out / 'points.csv'}\n  calibrated arm  {out / 'arm_calibrated.toml'}\n"
+        f" {_words(outcome.before_m)} before, {_words(outcome.after_m)} after.",
     )
 
 

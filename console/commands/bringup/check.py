@@ -1,10 +1,9 @@
 """`armwright check`: find the boards of arm.toml and compare their identities. Nothing moves."""
 
 import argparse
-import json
-import sys
 from typing import Any
 
+from console.commands.progress import answer
 from console.commands.serve import camera_port
 from control.hardware.connect import Connection, connect, with_links
 from control.model.description import load_arm
@@ -24,34 +23,27 @@ def run(given: argparse.Namespace) -> int:
     finally:
         connection.close()
     remedy = punctuality_remedy()
-    if given.json:
-        content = {"format": FORMAT, "arm": arm.name, **found, "rights": remedy or "granted"}
-        _say(json.dumps(content, indent=2))
-    else:
-        _say(described(found))
-        _say(f"real-time rights: {remedy or 'granted'}")
-        _say(f"arm {arm.name}: all boards answer and match arm.toml")
+    rights = remedy or "granted"
+    answer(
+        given,
+        {"format": FORMAT, "arm": arm.name, **found, "rights": rights},
+        f"{described(found)}\nreal-time rights: {rights}\narm {arm.name}: all boards answer and match arm.toml",
+    )
     return 0
 
 
 def found_boards(connection: Connection) -> dict[str, list[dict[str, Any]]]:
     """Every board that answered, by kind, with its identity."""
     encoders = [
-        {
-            "where": encoder.where, "serial_number": found.serial_number, "firmware": _version(found.firmware),
-            "channels": found.channels, "encoder_bits": found.encoder_bits,
-        }
+        _entry(encoder.where, found, "channels", "encoder_bits")
         for encoder in connection.encoders
         if (found := encoder.identity) is not None
-    ]  # fmt: skip
+    ]
     motors = [
-        {
-            "where": motor.where, "serial_number": who.serial_number, "firmware": _version(who.firmware),
-            "encoder_counts_per_turn": who.encoder_counts_per_turn,
-        }
+        _entry(motor.where, who, "encoder_counts_per_turn")
         for motor in connection.motors
         if (who := motor.identity) is not None
-    ]  # fmt: skip
+    ]
     others = [{"where": where, "identity": identity} for where, identity in connection.others]
     return {"encoder_boards": encoders, "motor_boards": motors, "boards": others}
 
@@ -72,9 +64,7 @@ def described(found: dict[str, list[dict[str, Any]]]) -> str:
     return "\n".join(lines)
 
 
-def _version(firmware: int) -> str:
-    return f"{firmware >> 8}.{firmware & 255}"
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
+def _entry(where: str, identity: Any, *more: str) -> dict[str, Any]:
+    firmware = f"{identity.firmware >> 8}.{identity.firmware & 255}"
+    known = {"where": where, "serial_number": identity.serial_number, "firmware": firmware}
+    return known | {name: getattr(identity, name) for name in more}

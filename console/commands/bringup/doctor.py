@@ -1,13 +1,12 @@
 """`armwright doctor`: checks an arm before it is switched on. Nothing is energised and nothing moves."""
 
 import argparse
-import json
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from console.commands.progress import answer
 from control.errors import ArmError
 from control.model.arm import Arm
 from firmware_iface.clock import Clock
@@ -29,10 +28,8 @@ def run(given: argparse.Namespace) -> int:
     with opened(given) as setting, _recordings(given) as log_folder:
         rate_Hz = given.rate or setting.arm.usual_rate_Hz
         findings = examine(setting.arm, setting.clock, 1.0 / rate_Hz, given.seconds, log_folder)
-    if given.json:
-        sys.stdout.write(json.dumps(as_json(setting.arm.name, findings), indent=1) + "\n")
-    else:
-        sys.stdout.write(f"{as_text(findings)}\narm {setting.arm.name}: {verdict(findings)}\n")
+    name = setting.arm.name
+    answer(given, as_json(name, findings), f"{as_text(findings)}\narm {name}: {verdict(findings)}")
     return 1 if worst(findings) is Level.BAD else 0
 
 

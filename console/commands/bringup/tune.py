@@ -9,6 +9,7 @@ from console.commands.progress import Bar
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import save_arm
+from control.plain_text import aligned
 from procedures.bringup.bench import opened
 from procedures.folders import require_writable
 from procedures.tuning.procedure import NotTuned, TuningOptions, TuningResult, require_loop, tunable, tune
@@ -77,12 +78,8 @@ def _write(result: TuningResult, draft: Arm, out: Path, page: Path) -> None:
     drives = tuple(replace(drive, pid=pids[drive.joint]) for drive in draft.drives)
     save_arm(replace(draft, drives=drives), out)
     write_report(result, page, f"from {draft.path}; armwright {version('armwright')}")
-    lines = [header(draft), *(row for tuned in result.joints for row in rows(tuned))]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-    for line in lines:
-        sys.stdout.write(
-            "  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) + "\n"
-        )
+    table = aligned((header(draft), *(row for tuned in result.joints for row in rows(tuned))), left=2)
+    sys.stdout.write(f"{table}\n")
     for tuned in result.joints:
         sys.stdout.write(f"{worst_pose(tuned)}\n")
         for caution in tuned.cautions:

@@ -18,7 +18,7 @@ from calib.points.writer import write_points
 from calib.report.report import write_report
 from calib.results import InputFile, input_file, made_today
 from console.commands.calibration.options import board_frames, bounds_of, names_in, record_of
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from console.quantities import orientation_noise_rad, quantity
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -42,11 +42,7 @@ def run(given: argparse.Namespace) -> int:
     files = _write(given, made, out, forms)
     if record is not None:
         record.append(made_today(*_inputs(given, arm)).hashes, geometry_of(made.problem, made.found))
-    if given.json:
-        sys.stdout.write((out / "calibration.json").read_text(encoding="utf-8"))
-    else:
-        sys.stdout.write(summary_text(made))
-        sys.stdout.write("\n" + "".join(f"{what:<26}{file}\n" for what, file in files.items()))
+    answer(given, files["for programs"], summary_text(made), files)
     return 0
 
 

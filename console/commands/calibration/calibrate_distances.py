@@ -1,7 +1,6 @@
 """`armwright calibrate-distances`: an arm from lengths that draw wires, dial gauges or ball bars have measured."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from calib.arm_problem.assembly import Choice
@@ -11,7 +10,7 @@ from calib.identify.objective import objective_named
 from calib.points.arm_points import points_for
 from calib.results import input_file, made_today
 from console.commands.calibration.options import bounds_of, names_in, wires_at
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from control.model.description import load_arm
 from procedures.folders import require_new
 
@@ -39,8 +38,5 @@ def run(given: argparse.Namespace) -> int:
     provenance = made_today(input_file(file, "lengths"), *nominal)
     write_calibrated_arm(files[0], arm, made.found, provenance, points)
     write_calibration_json(files[1], arm.name, made.found, provenance, more=distances_json(made))
-    if given.json:
-        sys.stdout.write(files[1].read_text(encoding="utf-8"))
-    else:
-        sys.stdout.write(distances_text(made) + "\n" + "".join(f"written: {one}\n" for one in files))
+    answer(given, files[1], distances_text(made) + "\n" + "".join(f"written: {one}\n" for one in files))
     return 0

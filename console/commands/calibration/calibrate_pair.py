@@ -10,7 +10,7 @@ from calib.errors import CalibrationError
 from calib.identify.objective import objective_named
 from calib.results import input_file, made_today
 from console.commands.calibration.options import bounds_of, names_in
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from console.quantities import length_m
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -63,10 +63,7 @@ def _calibrate(given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Conta
     made = made_today(input_file(Path(given.contacts), "contacts"), *nominal)
     out.mkdir(parents=True, exist_ok=True)
     files = write_pair(out, arms, found, plan.objective.name, made)
-    if given.json:
-        sys.stdout.write(files[-1].read_text(encoding="utf-8"))
-    else:
-        sys.stdout.write(pair_text(arms, found) + "\n" + "".join(f"written: {file}\n" for file in files))
+    answer(given, files[-1], pair_text(arms, found) + "\n" + "".join(f"written: {file}\n" for file in files))
     return 0
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from calib.errors import VisionError
 from calib.points.reading import read_points
 from calib.points.writer import write_points
-from calib.results import input_file, json_text, made_today
+from calib.results import input_file, made_today
 from calib.vision.advice import advice, lens_text
 from calib.vision.advice import poses_text as described
 from calib.vision.intrinsics import CORNERS_LEAST as CORNERS_OF_A_LENS
@@ -16,7 +16,6 @@ from calib.vision.intrinsics import fit_lens, read_camera, write_camera
 from calib.vision.poses import (
     CORNERS_LEAST,
     CameraPictures,
-    PoseSet,
     measure_poses,
     poses_text,
     with_pictures,
@@ -32,7 +31,7 @@ from calib.vision.targets import (
     read_tags,
     write_print,
 )
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from console.quantities import quantity
 from control.files import write_whole
 from procedures.folders import require_new
@@ -77,9 +76,7 @@ def _calibrate(given: argparse.Namespace, out: Path) -> int:
     path = out / "camera.json"
     made = made_today(*(input_file(file, "a picture of the board") for file in files))
     write_camera(path, fit, board.name, advice(fit), made)
-    sys.stdout.write(
-        path.read_text(encoding="utf-8") if given.json else f"{lens_text(fit)}\nwritten: {path}\n"
-    )
+    answer(given, path, f"{lens_text(fit)}\nwritten: {path}")
     return 0
 
 
@@ -108,21 +105,15 @@ def _poses(given: argparse.Namespace, out: Path) -> int:
         write_points(out / "points.csv", measured)
     write_whole(out / "markers.csv", poses_text(found.measured))
     written = [out / name for name in ("markers.csv", *(["points.csv"] if points is not None else []))]
-    if given.json:
-        sys.stdout.write(json_text(_summary(found, written)))
-    else:
-        sys.stdout.write(described(found) + "".join(f"written: {path}\n" for path in written))
-    return 0
-
-
-def _summary(found: PoseSet, written: list[Path]) -> dict[str, object]:
-    return {
+    content = {
         "format": "camera-poses/1",
         "measured": [one.name for one in found.measured],
         "rejected": {one.name: one.reason for one in found.rejected},
         "noise_px": found.noise_px,
         "files": [str(path) for path in written],
     }
+    answer(given, content, described(found) + "".join(f"written: {path}\n" for path in written))
+    return 0
 
 
 def _target(given: argparse.Namespace) -> Charuco | Tags:

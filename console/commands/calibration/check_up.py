@@ -19,9 +19,9 @@ from calib.errors import CalibrationError
 from calib.gap.plan.plan import RecordingPlan
 from calib.points.arm_points import points_for
 from calib.points.points import Points
-from calib.results import json_text, write_json
+from calib.results import write_json
 from console.commands.calibration.gap import REAL_SPEED, recorded
-from console.commands.progress import warn
+from console.commands.progress import answer, warn
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -52,7 +52,7 @@ def run(given: argparse.Namespace) -> int:
     found = decide(expectation_of(arm, earlier, new))
     content = decision_json(found)
     write_json(Path(given.out) / RESULT, content)
-    sys.stdout.write(json_text(content) if given.json else "".join(f"{one}\n" for one in sentences(found)))
+    answer(given, content, "\n".join(sentences(found)))
     return 0 if found.action == "fine" and found.is_sure else 1
 
 

@@ -19,10 +19,9 @@ from calib.gap.workflow import (
     require_free,
     write_gap,
 )
-from calib.results import json_text
 from console.commands.calibration.options import record_of
 from console.commands.connection import in_control_of
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -83,12 +82,9 @@ def _look(
 
 def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path, has_points: bool) -> None:
     warn((*outcome.warnings, *outcome.agreement))
-    if given.json:
-        sys.stdout.write(json_text(gap_content(outcome.finding)))
-        return
-    sys.stdout.write("".join(f"{sentence}\n" for sentence in in_words(outcome.finding)))
-    sys.stdout.write(f"\nreport  {out / 'report.html'}\nmodel   {out / 'arm.toml'}\n")
-    if has_points:
+    files = {"report": out / "report.html", "model": out / "arm.toml"}
+    answer(given, gap_content(outcome.finding), "\n".join(in_words(outcome.finding)), files)
+    if has_points and not given.json:
         sys.stdout.write(
             f"Next: ask other points whether to use it: armwright verify --arm {out / 'arm.toml'} --against {given.arm}"
             " --points OTHERS.csv\n"

@@ -22,8 +22,8 @@ from calib.capture.tracks import (
 from calib.gap.log import Log, read_log
 from calib.points.points import CAMERA_FRAME, STREAM_FRAME
 from calib.points.writer import write_points
-from calib.results import entries, json_text
-from console.commands.progress import warn
+from calib.results import entries
+from console.commands.progress import answer, warn
 from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -72,11 +72,17 @@ def _points(given: argparse.Namespace, arm: Arm, file: Path) -> int:
     warn(said)
     write_points(file, rested.points)
     written, about_log = _log_written(arm, given, log, motion, aligned.log_time(capture.t_s), body)
-    if given.json:
-        sys.stdout.write(json_text(_summary(aligned, rested, file, written, (*of_clock, *said))))
-    else:
-        about = "".join(f"{sentence.rstrip('.')}.\n" for sentence in of_clock)
-        sys.stdout.write(f"{about}{_text(aligned, rested, body)}written: {file}\n{about_log}\n")
+    about = "".join(f"{sentence.rstrip('.')}.\n" for sentence in of_clock)
+    content = {
+        "format": "import-capture/1",
+        **entries(aligned, "offset_s", "offset_sd_s", "rate", "rate_sd", "correlation"),
+        "poses": len(rested.points),
+        "noise_m": rested.noise_m,
+        "said": (*of_clock, *said),
+        "file": str(file),
+        "log": str(written) if written is not None else None,
+    }
+    answer(given, content, f"{about}{_text(aligned, rested, body)}written: {file}\n{about_log}")
     return 0
 
 
@@ -128,17 +134,3 @@ def _text(aligned: Alignment, rested: Rested, body: BodyTrack) -> str:
         f"{words[0].upper()}{words[1:]}.\n"
         f"{len(rested.points)} poses at rest; noise of a frame {1e3 * rested.noise_m:.3f} mm per axis{turn}.\n"
     )
-
-
-def _summary(
-    aligned: Alignment, rested: Rested, file: Path, log: Path | None, said: tuple[str, ...]
-) -> dict[str, object]:
-    return {
-        "format": "import-capture/1",
-        **entries(aligned, "offset_s", "offset_sd_s", "rate", "rate_sd", "correlation"),
-        "poses": len(rested.points),
-        "noise_m": rested.noise_m,
-        "said": said,
-        "file": str(file),
-        "log": str(log) if log is not None else None,
-    }

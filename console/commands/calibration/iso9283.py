@@ -9,7 +9,7 @@ from calib.iso9283.criteria.checks import Iso9283Error
 from calib.iso9283.programme import PROGRAMMES, Extent, TestCube, largest_cube
 from calib.iso9283.result import summary_text
 from console.commands.connection import in_control_of
-from console.commands.progress import Bar
+from console.commands.progress import Bar, answer
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
@@ -82,12 +82,8 @@ def _evaluate(
     )
     for warning in warnings:
         sys.stderr.write(f"armwright: {warning}\n")
-    if given.json:
-        sys.stdout.write((out / "iso9283.json").read_text(encoding="utf-8"))
-        return 0
-    sys.stdout.write(
-        f"{summary_text(found.criteria)}\n\n  report  {out / 'iso9283.html'}\n  figures {out / 'iso9283.json'}\n"
-    )
+    files = {"report": out / "iso9283.html", "figures": out / "iso9283.json"}
+    answer(given, files["figures"], summary_text(found.criteria), files)
     return 0
 
 

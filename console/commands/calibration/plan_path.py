@@ -1,7 +1,6 @@
 """`armwright plan-path`: a path or stops with the least expected tip error, by what is known of the arm."""
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,12 @@ from calib.errors import CalibrationError
 from calib.planning.files import RESULTS, Plan, plan_json, sentences, write_plan
 from calib.planning.search import Freedom, StopsPlan, planned_path, planned_stops
 from calib.points.arm_points import base_points_for
-from calib.results import input_file, json_text, made_today
+from calib.results import input_file, made_today
 from calib.trust.prediction import Path as TaskPath
 from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
 from console.commands.calibration.options import board_frames
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from console.quantities import length_m
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
@@ -53,11 +52,8 @@ def run(given: argparse.Namespace) -> int:
     tasks = None if wanted_m is None else _tasks(trust.predictor, plan, wanted_m)
     points_files = (input_file(Path(name), "points") for name in given.points)
     write_plan(out, plan, tasks, made_today(input_file(Path(given.file), "way-points"), *points_files))
-    if given.json:
-        sys.stdout.write(json_text(plan_json(plan, tasks)))
-    else:
-        sys.stdout.write("".join(f"{one}\n" for one in sentences(plan, tasks)))
-        sys.stdout.write(f"\nrun it           armwright script {out / 'script.txt'}\n")
+    run_it = f"run it           armwright script {out / 'script.txt'}"
+    answer(given, plan_json(plan, tasks), "\n".join((*sentences(plan, tasks), "", run_it)))
     return 0
 
 

@@ -11,16 +11,15 @@ from calib.design.planning import Plan, Request, in_words, known_to, plan_json, 
 from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
-from calib.results import json_text
 from console.commands.calibration.options import board_frames
-from console.commands.progress import warn
+from console.commands.progress import answer, warn
 from console.quantities import length_m, orientation_noise_rad
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.plain_text import aligned
 from procedures.folders import require_writable
 
 USUAL_COUNT = 12
-HEAD = "  {:<12}{:<9}{:>5}{:>9}{:>10}{:>10}{:>8}{:>9}{:>9}{:>9}{:>8}  {}\n"
 
 
 def run(given: argparse.Namespace) -> int:
@@ -31,10 +30,7 @@ def run(given: argparse.Namespace) -> int:
     taken = _points(given, arm)
     choice = Choice(boards=board_frames(given.boards))
     plan = plan_poses(arm, taken, request_of(given), choice)
-    if given.json:
-        sys.stdout.write(json_text(plan_json(plan, arm.name)))
-    else:
-        sys.stdout.write(described(plan, arm.name))
+    answer(given, plan_json(plan, arm.name), described(plan, arm.name))
     if given.out:
         for path in write_plan(Path(given.out), plan, arm.name):
             (sys.stderr if given.json else sys.stdout).write(f"written: {path}\n")
@@ -92,21 +88,25 @@ def _points(given: argparse.Namespace, arm: Arm) -> Points | None:
 def described(plan: Plan, arm: str) -> str:
     """The plan as text: candidates, gain of each pose, alternatives, remarks."""
     candidates = ", ".join(f"{count} {setup}" for setup, count in plan.candidates.items())
-    lines = [
-        f"arm {arm}: {plan.before.points_count} points recorded; candidates: {candidates}; noise"
-        f" {1e3 * plan.noise_m:.3g} mm per axis; criterion {plan.criterion}\n\n",
-        "  Poses by value, and the accuracy after each:\n",
-        HEAD.format("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "weakest"),
-        HEAD.format("", "", "", "", *_figures(plan.before)),
+    head = ("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "weakest")
+    poses = [
+        (pose.setup, pose.point, str(pose.visit), f"+{pose.gain:.2f}", *_figures(pose.after))
+        for pose in plan.poses
     ]
-    for pose in plan.poses:
-        gain = f"+{pose.gain:.2f}"
-        lines.append(HEAD.format(pose.setup, pose.point, pose.visit, gain, *_figures(pose.after)))
-    lines.append("\n  Best plans of one kind:\n")
-    for one in plan.alternatives:
-        figures = _figures(one.after)
-        lines.append(HEAD.format(one.setup, f"{one.count}", "", f"+{one.gain:.2f}", *figures))
-    return "".join([*lines, "\n", *(f"{sentence}\n" for sentence in in_words(plan))])
+    others = [
+        (one.setup, str(one.count), "", f"+{one.gain:.2f}", *_figures(one.after)) for one in plan.alternatives
+    ]
+    return "\n".join(
+        [
+            f"arm {arm}: {plan.before.points_count} points recorded; candidates: {candidates}; noise"
+            f" {1e3 * plan.noise_m:.3g} mm per axis; criterion {plan.criterion}",
+            "\n  Poses by value, and the accuracy after each:",
+            aligned([head, ("", "", "", "", *_figures(plan.before)), *poses], left=2, indent="  "),
+            *(("\n  Best plans of one kind:", aligned(others, left=2, indent="  ")) if others else ()),
+            "",
+            *in_words(plan),
+        ]
+    )
 
 
 def _figures(state: Uncertainty) -> tuple[str, ...]:

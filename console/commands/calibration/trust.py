@@ -2,7 +2,6 @@
 
 import argparse
 import hashlib
-import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from calib.arm_problem.assembly import Choice
 from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import Points
-from calib.results import InputFile, input_file, json_text, made_today, write_json
+from calib.results import InputFile, input_file, made_today, write_json
 from calib.studies.chunks import ChunkStore, run_study
 from calib.studies.cluster import executor
 from calib.tolerances.making import parse_tolerances, tolerances_text
@@ -34,7 +33,7 @@ from calib.trust.prediction import planned, reliability_of
 from calib.trust.report import FORMAT, PoseFigures, as_text, pose_figures, trust_json, trust_report, write_map
 from calib.trust.trust import MapRequest, Trust, trust_in
 from console.commands.calibration.options import board_frames
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from console.quantities import length_m
 from control.files import write_whole
 from control.model.arm import Arm
@@ -68,11 +67,7 @@ def run(given: argparse.Namespace) -> int:
     write_map(files["map"], trust)
     content = trust_json(trust, tasks, visited)
     write_json(files["for programs"], made.heading(FORMAT, arm=arm.name) | content)
-    if given.json:
-        sys.stdout.write(json_text(content))
-    else:
-        sys.stdout.write(as_text(trust, tasks, visited))
-        sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
+    answer(given, content, as_text(trust, tasks, visited), files)
     return 0
 
 
@@ -140,11 +135,7 @@ def study_design(given: argparse.Namespace) -> int:
     content = made_json(made, wanted_m)
     write_json(files["for programs"], provenance.heading(TOLERANCES, arm=arm.name) | content)
     store.remove()
-    if given.json:
-        sys.stdout.write(json_text(content))
-    else:
-        sys.stdout.write(tolerances_words(made, wanted_m))
-        sys.stdout.write("\n" + "".join(f"{what:<16}{file}\n" for what, file in files.items()))
+    answer(given, content, tolerances_words(made, wanted_m), files)
     return 0
 
 

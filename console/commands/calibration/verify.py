@@ -13,7 +13,7 @@ from calib.report.report import Verification
 from calib.validation.verify import comparison_text
 from console.commands.calibration.options import wires_at
 from console.commands.connection import in_control_of
-from console.commands.progress import Bar
+from console.commands.progress import Bar, answer
 from control.errors import ArmError
 from control.files import write_whole
 from control.model import table as tables
@@ -153,14 +153,8 @@ def _mock(given: argparse.Namespace, pair: ModelPair, out: Path, stack: ExitStac
 
 def _finish(given: argparse.Namespace, verification: Verification, out: Path) -> int:
     write(verification, out)
-    status = 1 if verification.is_worse or verification.verifies_nothing else 0
-    if given.json:
-        sys.stdout.write((out / "verify.json").read_text(encoding="utf-8"))
-        return status
-    warnings = "".join(f"note: {line}\n" for line in verification.warnings)
-    verdict = "\n".join(verification.verdict)
-    sys.stdout.write(
-        f"{comparison_text(verification.comparison)}\n\n{verdict}\n{warnings}\n"
-        f"  report   {out / 'report.html'}\n  figures  {out / 'verify.json'}\n"
-    )
-    return status
+    warnings = (f"note: {line}" for line in verification.warnings)
+    text = "\n".join((comparison_text(verification.comparison), "", *verification.verdict, *warnings))
+    files = {"report": out / "report.html", "figures": out / "verify.json"}
+    answer(given, files["figures"], text, files)
+    return 1 if verification.is_worse or verification.verifies_nothing else 0

@@ -1,12 +1,11 @@
 """`armwright export`: a recording as log.csv.gz and MCAP, that of a cell as one of each, or several as a LeRobot dataset."""
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from console.datasets.lerobot import Episode, episodes_of, write_dataset
 from console.visualisation.reading import read_series
 from control.errors import ArmError
@@ -39,15 +38,11 @@ def run(given: argparse.Namespace) -> int:
         sys.stderr.write(
             f"armwright: warning: {name} is empty: it begins with the first motion, and nothing moved in this recording\n"
         )
-    if given.json:
-        files = {name: {"file": str(out / name), "cycles": rows} for name, rows in written.items()}
-        sys.stdout.write(json.dumps(files, indent=2) + "\n")
-    else:
-        sys.stdout.write("".join(f"{out / name}: {rows} cycles\n" for name, rows in written.items()))
-        if not recording.is_dir() and len(set(written.values())) > 1:
-            sys.stdout.write(
-                "log.csv.gz holds the motions alone, log.mcap what came before the first one, too\n"
-            )
+    files = {name: {"file": str(out / name), "cycles": rows} for name, rows in written.items()}
+    text = "".join(f"{out / name}: {rows} cycles\n" for name, rows in written.items())
+    if not recording.is_dir() and len(set(written.values())) > 1:
+        text += "log.csv.gz holds the motions alone, log.mcap what came before the first one, too"
+    answer(given, files, text)
     return 0
 
 
@@ -65,11 +60,8 @@ def _dataset(given: argparse.Namespace) -> int:
     recordings = [_existing(one) for one in given.recording]
     arm = load_arm(given.arm) if given.arm else None
     episodes, frames = write_dataset(_episodes(recordings, arm, rate_Hz), rate_Hz, given.task, out)
-    if given.json:
-        made = {"folder": str(out), "episodes": episodes, "frames": frames, "fps": rate_Hz}
-        sys.stdout.write(json.dumps(made, indent=2) + "\n")
-    else:
-        sys.stdout.write(f"{out}: {episodes} episodes, {frames} frames at {rate_Hz} Hz\n")
+    made = {"folder": str(out), "episodes": episodes, "frames": frames, "fps": rate_Hz}
+    answer(given, made, f"{out}: {episodes} episodes, {frames} frames at {rate_Hz} Hz")
     return 0
 
 

@@ -1,12 +1,10 @@
 """`armwright plot LOG`: figures of a recording in a window or as files, and their key figures."""
 
 import argparse
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from console.commands.progress import Bar, warn
+from console.commands.progress import Bar, answer, warn
 from console.visualisation.metrics import Metrics, metrics_json, metrics_of, metrics_text
 from console.visualisation.pictures import PICTURES, Picture
 from console.visualisation.reading import read_log
@@ -97,8 +95,6 @@ def _say(
 ) -> None:
     content = metrics_json(series, merit)
     content["joints"] = [joint for joint in content["joints"] if joint["joint"] in joints]
-    if given.json:
-        text = json.dumps({**content, "files": [str(file) for file in files]}, indent=2, allow_nan=False)
-        sys.stdout.write(f"{text}\n")
-    else:
-        sys.stdout.write(metrics_text(series, merit) + "".join(f"written: {file}\n" for file in files))
+    written = [str(file) for file in files]
+    text = metrics_text(series, merit) + "".join(f"written: {file}\n" for file in written)
+    answer(given, {**content, "files": written}, text)
