@@ -21,7 +21,7 @@ from hil_mocks.assembly import effects_of, plant_options, start_pose
 from hil_mocks.devices.motor_inputs import Frame
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.line import SerialLine
+from hil_mocks.in_process.protocol_mock import SerialLine
 from hil_mocks.plant.build import PlantOptions, Standing, build, to_build
 from hil_mocks.plant.effects import PlantEffects
 from hil_mocks.plant.parts import ArmParts, parts_of

@@ -18,7 +18,7 @@ from control.model.description import Arm, load_arm
 from firmware_iface.clock import Clock
 from firmware_iface.closing import Closing
 from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.line import SerialLine
+from hil_mocks.in_process.protocol_mock import SerialLine
 from hil_mocks.plant.hand import Point
 from hil_mocks.robot import MockRobot
 from hil_mocks.scenario import FaultTable, Scenario, load_scenario

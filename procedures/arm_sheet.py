@@ -17,8 +17,7 @@ from calib.arrays import Array
 from calib.design.candidates import joint_box, spread_poses
 from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
-from control.kinematics.corners import Corners
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.arm import Arm, Drive
 from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz
 from control.model.joint_map import JointMap

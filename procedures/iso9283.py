@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.iso9283.criteria.checks import Iso9283Error
+from calib.iso9283.criteria.pose import Iso9283Error
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.programme import (
     Extent,

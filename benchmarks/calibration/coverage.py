@@ -22,13 +22,11 @@ from calib.arm_problem.observations import Observations
 from calib.arm_problem.parameters import dh_names
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen
-from calib.identify.determinability import determinability
+from calib.identify.determinability import Sensitivity, determinability
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, objective_named
-from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import minimise
-from calib.studies.cluster import executor
-from calib.studies.executor import Executor, InProcess, task_rng
+from calib.studies import Executor, InProcess, executor, task_rng
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.table import board_cavities, board_origin, board_rotation, table_of

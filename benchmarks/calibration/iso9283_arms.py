@@ -22,7 +22,7 @@ from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.errors import UnusablePointsError
 from calib.iso9283.programme import Visit, largest_cube, pose_programme
 from calib.points.points import make_points
-from calib.studies.cluster import executor
+from calib.studies import executor
 from calib.trust.report import PoseFigures, pose_figures
 from calib.trust.trust import MapRequest, trust_in
 from control.kinematics.inverse import InverseKinematics

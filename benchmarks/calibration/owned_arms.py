@@ -33,7 +33,7 @@ from calib.boards import best_motion
 from calib.calibration.calibrate import points_in_base
 from calib.design.candidates import joint_box, spread_poses
 from calib.export import export_text
-from calib.studies.cluster import executor
+from calib.studies import executor
 from calib.vision.intrinsics import CORNERS_LEAST as LENS_CORNERS
 from calib.vision.intrinsics import fit_lens
 from calib.vision.poses import CORNERS_LEAST, CameraPictures, measure_poses, picture_name, with_pictures

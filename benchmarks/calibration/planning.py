@@ -25,7 +25,7 @@ from calib.gap.plan.plan import GENTLE, PlanRequest, recording_plan
 from calib.planning.search import Freedom, WayOfPath, WayOfStops, planned_path, planned_stops
 from calib.points.points import Points
 from calib.points.reading import read_points
-from calib.studies.cluster import executor
+from calib.studies import executor
 from calib.trust.trust import MapRequest, trust_in
 from control.model.arm import Arm, Vector3
 from control.model.description import load_arm

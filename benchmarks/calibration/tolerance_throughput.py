@@ -10,8 +10,7 @@ from pathlib import Path
 from time import perf_counter
 
 from benchmarks.table import BenchRow
-from calib.studies.chunks import ChunkStore, run_study
-from calib.studies.executor import Executor, InProcess, ProcessPool
+from calib.studies import ChunkStore, Executor, InProcess, ProcessPool, run_study
 from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.tolerances.study import CHUNK, StudyDesign, design_of, study_task
 from control.model.description import load_arm

@@ -34,7 +34,7 @@ from calib.arrays import Array
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.design.candidates import workspace_poses
 from calib.points.points import Points, make_points
-from calib.studies.cluster import executor
+from calib.studies import executor
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import TipError
 from calib.trust.trust import ELLIPSOID_95, MapRequest, trust_in

@@ -23,7 +23,7 @@ from benchmarks.gap.mock import score as mock_score
 from benchmarks.gap.mock.cases import Level
 from benchmarks.gap.static import answers as static_answers
 from benchmarks.studies import add_options
-from calib.studies.cluster import executor
+from calib.studies import executor
 from console.commands.progress import Bar
 from control.model.description import load_arm
 

@@ -15,8 +15,7 @@ from calib.points.points import CAMERA_FRAME, Points, make_points, triangles
 from control.kinematics.rotation import logarithms, quaternions
 from control.model.arm import Arm
 from control.model.table import board_cavities, table_of
-from firmware_iface.mocap.bodies import BodyFrame, RigidPose, SeenBody
-from firmware_iface.mocap.leaps import LeapWatch
+from firmware_iface.mocap.bodies import BodyFrame, LeapWatch, RigidPose, SeenBody
 
 LEAST_s, SETTLE_s = 0.4, 0.15  # of a rest; left out at either end, while arm and time stamps settle
 FRAMES_LEAST, SEEN_LEAST = 10, 0.5  # frames of a pose, and their share that shows the body

@@ -19,11 +19,10 @@ from calib.closed_chain.pair_problem import BASE, Contacts, PairProblem, names_o
 from calib.design.information import Experiment, criterion_of
 from calib.design.planning import Group, select
 from calib.errors import UnusablePointsError
-from calib.identify.determinability import Determinability, determinability
+from calib.identify.determinability import Determinability, Sensitivity, determinability
 from calib.identify.estimates import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, SumOfDistances
 from calib.identify.open_combinations import open_in_words
-from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import Minimum, minimise
 from calib.results import Provenance, entries, write_json
 from control.kinematics.rotation import quaternion_of, quaternions

@@ -34,10 +34,10 @@ from calib.distances.problem import (
     readings_of,
 )
 from calib.errors import UnusablePointsError
+from calib.identify.determinability import Sensitivity
 from calib.identify.estimates import Estimate, Estimation, uncertainty
 from calib.identify.identification import Identification
 from calib.identify.objective import Huber, LeastSquares, Objective, value_of
-from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import Minimum, minimise
 from calib.points.points import Points
 from calib.validation.verify import Comparison, compare

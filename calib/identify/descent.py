@@ -8,13 +8,151 @@ retried from its end straight down to the floor. The objective never increases.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
+from calib.arm_problem.expansion import Problem
 from calib.arrays import Array, norms
-from calib.identify.box import step_in_box
-from calib.identify.sample import PoseSample, Quadratic
+from calib.identify.objective import Objective
+
+CHUNK = 1000  # poses at a time: their columns stay in the processor's cache, and memory does not grow with the poses
+
+
+@dataclass(frozen=True, slots=True)
+class Quadratic:
+    """At x (k,): residuals (n, 3), the dual of the kinks there (n, 3), the gradient (k,) of the smoothed objective, and
+    the two parts (k, k) of its Hessian: `gram` from rho, `curvature` from the kinematics.
+    """
+
+    x: Array
+    smoothing_m: float
+    residuals: Array
+    dual: Array | None
+    gradient: Array
+    gram: Array
+    curvature: Array
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSample:
+    """A sample of the poses: every `stride`-th."""
+
+    problem: Problem
+    objective: Objective
+    stride: int = 1
+
+    def residuals(self, x: Array) -> Array:
+        """(n, 3) [m]."""
+        return np.concatenate([self.problem.residuals(x, rows) for rows in self._chunks()])
+
+    def value(self, x: Array) -> float:
+        """The objective itself, over these poses."""
+        return self.value_of(self.residuals(x), 0.0)
+
+    def value_of(self, residuals: Array, smoothing_m: float) -> float:
+        """The objective of residuals (n, 3), smoothed."""
+        return self.objective.value(self.objective.distances(residuals), smoothing_m)
+
+    def around(
+        self, x: Array, smoothing_m: float, before: Quadratic | None, is_bent: bool = True
+    ) -> Quadratic:
+        """Second-order expansion around x, with the kinematics' if `is_bent`; the dual is that of a step from `before` to x."""
+        k, done = len(x), 0
+        gradient, gram, curvature = np.zeros(k), np.zeros((k, k)), np.zeros((k, k))
+        residuals, duals = [], []
+        for rows in self._chunks():
+            here = self.problem.expanded(x, rows)
+            dual = self._dual(here.residuals, slice(done, done + len(here.residuals)), before)
+            pull, bend = self.objective.expansion(here.residuals, smoothing_m, dual)
+            some_gradient, some_gram = here.sums(pull, bend)
+            gradient += some_gradient
+            gram += some_gram
+            if is_bent:
+                curvature += here.curvature(pull)
+            residuals.append(here.residuals)
+            duals.append(dual)
+            done += len(here.residuals)
+        present = [dual for dual in duals if dual is not None]
+        return Quadratic(
+            x,
+            smoothing_m,
+            np.concatenate(residuals),
+            np.concatenate(present) if present else None,
+            gradient,
+            gram,
+            curvature,
+        )
+
+    def _dual(self, residuals: Array, part: slice, before: Quadratic | None) -> Array | None:
+        """The dual of some of the poses."""
+        if before is None:
+            return None
+        dual = None if before.dual is None else before.dual[part]
+        return self.objective.next_dual(before.residuals[part], residuals, before.smoothing_m, dual)
+
+    def _chunks(self) -> Iterator[slice]:
+        """Slices of poses."""
+        for start in range(0, len(self.problem), CHUNK * self.stride):
+            yield slice(start, start + CHUNK * self.stride, self.stride)
+
+
+Mask = npt.NDArray[np.bool_]
+PATIENCE = 3  # exchanges of whole blocks without progress, before variables are exchanged one by one
+ROUNDING = 1e-13  # of the largest slope: a smaller multiplier counts as zero
+
+
+def step_in_box(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
+    """The d with lower <= d <= upper that minimises gradient . d + d' H d / 2; H (k, k) positive definite.
+
+    Block principal pivoting (Judice and Pires, Computers and Operations Research 21 (1994) 587): solve on the free
+    variables, then exchange all that are on the wrong side, bound or free, at once; without progress, exchange only
+    the last of them, which guarantees termination.
+    """
+    at_lower, at_upper = (lower >= 0.0) & (gradient > 0.0), (upper <= 0.0) & (gradient < 0.0)
+    fewest, patience = len(gradient) + 1, PATIENCE
+    d = np.zeros_like(gradient)
+    for _ in range(50 * len(gradient)):
+        d, slope = _solved(hessian, gradient, np.where(at_lower, lower, upper), at_lower | at_upper)
+        rounding = ROUNDING * float(np.max(np.abs(gradient))) + 1e-300
+        free = ~(at_lower | at_upper)
+        below, above = free & (d < lower), free & (d > upper)
+        released = (at_lower & (slope < -rounding)) | (at_upper & (slope > rounding))
+        wrong = np.flatnonzero(below | above | released)
+        if not len(wrong):
+            break
+        if len(wrong) < fewest:
+            fewest, patience = len(wrong), PATIENCE
+        elif patience:
+            patience -= 1
+        else:
+            wrong = wrong[-1:]
+        at_lower[wrong], at_upper[wrong] = below[wrong], above[wrong]
+    return np.asarray(np.clip(d, lower, upper))
+
+
+def _solved(hessian: Array, gradient: Array, bound: Array, is_held: Mask) -> tuple[Array, Array]:
+    """The minimum over the free variables, and the gradient there; 0 along the free ones."""
+    if not is_held.any():
+        return _newton(hessian, gradient), np.zeros_like(gradient)
+    d = np.where(is_held, bound, 0.0)
+    free = np.flatnonzero(~is_held)
+    slope = gradient + hessian @ d
+    if len(free):
+        d[free] = _newton(hessian[free[:, None], free], slope[free])
+        slope = gradient + hessian @ d
+    return d, slope
+
+
+def _newton(hessian: Array, gradient: Array) -> Array:
+    """The step to the minimum; along what the points do not determine, none."""
+    try:
+        return np.asarray(np.linalg.solve(hessian, -gradient))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(hessian, -gradient, rcond=None)[0])
+
 
 NOTHING_M = 1e-9  # residuals below a nanometre count as zero
 STEP_LIMIT = 150

@@ -13,12 +13,11 @@ from calib.arm_problem.weighted import WeightedProblem, posed_part, whole_proble
 from calib.arrays import Array, frozen, norms
 from calib.errors import CalibrationError
 from calib.identify.budget import Accuracy
-from calib.identify.estimates import Estimate, uncertainty
+from calib.identify.determinability import Sensitivity
+from calib.identify.estimates import Estimate, NoiseScale, uncertainty
 from calib.identify.objective import Objective, SumOfDistances, value_of
 from calib.identify.open_combinations import Undetermined, open_in_words
-from calib.identify.sensitivity import Sensitivity
 from calib.identify.solver import Minimum, minimise
-from calib.identify.spread import NoiseScale
 
 __all__ = ["Estimate", "Identification", "fit", "identify"]
 

@@ -10,9 +10,8 @@ import numpy.typing as npt
 from calib.arm_problem.problem import ArmProblem
 from calib.arm_problem.weighted import position_weights
 from calib.arrays import Array
-from calib.identify.determinability import determinability
+from calib.identify.determinability import Sensitivity, determinability
 from calib.identify.estimates import AT_BOUND
-from calib.identify.sensitivity import Sensitivity
 
 Mask = npt.NDArray[np.bool_]
 

@@ -18,11 +18,9 @@ from calib.arm_problem.expansion import Problem
 from calib.arrays import Array, norms
 from calib.errors import CalibrationError
 from calib.identify.budget import Accuracy, WithDistances
-from calib.identify.descent import NOTHING_M, SearchEnd, Termination, descend
-from calib.identify.determinability import null_space
+from calib.identify.descent import NOTHING_M, PoseSample, SearchEnd, Termination, descend
+from calib.identify.determinability import Sensitivity, null_space
 from calib.identify.objective import Huber, LeastSquares, Objective, SumOfDistances
-from calib.identify.sample import PoseSample
-from calib.identify.sensitivity import Sensitivity
 
 COST_OF_NEARNESS = 8e-7  # share of the objective that staying near nominal may cost
 # What counts as undetermined, tried in this order against that cost.

@@ -8,8 +8,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.iso9283.criteria import pose
-from calib.iso9283.criteria.checks import Iso9283Error
-from calib.iso9283.criteria.pose import Compliance, static_compliance
+from calib.iso9283.criteria.pose import Compliance, Iso9283Error, static_compliance
 from calib.iso9283.recorded import PoseGroup
 from calib.iso9283.result import Criterion, Figure, criterion, with_headlines
 

@@ -12,7 +12,7 @@ from calib.arm_problem.assembly import Choice
 from calib.arm_problem.checks import require_columns_meant, require_of_arm
 from calib.arm_problem.frames import mean_rotation
 from calib.arrays import Array, frozen
-from calib.iso9283.criteria.checks import Iso9283Error
+from calib.iso9283.criteria.pose import Iso9283Error
 from calib.points.points import TIP, Points, make_points
 from calib.points.reading import IMPORT, beyond
 from control.files import parsed_json, read_text

@@ -21,8 +21,8 @@ from calib.gap.plan.plan import APPROACH_rad
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Path, Predictor, sampled
 from control.errors import ArmError
-from control.kinematics.corners import Corners
 from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Corners
 from control.model.arm import Arm, Vector3
 from control.motion.plan import PlannedPath, plan_paths
 from control.motion.spline import DEFAULT_PACE_M_S

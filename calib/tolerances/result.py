@@ -29,7 +29,7 @@ from calib.report.page import (
     verdict,
 )
 from calib.results import Provenance
-from calib.studies.chunks import ChunkStore
+from calib.studies import ChunkStore
 from calib.tolerances.making import MadeArms
 from calib.tolerances.study import COST_ARMS, SHARE, STAGES, StudyDesign
 from calib.validation.statistics import Z95, IntervalFigure, proportion, quantile

@@ -14,7 +14,7 @@ from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
 from calib.arrays import Array
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError
-from calib.studies.executor import Results, task_rng
+from calib.studies import Results, task_rng
 from calib.tolerances.making import STEPS, MadeArms, MadePoses, Tolerances, TolerancesFileError
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import UNIFORM

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from console.commands.connection import connected, with_present_tool
+from console.commands.progress import shown
 from console.places import find_place, save_place
-from console.waiting import shown
 from control.errors import ArmError
 from control.files import changing, read_text, write_whole
 from control.model.arm import Arm

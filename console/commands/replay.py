@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from console.commands.connection import connected, with_present_tool
-from console.waiting import shown
+from console.commands.progress import shown
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.guiding import Replay, guided_motion, replayed

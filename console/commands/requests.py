@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Mapping
 
 from console.commands.connection import listening
-from console.waiting import shown
+from console.commands.progress import shown
 from control.errors import ArmError
 from control.server.client import ArmClient
 

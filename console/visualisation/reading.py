@@ -20,9 +20,8 @@ from control.recording.cell_folder import SAME_S, arm_of, recorded_cell, recordi
 from control.recording.frame_decoder import row_type
 from control.recording.mcap_file import attached_arm
 from control.recording.mcap_schemas import TOPICS
-from control.recording.reading import RecordError, Recording
+from control.recording.reading import RecordError, Recording, recorded_arm
 from control.recording.record import MAGIC, MAGIC_OF_FRAMES, MODES_BEFORE_THEY_WERE_RECORDED
-from control.recording.recorded_arm import recorded_arm
 from control.safety.table import Mode
 
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"

@@ -8,9 +8,10 @@ Nothing here moves without a request: enabled, after a stop, a time-out or a fau
 """
 
 import math
+from dataclasses import dataclass
+from enum import Enum
 from typing import Final, Protocol
 
-from control.end_effector.grip_state import Goal, GripState
 from control.errors import ArmError
 from control.hardware.gripper_board import GripperFeedback, GripperHardware
 from control.model.can_bus import GRIPPER_PERIOD_s
@@ -18,6 +19,30 @@ from control.model.end_effector import Gripper
 from control.safety.fault import Fault, Reaction
 from control.safety.limits import voltage_range
 from firmware_iface.errors import BoardReset
+
+
+class GripState(Enum):
+    """What the gripper does; the value is for people."""
+
+    OFF = "drives off"
+    HOLDING = "holds its opening"
+    MOVING = "on its way"
+    OPEN = "open"
+    CLOSED = "closed, nothing held"
+    GRIPPED = "holds something"
+    STOPPED = "stopped before its goal"
+    RELEASED = "without current"
+    FAILED = "its board does not work"
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """An opening [m] (None: as far as it goes, in the direction of `sign`), and the force [N] with which to get there."""
+
+    opening_m: float | None
+    force_N: float
+    sign: int  # 1 opens, -1 closes
+
 
 SILENT_s: Final = 0.06  # of the loop's attention: six COMMANDs without an answer
 UNCOUNTED_s: Final = 0.15  # the same of a count, which comes after its question

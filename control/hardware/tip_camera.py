@@ -8,10 +8,18 @@ from control.model.camera import Camera, CameraStream
 from firmware_iface.camera import TIP_SOURCE, CameraReceiver
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError
-from firmware_iface.mocap.bodies import BodyFrame, BodyStream, Quaternion, RigidPose, Vector, compose, inverse
-from firmware_iface.mocap.leaps import LeapWatch
+from firmware_iface.mocap.bodies import (
+    BodyFrame,
+    BodyStream,
+    LeapWatch,
+    Quaternion,
+    RigidPose,
+    SteadyPose,
+    Vector,
+    compose,
+    inverse,
+)
 from firmware_iface.mocap.open_stream import open_stream
-from firmware_iface.mocap.steady import SteadyPose
 
 WITHOUT_A_STREAM = "no frames arrive"
 UNPLACED = "its frame has no known place to the arm's base: a session and `calibrate` find it"

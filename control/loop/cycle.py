@@ -19,7 +19,7 @@ import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from control.end_effector.grip_state import GripState
+from control.end_effector.gripper import GripState
 from control.hardware.interface import Hardware, OutputMode
 from control.hardware.words import Wanted
 from control.loop import fault_reactions, homing, motion_modes, set_points, shutdown

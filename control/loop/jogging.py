@@ -14,8 +14,7 @@ from control.hardware.board_stop import Bridge
 from control.kinematics.inverse import InverseKinematics
 from control.motion.errors import MotionError
 from control.motion.guard import Guard
-from control.motion.jogs.joints import JointJog
-from control.motion.jogs.tip import STILL, RestGuard, TipJog, Twist
+from control.motion.jogs import STILL, JointJog, RestGuard, TipJog, Twist
 from control.motion.joint_limits import JogLimits
 from control.motion.setpoint import SetPoint, Vector
 

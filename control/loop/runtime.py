@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from control.end_effector.grip_state import GripState as GripperState
+from control.end_effector.gripper import GripState as GripperState
 from control.errors import ArmError
 from control.hardware.interface import OutputMode
 from control.hardware.words import Wanted

@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from control.kinematics.corners import Corners
-from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
+from control.kinematics.kinematics import Corners, ForwardKinematics, PoseKinematics
 from control.kinematics.pose_solver import Targets, Task, joint_rates, margins, solve
 from control.model import table as tables
 from control.model.arm import Arm, Limits

@@ -1,7 +1,7 @@
 """The last guard of every motion: floor, table and own base (control.safety.workspace), for poses of the arm's joints.
 
 At every moment there is a stop that meets nothing. Whole motions are checked before they begin, and the loop looks at their
-poses before the arm can no longer rest ahead of them (control.motion.lookout). A jog takes no set-point whose stop meets
+poses before the arm can no longer rest ahead of them (control.motion.setpoint). A jog takes no set-point whose stop meets
 something. Where joints must stop for themselves, they brake as hard as that takes. An arm that is inside already may move out,
 but at no moment deeper than it was before.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from control.errors import ArmError
-from control.kinematics.corners import Corners
+from control.kinematics.kinematics import Corners
 from control.model.arm import Arm
 from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits, reach_m, reaches_m

@@ -22,8 +22,7 @@ from control.model.arm import Arm
 from control.motion import checks
 from control.motion.checks import Array, JointSamples, TipSamples
 from control.motion.errors import PathError
-from control.motion.following.by_posture import PostureFollower
-from control.motion.following.follower import (
+from control.motion.following import (
     BOUND_M,
     BOUND_RAD,
     BranchFollower,
@@ -31,6 +30,7 @@ from control.motion.following.follower import (
     Follower,
     PathStart,
     Pose,
+    PostureFollower,
     joint_sections,
     turns_rad,
 )

@@ -13,8 +13,7 @@ from typing import Any
 from control.model.cell import Cell, Placed
 from control.recording.export import csv_cell, open_text
 from control.recording.parts import SUFFIX
-from control.recording.reading import RecordError, Recording
-from control.recording.recorded_arm import recorded_arm
+from control.recording.reading import RecordError, Recording, recorded_arm
 
 PART = re.compile(rf"(?P<stem>.+?)(\.part(?P<number>\d+))?{re.escape(SUFFIX)}")
 

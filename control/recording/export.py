@@ -14,9 +14,8 @@ from typing import TextIO
 from control.files import make_whole
 from control.model.arm import Arm
 from control.recording.mcap_file import to_mcap
-from control.recording.reading import RecordError, Recording
+from control.recording.reading import RecordError, Recording, recorded_arm
 from control.recording.record import END_FIELDS, JOINT_SIDE_FIELDS, Layout
-from control.recording.recorded_arm import recorded_arm
 
 __all__ = ["export", "to_csv", "to_mcap"]
 

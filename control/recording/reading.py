@@ -1,5 +1,8 @@
 """Reads recordings: their header, and their rows while they grow or after. Every version's files, or a sentence."""
 
+from __future__ import annotations
+
+import dataclasses
 import os
 import struct
 from collections.abc import Callable, Iterator
@@ -9,6 +12,8 @@ from typing import Any
 
 from control.errors import ArmError
 from control.files import open_file, parsed_json
+from control.model.arm import Arm
+from control.model.description import load_arm, parse_arm
 from control.recording.fixed_point import StoredColumn, columns_of
 from control.recording.frames import HEAD, ROWS, ROWS_MOST, CONTENT_MOST_bytes
 from control.recording.record import (
@@ -55,7 +60,7 @@ class Recording:
     columns: tuple[StoredColumn, ...] | None = None
 
     @classmethod
-    def open(cls, path: Path) -> "Recording":
+    def open(cls, path: Path) -> Recording:
         """Read the header. RecordError if the file is not a recording."""
         with open_file(path) as file:
             start = file.read(len(MAGIC) + 4)
@@ -170,3 +175,29 @@ def _frames(recording: Recording) -> Taken:
 
     layout = recording.layout
     return FrameDecoder(recording.columns or (), layout.names, layout.packing).rows
+
+
+def recorded_arm(recording: Recording) -> Arm | None:
+    """The recorded arm, else the file named in the header, else the supplied arm of that name.
+
+    None if there is none of these, or only one with another number of joints.
+    """
+    for arm in _candidates(recording):
+        if arm.joint_count == recording.layout.joint_count:
+            return arm
+    return None
+
+
+def _candidates(recording: Recording) -> Iterator[Arm]:
+    header, file = recording.header, Path(str(recording.header.get("arm_file", "")))
+    try:
+        if isinstance(text := header.get("arm_toml"), str):
+            yield dataclasses.replace(parse_arm(text, file), path=file)
+    except ArmError:
+        pass  # written by another version: the file may still be readable
+    for name in (file, header.get("arm")):
+        try:
+            if name and str(name) != ".":
+                yield load_arm(str(name))
+        except ArmError:
+            continue

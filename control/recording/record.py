@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from control.dynamics.joint_side import has_joint_side
-from control.end_effector.grip_state import GripState
+from control.end_effector.gripper import GripState
 from control.model.arm import Arm
 from control.model.cell import Cell
 from control.recording.fixed_point import content_of, stored_columns

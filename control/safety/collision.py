@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from control.kinematics.corners import Corners
+from control.kinematics.kinematics import Corners
 from control.model.cell import Placed
 
 Point = Sequence[float]

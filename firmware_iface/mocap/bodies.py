@@ -5,6 +5,7 @@ Positions in m, orientations as unit quaternions w, x, y, z that turn the body's
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -107,3 +108,127 @@ def inverse(pose: RigidPose) -> RigidPose:
     back = opposite(pose.quaternion)
     x, y, z = turned(back, pose.position_m)
     return RigidPose((-x, -y, -z), back)
+
+
+FASTEST_m, FASTEST_rad = 0.1, 0.5  # in one frame; of a tip at 10 m/s, or 50 rad/s, in 100 frames a second
+CLOSEST_m = 0.02  # of two bodies whose exchange is recognised
+NEAR = 0.5  # of the leap: where the other body was, or where the body itself had been
+LONGEST_GAP_frames = 20
+
+
+class LeapWatch:
+    """Bodies that leap between two frames: markers that were mistaken, or two bodies that exchanged their names.
+
+    A body that leapt is not believed until it leaps back, or until the system has lost and found it again, which
+    names it anew. Frame numbers tell how far a body may have moved; after a long gap nothing can be said.
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[int, RigidPose]] = {}  # newest place of each visible body
+        self._before: dict[str, RigidPose] = {}  # of bodies that leapt: where they had been
+        self._why: dict[str, str] = {}
+
+    def problem(self, name: str) -> str:
+        """Why a body is not believed now; empty if it is."""
+        return self._why.get(name, "")
+
+    def look(self, frame: BodyFrame) -> None:
+        """Compare a frame with the one before."""
+        seen = {body.name: body.pose for body in frame.bodies if body.is_visible}
+        for lost in self._last.keys() - seen.keys():
+            self._forget(lost)
+        leapt = {name for name, pose in seen.items() if self._has_leapt(name, pose, frame.number)}
+        leapt |= self._exchanged(seen)
+        for name in sorted(leapt):
+            self._judge(name, seen, leapt, frame.number)
+        for name, pose in seen.items():
+            self._last[name] = (frame.number, pose)
+
+    def _has_leapt(self, name: str, pose: RigidPose, number: int) -> bool:
+        if name not in self._last:
+            return False
+        before, last = self._last[name]
+        steps = (number - before) & 0xFFFFFFFF
+        if not 0 < steps <= LONGEST_GAP_frames:
+            return False
+        way_m = math.dist(pose.position_m, last.position_m)
+        turn_rad = angle_rad(pose.quaternion, last.quaternion)
+        return way_m > steps * FASTEST_m or turn_rad > min(steps * FASTEST_rad, 3.0)
+
+    def _exchanged(self, seen: dict[str, RigidPose]) -> set[str]:
+        """Pairs of bodies that are now where the other one was, however small the leap."""
+        found: set[str] = set()
+        known = [name for name in seen if name in self._last]
+        for one, other in itertools.combinations(known, 2):
+            here_m, there_m = (self._last[name][1].position_m for name in (one, other))
+            apart_m = math.dist(here_m, there_m)
+            if apart_m > CLOSEST_m and all(
+                math.dist(seen[name].position_m, place_m) < NEAR * apart_m
+                and math.dist(seen[name].position_m, own_m) > NEAR * apart_m
+                for name, own_m, place_m in ((one, here_m, there_m), (other, there_m, here_m))
+            ):
+                found |= {one, other}
+        return found
+
+    def _judge(self, name: str, seen: dict[str, RigidPose], leapt: set[str], number: int) -> None:
+        """Whether a leap led away or back, and whom the body was mistaken for."""
+        pose, last = seen[name], self._last[name][1]
+        way_m = math.dist(pose.position_m, last.position_m)
+        if name in self._before and _is_near(pose, self._before[name], way_m):
+            self._why.pop(name, None)
+            del self._before[name]
+            return
+        other = next(
+            (
+                one
+                for one in sorted(leapt)
+                if one != name and math.dist(pose.position_m, self._last[one][1].position_m) < NEAR * way_m
+            ),
+            "",
+        )
+        what = f"and {other} exchanged their names" if other else f"leapt by {1e3 * way_m:.0f} mm"
+        self._before.setdefault(name, last)
+        self._why[name] = (
+            f"body {name} {what} at frame {number}: cover it for a moment so that it is found anew"
+        )
+
+    def _forget(self, name: str) -> None:
+        for known in (self._last, self._before, self._why):
+            known.pop(name, None)
+
+
+def _is_near(pose: RigidPose, before: RigidPose, way_m: float) -> bool:
+    is_turned_back = angle_rad(pose.quaternion, before.quaternion) < FASTEST_rad
+    return math.dist(pose.position_m, before.position_m) < max(NEAR * way_m, FASTEST_m) and is_turned_back
+
+
+FRAMES = 500  # whose mean it is, some seconds
+MOVED_m, MOVED = (
+    0.01,
+    0.02,
+)  # from the mean; of a quaternion's components, some 2 degrees: it was moved, and the mean begins anew
+
+
+class SteadyPose:
+    """Mean of the newest poses of a body that stands still: a milliradian of its noise is half a millimetre at half a metre."""
+
+    def __init__(self) -> None:
+        self._count, self._mean = 0, RigidPose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+
+    def after(self, pose: RigidPose) -> RigidPose:
+        """The mean, with one pose more."""
+        place, q = pose.position_m, pose.quaternion
+        if sum(a * b for a, b in zip(q, self._mean.quaternion, strict=True)) < 0.0:
+            w, x, y, z = q
+            q = (-w, -x, -y, -z)
+        has_moved = (
+            math.dist(place, self._mean.position_m) > MOVED_m or math.dist(q, self._mean.quaternion) > MOVED
+        )
+        self._count = 1 if has_moved else min(self._count + 1, FRAMES)
+        share = 1.0 / self._count
+        x, y, z = (m + share * (v - m) for m, v in zip(self._mean.position_m, place, strict=True))
+        turned = [m + share * (v - m) for m, v in zip(self._mean.quaternion, q, strict=True)]
+        length = math.hypot(*turned)
+        a, b, c, d = (value / length for value in turned)
+        self._mean = RigidPose((x, y, z), (a, b, c, d))
+        return self._mean

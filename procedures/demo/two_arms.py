@@ -66,8 +66,8 @@ from calib.session.conversation import Recorded, unattended
 from calib.session.folder import POINTS, SessionFolder
 from calib.validation.verify import Track, TrackPair
 from control.files import write_whole
-from control.kinematics.corners import Corners
 from control.kinematics.inverse import InverseKinematics
+from control.kinematics.kinematics import Corners
 from control.model.cell import Cell, Placed, load_cell, save_cell
 from control.model.description import load_arm
 from control.motion.plan import PlannedPath, plan_path

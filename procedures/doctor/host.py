@@ -27,8 +27,7 @@ from control.recording.record import Layout
 from control.recording.rotation import stored_row_bytes
 from control.server.process import PIPE_bytes
 from control.server.scheduling import punctuality_remedy, strain
-from firmware_iface.can_adapters import INTERFACES
-from firmware_iface.can_link import can_buses
+from firmware_iface.can_link import INTERFACES, can_buses
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.link import FrameLink
 from firmware_iface.serial_link import LATENCY_ms, PortHere, latency_file, lower_latency, serial_ports

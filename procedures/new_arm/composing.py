@@ -14,8 +14,7 @@ from calib.arm_import import SerialArm, arm_links, friction_effects
 from calib.arrays import Array
 from control.dynamics.dynamics import Dynamics
 from control.kinematics.chain import link_transforms
-from control.kinematics.corners import Corners
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.arm import Arm, CanBus, EncoderBoardPort, Limits, Rest
 from control.model.board_kinds import KINDS
 from procedures.arm_sheet import sheet

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from console import waiting
+from console.commands import progress as waiting
 from console.commands import requests
 from console.main import main
 from control.errors import ArmError

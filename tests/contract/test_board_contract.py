@@ -10,7 +10,7 @@ from control.safety.fault import Reaction
 from control.safety.table import Mode
 from control.server.client import ArmFaulted
 from hil_mocks.firmware.library import compiler
-from hil_mocks.in_process.line import SerialLine
+from hil_mocks.in_process.protocol_mock import SerialLine
 from hil_mocks.scenario import Scenario
 from tests.cell import Cell, holding_cell, open_cell, restarted, scenario
 from tests.kinds import ON_BOARDS, OnBoards

@@ -10,8 +10,7 @@ import can
 import pytest
 from serial.tools.list_ports_common import ListPortInfo
 
-from firmware_iface.can_adapters import channel_of
-from firmware_iface.can_link import open_can, open_extended_can, open_fd_can
+from firmware_iface.can_link import channel_of, open_can, open_extended_can, open_fd_can
 from firmware_iface.errors import LinkLost, PortMissing
 from firmware_iface.link import FrameLink
 from firmware_iface.serial_link import PortHere, latency_file, lower_latency, open_serial, serial_ports

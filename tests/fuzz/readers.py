@@ -21,7 +21,7 @@ from calib.points.reading import read_points
 from calib.session.folder import JOURNAL, POINTS, SessionFolder
 from calib.session.moves import read_free_poses
 from calib.session.plan import SessionPlan, board_targets
-from calib.studies.chunks import ChunkStore
+from calib.studies import ChunkStore
 from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.vision.intrinsics import read_camera
 from calib.vision.targets import read_picture, read_tags

@@ -13,7 +13,7 @@ import numpy as np
 from calib.export import export_text
 from calib.points.writer import Record
 from calib.session.folder import SessionFolder
-from calib.studies.chunks import ChunkStore
+from calib.studies import ChunkStore
 from calib.vision.lens import NAMES
 from calib.vision.targets import png_of
 from control.kinematics.kinematics import ForwardKinematics

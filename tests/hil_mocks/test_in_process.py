@@ -20,7 +20,7 @@ from firmware_iface.can_link import open_can
 from firmware_iface.errors import LinkLost, PortMissing
 from firmware_iface.serial_link import open_serial
 from hil_mocks.in_process import CAN_INTERFACE, register
-from hil_mocks.in_process.line import SerialLine
+from hil_mocks.in_process.protocol_mock import SerialLine
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import Start, load_scenario
 

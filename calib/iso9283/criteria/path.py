@@ -15,8 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, frozen, norms
-from calib.iso9283.criteria.checks import Iso9283Error, above_zero, direction, position, positions, track
-from calib.iso9283.criteria.pose import SIGMAS
+from calib.iso9283.criteria.pose import (
+    SIGMAS,
+    Iso9283Error,
+    above_zero,
+    direction,
+    position,
+    positions,
+    track,
+)
 
 
 @dataclass(frozen=True, slots=True)

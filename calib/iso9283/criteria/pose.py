@@ -2,6 +2,10 @@
 
 Symbols: (x_c, y_c, z_c) the commanded position, (x_j, y_j, z_j) the j-th attained one of n, and
 x_bar = 1/n sum x_j the barycentre of the attained. All positions are (n, 3) in one frame, in m; angles in rad.
+
+Settling (clauses 7.4 stabilization, 7.5 overshoot, 9 posing time): a recording is times (k,) [s] and positions (k, 3) [m] of one
+approach, long enough that its end is at rest. The limit band is a sphere of radius `band_m` about the attained pose: the pose
+repeatability in the standard, or the user's value.
 """
 
 from __future__ import annotations
@@ -14,7 +18,63 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arrays import Array, frozen, norms
-from calib.iso9283.criteria.checks import Iso9283Error, position, positions
+from calib.errors import CalibrationError
+
+
+class Iso9283Error(CalibrationError):
+    """A criterion cannot be evaluated from the input; the message says what it needs."""
+
+
+def positions(values: npt.ArrayLike, what: str, least: int = 1) -> Array:
+    """`values` as finite positions (n, 3); Iso9283Error for another shape, fewer than `least`, or non-finite numbers."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise Iso9283Error(f"{what}: expected positions (n, 3), got an array {array.shape}")
+    if len(array) < least:
+        raise Iso9283Error(f"{what}: needs at least {least} measurements, got {len(array)}")
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if len(bad):
+        raise Iso9283Error(
+            f"{what}: measurement {bad[0] + 1} of {len(array)} is not finite: remove rows that were not measured"
+        )
+    return array
+
+
+def position(values: npt.ArrayLike, what: str) -> Array:
+    """One finite position (3,)."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise Iso9283Error(f"{what}: expected a finite position (3,), got {array.tolist()}")
+    return array
+
+
+def track(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, what: str, least: int = 2) -> tuple[Array, Array]:
+    """Increasing times (k,) and positions (k, 3) of one recording."""
+    times, tips = np.asarray(time_s, dtype=np.float64), positions(tip_m, what, least)
+    if times.shape != (len(tips),) or not np.isfinite(times).all():
+        raise Iso9283Error(f"{what}: expected {len(tips)} finite times, got an array {times.shape}")
+    if not (np.diff(times) > 0.0).all():
+        at = int(np.argmax(np.diff(times) <= 0.0)) + 2
+        raise Iso9283Error(
+            f"{what}: time does not increase at sample {at}: sort it, and give one recording at a time"
+        )
+    return times, tips
+
+
+def above_zero(value: float, what: str) -> float:
+    """A finite number above zero."""
+    if not (np.isfinite(value) and value > 0.0):
+        raise Iso9283Error(f"{what}: expected a number above zero, got {value:g}")
+    return float(value)
+
+
+def direction(values: npt.ArrayLike, what: str) -> Array:
+    """A vector (3,) scaled to length one; Iso9283Error for a zero vector."""
+    vector = position(values, what)
+    if not np.linalg.norm(vector) > 0.0:
+        raise Iso9283Error(f"{what}: expected a direction, got a vector of length zero")
+    return np.asarray(vector / np.linalg.norm(vector))
+
 
 SIGMAS = 3.0  # of the standard deviation, throughout the standard
 
@@ -216,3 +276,85 @@ def static_compliance(force_N: npt.ArrayLike, tip_m: npt.ArrayLike) -> Complianc
         per_force = np.diag(np.linalg.inv(forces[:, loaded].T @ forces[:, loaded]))
         sd[:, loaded] = np.sqrt(np.outer((left**2).sum(axis=0) / freedom, per_force))
     return Compliance(frozen(compliance), frozen(sd))
+
+
+def rest_position(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, rest_s: float) -> Array:
+    """The attained pose (3,): the mean over the last `rest_s` of a recording."""
+    times, tips = track(time_s, tip_m, "position at rest")
+    return np.asarray(tips[times >= times[-1] - above_zero(rest_s, "position at rest, time")].mean(axis=0))
+
+
+def stabilization_time(
+    time_s: npt.ArrayLike, tip_m: npt.ArrayLike, attained_m: npt.ArrayLike, band_m: float
+) -> float:
+    """T (clause 7.4): from the first crossing into the limit band until the arm stays within it, in s.
+
+    Zero for an arm that enters the band and stays. The crossing is interpolated between samples.
+    """
+    times, distance = _distances(time_s, tip_m, attained_m, band_m, "stabilization time")
+    return _last_entry(times, distance, band_m) - _first_entry(times, distance, band_m)
+
+
+def overshoot(time_s: npt.ArrayLike, tip_m: npt.ArrayLike, attained_m: npt.ArrayLike, band_m: float) -> float:
+    """OV (clause 7.5): the largest distance from the attained pose after the first crossing into the limit band.
+
+    OV = max_i |p_i - p|, i after the crossing; 0 if the arm does not leave the band again. Of several
+    cycles (three in the standard) the largest counts.
+    """
+    _, distance = _distances(time_s, tip_m, attained_m, band_m, "overshoot")
+    largest = float(distance[int(np.argmax(distance <= band_m)) :].max())
+    return largest if largest > band_m else 0.0
+
+
+def posing_time(
+    time_s: npt.ArrayLike,
+    tip_m: npt.ArrayLike,
+    started_s: float,
+    attained_m: npt.ArrayLike,
+    band_m: float,
+) -> float:
+    """Minimum posing time (clause 9): from departure from rest until the arm stays within the limit band, in s.
+
+    It includes the stabilization. `started_s` is when the motion was started.
+    """
+    times, distance = _distances(time_s, tip_m, attained_m, band_m, "posing time")
+    return _last_entry(times, distance, band_m) - float(started_s)
+
+
+def mean_of_cycles(values: Sequence[float]) -> float:
+    """The mean of repeated cycles; Iso9283Error for none."""
+    if not len(values):
+        raise Iso9283Error("mean over cycles: expected at least one cycle, got none")
+    return float(np.mean(values))
+
+
+def _distances(
+    time_s: npt.ArrayLike, tip_m: npt.ArrayLike, attained_m: npt.ArrayLike, band_m: float, what: str
+) -> tuple[Array, Array]:
+    times, tips = track(time_s, tip_m, what)
+    above_zero(band_m, f"{what}, limit band")
+    distance = norms(tips - position(attained_m, f"{what}, attained pose"))
+    if distance[-1] > band_m:
+        raise Iso9283Error(
+            f"{what}: the recording ends {1e3 * distance[-1]:.3f} mm from the attained pose, outside the limit band"
+            f" of {1e3 * band_m:.3f} mm: record until the arm rests, or choose a wider band"
+        )
+    return times, distance
+
+
+def _first_entry(times: Array, distance: Array, band_m: float) -> float:
+    k = int(np.argmax(distance <= band_m))
+    return _crossed_at(times, distance, k, band_m)
+
+
+def _last_entry(times: Array, distance: Array, band_m: float) -> float:
+    outside = np.flatnonzero(distance > band_m)
+    return _crossed_at(times, distance, int(outside[-1]) + 1 if len(outside) else 0, band_m)
+
+
+def _crossed_at(times: Array, distance: Array, k: int, band_m: float) -> float:
+    """Time of the crossing into the band before sample k, which is inside."""
+    if k == 0:
+        return float(times[0])
+    share = (distance[k - 1] - band_m) / (distance[k - 1] - distance[k])
+    return float(times[k - 1] + share * (times[k] - times[k - 1]))

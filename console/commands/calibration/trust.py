@@ -10,8 +10,7 @@ from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for, points_for
 from calib.points.points import Points
 from calib.results import InputFile, input_file, made_today, write_json
-from calib.studies.chunks import ChunkStore, run_study
-from calib.studies.cluster import executor
+from calib.studies import ChunkStore, executor, run_study
 from calib.tolerances.making import parse_tolerances, tolerances_text
 from calib.tolerances.result import (
     FORMAT as TOLERANCES,

@@ -8,8 +8,8 @@ from typing import Any
 
 from console.commands.connection import connected_arms, with_present_tool
 from console.commands.moving import described
+from console.commands.progress import shown
 from console.options import finite
-from console.waiting import shown
 from control.errors import ArmError
 from control.model.cell import Cell, load_cell
 from control.motion.beside import plan_beside

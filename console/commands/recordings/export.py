@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from console.commands.progress import Bar, answer, warn
-from console.datasets.lerobot import Episode, episodes_of, write_dataset
+from console.lerobot_dataset import Episode, episodes_of, write_dataset
 from console.visualisation.reading import read_series
 from control.errors import ArmError
 from control.files import make_whole
@@ -15,8 +15,7 @@ from control.model.description import load_arm
 from control.recording.cell_folder import FILE_NAME, join, recorded_cell, recordings_in
 from control.recording.export import export
 from control.recording.mcap_file import cell_to_mcap
-from control.recording.reading import Recording
-from control.recording.recorded_arm import recorded_arm
+from control.recording.reading import Recording, recorded_arm
 
 MCAP_NAME = "cell.mcap"
 DATASET_RATE_Hz = 50  # usual for imitation learning; a recording has 500

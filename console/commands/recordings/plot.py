@@ -6,10 +6,9 @@ from pathlib import Path
 
 from console.commands.progress import Bar, answer, warn
 from console.visualisation.metrics import Metrics, metrics_json, metrics_of, metrics_text
-from console.visualisation.pictures import PICTURES, Picture
+from console.visualisation.pictures import FORMS, PICTURES, Picture, show, write_each, write_sheet
 from console.visualisation.reading import read_log
 from console.visualisation.series import Series, chosen
-from console.visualisation.sheets import FORMS, show, write_each, write_sheet
 from control.errors import ArmError
 from control.model.description import load_arm
 from procedures.folders import free_folder, require_writable

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.coverage import Session, studied
-from calib.identify.estimates import uncertainty
+from calib.identify.determinability import Sensitivity
+from calib.identify.estimates import leverages, noise_scale, uncertainty
 from calib.identify.objective import Huber, LeastSquares, SumOfCoordinates, SumOfDistances
-from calib.identify.sensitivity import Sensitivity
-from calib.identify.spread import leverages, noise_scale
 from tests.calib.simulated import RIGHT, board_points, problem_of, true_dh
 
 NONE = np.zeros((4000, 3, 3))

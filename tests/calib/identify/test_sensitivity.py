@@ -6,11 +6,10 @@ import pytest
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.expansion import Problem
 from calib.arm_problem.weighted import whole_problem
-from calib.identify import sensitivity, suspects
-from calib.identify.determinability import determinability
+from calib.identify import suspects
+from calib.identify.determinability import Sensitivity, determinability
 from calib.identify.estimates import uncertainty
 from calib.identify.objective import SumOfDistances
-from calib.identify.sensitivity import Sensitivity
 from calib.points.points import Points, make_points
 from tests.calib.identify.test_orientations import BASE, session
 from tests.calib.simulated import RIGHT, board_points, true_dh
@@ -40,7 +39,7 @@ def test_blocks_show_what_the_whole_shows(kind: str, monkeypatch: pytest.MonkeyP
     x[1] = 1.0  # at its bound, so that intervals use the gradient
     whole, residuals = problem.sensitivity(x), problem.residuals(x)
     at_once = uncertainty(problem.parameters, SumOfDistances(), x, residuals, Sensitivity.at(problem, x))
-    monkeypatch.setattr(sensitivity, "BLOCK", 17)
+    monkeypatch.setattr("calib.identify.determinability.BLOCK", 17)
     blocks = Sensitivity.at(problem, x)
     assert np.array_equal(np.concatenate([part for _, part in blocks.blocks()]), whole)
     assert blocks.compact.shape[0] == whole.shape[2]

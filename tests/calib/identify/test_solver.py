@@ -19,8 +19,8 @@ from calib.arm_problem.observations import Observations
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import norms
 from calib.errors import CalibrationError
+from calib.identify.descent import CHUNK
 from calib.identify.objective import LeastSquares, SumOfDistances, objective_named, value_of
-from calib.identify.sample import CHUNK
 from calib.identify.solver import COST_OF_NEARNESS, best_of_starts, minimise
 from control.model.description import load_arm
 from tests.calib.arms import problem_of_tips

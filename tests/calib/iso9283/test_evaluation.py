@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib.errors import UnusablePointsError
-from calib.iso9283.criteria.checks import Iso9283Error
+from calib.iso9283.criteria.pose import Iso9283Error
 from calib.iso9283.evaluation import evaluate
 from calib.iso9283.programme import TestCube, solver_of
 from calib.iso9283.recorded import BESIDE, SET, RecordedRun, pose_groups, read_rectangle, read_runs

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.iso9283.criteria import path, settling
-from calib.iso9283.criteria.checks import Iso9283Error
+from calib.iso9283.criteria import path, pose
+from calib.iso9283.criteria.pose import Iso9283Error
 
 MM = 1e-3
 LINE = np.array([(0.0, 0, 0), (0.4, 0, 0)])
@@ -121,19 +121,19 @@ def test_stabilization_time_runs_from_the_first_crossing_to_the_last() -> None:
     time_s = np.arange(5.0)
     tip = MM * np.array([(10.0, 0, 0), (1, 0, 0), (3, 0, 0), (1, 0, 0), (0, 0, 0)])
     zero = np.zeros(3)
-    assert settling.stabilization_time(time_s, tip, zero, 2 * MM) == pytest.approx(2.5 - 8 / 9)
-    assert settling.overshoot(time_s, tip, zero, 2 * MM) == pytest.approx(3 * MM)
-    assert settling.posing_time(time_s, tip, 0.5, zero, 2 * MM) == pytest.approx(2.0)
+    assert pose.stabilization_time(time_s, tip, zero, 2 * MM) == pytest.approx(2.5 - 8 / 9)
+    assert pose.overshoot(time_s, tip, zero, 2 * MM) == pytest.approx(3 * MM)
+    assert pose.posing_time(time_s, tip, 0.5, zero, 2 * MM) == pytest.approx(2.0)
 
 
 def test_an_arm_that_enters_and_stays_has_no_stabilization_time_and_no_overshoot() -> None:
     time_s = np.linspace(0, 5, 501)
     tip = approach(time_s, 0.5, 1e9, 0.1)
-    rest = settling.rest_position(time_s, tip, 0.2)
-    assert settling.stabilization_time(time_s, tip, rest, 1 * MM) == 0.0
-    assert settling.overshoot(time_s, tip, rest, 1 * MM) == 0.0
+    rest = pose.rest_position(time_s, tip, 0.2)
+    assert pose.stabilization_time(time_s, tip, rest, 1 * MM) == 0.0
+    assert pose.overshoot(time_s, tip, rest, 1 * MM) == 0.0
     # e^(-t / 0.5) 100 mm = 1 mm at 0.5 ln 100
-    assert settling.posing_time(time_s, tip, 0.0, np.zeros(3), 1 * MM) == pytest.approx(
+    assert pose.posing_time(time_s, tip, 0.0, np.zeros(3), 1 * MM) == pytest.approx(
         0.5 * np.log(100), abs=0.01
     )
 
@@ -142,17 +142,17 @@ def test_overshoot_of_a_ringing_arm_is_its_first_swing_beyond() -> None:
     time_s = np.linspace(0, 6, 6001)
     tip = approach(time_s, 0.5, 1.0, 0.1)
     beyond = np.abs(tip[time_s > 0.25]).max()
-    assert settling.overshoot(time_s, tip, np.zeros(3), 0.2 * MM) == pytest.approx(beyond)
+    assert pose.overshoot(time_s, tip, np.zeros(3), 0.2 * MM) == pytest.approx(beyond)
 
 
 def test_an_arm_that_does_not_come_to_rest_is_refused() -> None:
     time_s = np.linspace(0, 1, 101)
     with pytest.raises(Iso9283Error, match="record until the arm rests"):
-        settling.stabilization_time(time_s, approach(time_s, 0.5, 1e9, 0.1), np.zeros(3), 1e-4)
+        pose.stabilization_time(time_s, approach(time_s, 0.5, 1e9, 0.1), np.zeros(3), 1e-4)
     with pytest.raises(Iso9283Error, match="time does not increase at sample 2"):
-        settling.overshoot([0.0, 0.0, 1.0], np.zeros((3, 3)), np.zeros(3), 1e-4)
+        pose.overshoot([0.0, 0.0, 1.0], np.zeros((3, 3)), np.zeros(3), 1e-4)
     with pytest.raises(Iso9283Error, match="limit band"):
-        settling.overshoot([0.0, 1.0], np.zeros((2, 3)), np.zeros(3), 0.0)
+        pose.overshoot([0.0, 1.0], np.zeros((2, 3)), np.zeros(3), 0.0)
 
 
 def test_a_corner_that_is_cut_is_rounded_off_and_one_that_is_overrun_overshoots() -> None:

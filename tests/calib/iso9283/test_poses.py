@@ -7,8 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from calib.iso9283.criteria import pose
-from calib.iso9283.criteria.checks import Iso9283Error
-from calib.iso9283.criteria.pose import static_compliance
+from calib.iso9283.criteria.pose import Iso9283Error, static_compliance
 
 Array = npt.NDArray[np.float64]
 MM = 1e-3

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.iso9283 import programme as programmes
-from calib.iso9283.criteria.checks import Iso9283Error
+from calib.iso9283.criteria.pose import Iso9283Error
 from calib.iso9283.programme import (
     CLEARANCE_m,
     Extent,

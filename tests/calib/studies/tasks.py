@@ -5,7 +5,7 @@ import signal
 
 import numpy as np
 
-from calib.studies.executor import Results, task_rng
+from calib.studies import Results, task_rng
 
 
 def drawn(shared: int, number: int) -> Results:

@@ -11,9 +11,19 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibrationError
-from calib.studies.chunks import ChunkStore, run_study
-from calib.studies.cluster import executor
-from calib.studies.executor import Executor, InProcess, ProcessPool, Results, S, T, Work, as_they_come
+from calib.studies import (
+    ChunkStore,
+    Executor,
+    InProcess,
+    ProcessPool,
+    Results,
+    S,
+    T,
+    Work,
+    as_they_come,
+    executor,
+    run_study,
+)
 from calib.validation.statistics import proportion, quantile
 from tests.calib.studies.tasks import dies, drawn
 

@@ -11,8 +11,7 @@ from benchmarks.calibration.chains import REFERENCE
 from calib.arrays import Array
 from calib.calibration.calibrate import CalibrationPlan, calibrate
 from calib.points.points import Points, make_points
-from calib.studies.chunks import ChunkStore, run_study
-from calib.studies.executor import InProcess
+from calib.studies import ChunkStore, InProcess, run_study
 from calib.tolerances.making import (
     MadeArms,
     MadePoses,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from console.datasets.lerobot import Episode, episodes_of
+from console.lerobot_dataset import Episode, episodes_of
 from console.visualisation.reading import read_series
 from console.visualisation.series import Series
 from control.errors import ArmError

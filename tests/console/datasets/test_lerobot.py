@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from console.datasets.lerobot import episodes_of, statistics
+from console.lerobot_dataset import episodes_of, statistics
 from console.main import main
 from console.visualisation.reading import read_series
 from control.model.description import arm_text, load_arm

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from console.main import main
-from console.visualisation import sheets
+from console.visualisation import pictures
 from console.visualisation.metrics import metrics_json, metrics_of, tip_error_m
 from console.visualisation.pictures import PICTURES
 from console.visualisation.reading import of_columns, read_series
@@ -48,7 +48,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is drawn is tested, not how finely: most of the time goes into pixels."""
-    monkeypatch.setattr(sheets, "DOTS_PER_in", 25)
+    monkeypatch.setattr(pictures, "DOTS_PER_in", 25)
 
 
 def printed(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:

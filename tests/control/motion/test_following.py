@@ -24,7 +24,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.model.arm import Arm
 from control.motion.errors import PathError
-from control.motion.following.follower import BOUND_M, BOUND_RAD, LONGEST_S, OrientationSpline, turns_rad
+from control.motion.following import BOUND_M, BOUND_RAD, LONGEST_S, OrientationSpline, turns_rad
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.plan import plan_path

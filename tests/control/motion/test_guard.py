@@ -13,8 +13,7 @@ import pytest
 
 from benchmarks.arms import SEVEN, SIX
 from control.errors import ArmError
-from control.kinematics.corners import Corners
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.arm import Arm
 from control.motion.errors import MotionError
 from control.motion.guard import Guard, stopping_distance

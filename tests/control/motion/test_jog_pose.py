@@ -12,13 +12,13 @@ import pytest
 from benchmarks.arms import FIVE, FOUR, SEVEN, SIX, TWO
 from control.errors import ArmError
 from control.kinematics import rotation
-from control.kinematics.damped import DampedRates
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.pose_solver import task_of
 from control.loop.jogging import Jogging, JogRequest, TipStep, TipVelocity
 from control.model.arm import Arm
 from control.motion.guard import Guard
+from control.motion.jogs import DampedRates
 from control.motion.joint_limits import JogLimits, JointLimits
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.limits import SetPointLimits, limit_set_point

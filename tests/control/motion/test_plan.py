@@ -12,7 +12,7 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from control.motion import checks
 from control.motion.errors import PathError
-from control.motion.following.follower import BOUND_M, FEWEST
+from control.motion.following import BOUND_M, FEWEST
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.plan import Slowdown, plan_path

@@ -19,9 +19,8 @@ from control.recording import mcap_scene as scene
 from control.recording.export import to_mcap
 from control.recording.mcap_events import CycleChanges
 from control.recording.mcap_schemas import FOXGLOVE, TOPICS, columns_of
-from control.recording.reading import Recording
+from control.recording.reading import Recording, recorded_arm
 from control.recording.record import END_FIELDS, Layout
-from control.recording.recorded_arm import recorded_arm
 from tests.recordings import MODES, ERROR_rad, PERIOD_s, STARTED_s, write_recording
 
 RIGHT = load_arm("right")

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from control.kinematics.corners import Corners
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.arm import Rest
 from control.model.cell import Placed, load_cell
 from control.model.description import load_arm

@@ -13,8 +13,11 @@ from firmware_iface.errors import PortMissing
 from firmware_iface.mocap import vicon
 from firmware_iface.mocap.bodies import (
     BodyFrame,
+    LeapWatch,
+    LONGEST_GAP_frames,
     RigidPose,
     SeenBody,
+    SteadyPose,
     angle_rad,
     compose,
     inverse,
@@ -23,8 +26,6 @@ from firmware_iface.mocap.bodies import (
     turned,
     unit,
 )
-from firmware_iface.mocap.leaps import LeapWatch, LONGEST_GAP_frames
-from firmware_iface.mocap.steady import SteadyPose
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 # Frame 7, one object "tool" at (500, -250, 125) mm, turned by (0.5, 0, 0) rad: written out by hand.

@@ -228,10 +228,10 @@ def test_the_state_of_a_can_interface_is_read_from_the_kernel() -> None:
 
 
 def test_a_missing_package_or_a_slow_driver_of_an_adapter_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("firmware_iface.can_adapters.find_spec", lambda name: None)
+    monkeypatch.setattr("firmware_iface.can_link.find_spec", lambda name: None)
     (found,) = judge_can(CanBus("gs_usb", "0"), lambda channel: None)
     assert (found.level, found.remedy) == (Level.BAD, "pip install gs_usb pyusb")
-    monkeypatch.setattr("firmware_iface.can_adapters.find_spec", lambda name: name)
+    monkeypatch.setattr("firmware_iface.can_link.find_spec", lambda name: name)
     (found,) = judge_can(CanBus("gs_usb", "0"), lambda channel: None)
     assert found.level is Level.WARN
     assert "socketcan" in found.remedy

@@ -12,8 +12,7 @@ import pytest
 from armwright import CalibrationError, calibrate, make_points
 from console.main import main
 from control.errors import ArmFileError
-from control.kinematics.corners import Corners
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.arm import Arm
 from control.model.description import arm_names, arm_text, load_arm, parse_arm, save_arm
 from control.model.servos import SERVOS

@@ -13,8 +13,7 @@ import pytest
 from calib.arm_import import read_arm
 from calib.export import export_text
 from console.main import main
-from control.kinematics.corners import Corners
-from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.board_kinds import KINDS
 from control.model.description import load_arm
 from firmware_iface.serial_link import PortHere
