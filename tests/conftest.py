@@ -107,7 +107,7 @@ def _at_home(patch: pytest.MonkeyPatch, home: Path) -> None:
 def nobody_below() -> Iterator[None]:
     """A shutdown does not wait until the arm has sunk: for modules whose claims are others."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("control.loop.arm_state.SINK_LIMIT_S", 0.6)
+        patch.setattr("control.loop.standstill.SINK_LIMIT_S", 0.6)
         yield
 
 

@@ -1,6 +1,6 @@
-"""Recording of points: one record at rest, and a sequence of cavities without an operator.
+"""Recording of points: one record at rest, with the tip held in its place; the cavities of a board.
 
-The arm is at rest if no joint has moved by more than a limit for some time. With an operator: `calib.session.conduct`.
+The arm is at rest if no joint has moved by more than a limit for some time. The session: `calib.session.conduct`.
 """
 
 from __future__ import annotations
@@ -9,17 +9,15 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.errors import SessionError, UnusablePointsError
 from calib.points.points import Points, make_points
-from calib.points.writer import PointsWriter, Record
-from calib.session.moves import ArmPort, Geometry, TipSeat, TipSensor, Transfers, Vector
+from calib.points.writer import Record
+from calib.session.moves import ArmPort, TipSeat, TipSensor, Vector
 from calib.session.plan import Target
-from control.errors import ArmError
 
 
 class StandstillWindow:
@@ -116,15 +114,6 @@ def take(
     )
 
 
-# Unattended recording of points, for mock arms, demos and verification.
-#
-# Above each point, the hand takes the tip down and seats it; rest, average, record, lift. The drives never take the tip down to
-# the board, because an uncalibrated arm does not know its position.
-#
-# Every function here is a generator of Progress, so that the caller can show a bar and stop at any time: on every exit
-# the hand releases the arm and the drives hold. A session with an operator is `calib.session.conduct`.
-
-
 @dataclass(frozen=True, slots=True)
 class BoardPoint:
     """A cavity of the board in one setup: name, position and the board's normal, base frame."""
@@ -134,78 +123,6 @@ class BoardPoint:
     tip_m: Vector
     normal: Vector = (0.0, 0.0, 1.0)
     repeat: int = 1
-
-
-class PointStage(Enum):
-    """Stage of a point."""
-
-    SETUP = "setup stands"
-    ABOVE = "above the point"
-    SEATED = "tip seated"
-    RECORDED = "recorded"
-    KEPT = "recorded earlier"
-    UNREACHABLE = "out of reach"
-
-
-@dataclass(frozen=True, slots=True)
-class SessionProgress:
-    """One step: `done_count` of `total_count` points are done; with the record, or the reason for none."""
-
-    stage: PointStage
-    done_count: int
-    total_count: int
-    setup: str
-    point: str
-    record: Record | None = None
-    reason: str = ""
-
-
-def step_through(
-    points: Sequence[BoardPoint],
-    geometry: Geometry,
-    arm: ArmPort,
-    seat: TipSeat,
-    writer: PointsWriter,
-    settings: SessionSettings | None = None,
-    camera: TipSensor | None = None,
-    set_up: Callable[[str], None] | None = None,
-) -> Iterator[SessionProgress]:
-    """Visit the cavities in the order given and record each; those that the file holds already are passed
-    over.
-
-    The tip of a record is the cavity, or the camera's measurement if there is one. `set_up` is called with the
-    name of each setup before its first point, with the arm lifted. A point that the nominal arm cannot reach
-    is reported and skipped.
-    """
-    how = settings or SessionSettings()
-    walk = Transfers(geometry, arm, how.approach_m, how.window_s)
-    if points:
-        walk.stands_over(points[0].tip_m, points[0].normal)
-    standing = ""
-    for done, point in enumerate(points, start=1):
-        if (point.setup, point.point, point.repeat) in writer.recorded:
-            yield _progress(PointStage.KEPT, done, points, point)
-            continue
-        try:
-            above = walk.plan(point.tip_m, point.normal)
-        except ArmError as error:
-            yield _progress(PointStage.UNREACHABLE, done, points, point, reason=str(error))
-            continue
-        if point.setup != standing:
-            walk.lift()
-            if set_up is not None:
-                set_up(point.setup)
-            standing = point.setup
-            yield _progress(PointStage.SETUP, done - 1, points, point)
-        walk.go(above)
-        yield _progress(PointStage.ABOVE, done - 1, points, point)
-        walk.stands_at(point.normal)
-        with seated(point.tip_m, arm, seat):
-            yield _progress(PointStage.SEATED, done - 1, points, point)
-            record = take(_target(point), point.tip_m, arm, how, camera)
-            writer.append(record)
-        yield _progress(PointStage.RECORDED, done, points, point, record)
-    walk.lift()
 
 
 @contextmanager
@@ -222,21 +139,6 @@ def seated(tip_m: Vector, arm: ArmPort, seat: TipSeat) -> Iterator[None]:
             arm.hold()
         finally:
             seat.let_go()
-
-
-def _target(point: BoardPoint) -> Target:
-    return Target(point.setup, point.point, point.repeat)
-
-
-def _progress(
-    stage: PointStage,
-    done: int,
-    all_points: Sequence[BoardPoint],
-    target: BoardPoint,
-    record: Record | None = None,
-    reason: str = "",
-) -> SessionProgress:
-    return SessionProgress(stage, done, len(all_points), target.setup, target.point, record, reason)
 
 
 Cavities = Mapping[str, Sequence[float] | Array]

@@ -13,11 +13,13 @@ from calib.calibration.outcome import write_calibrated_arm, write_calibration_js
 from calib.identify.identification import Identification, identify
 from calib.points.points import Points
 from calib.points.reading import read_points
-from calib.points.writer import PointsWriter
 from calib.report.report import ReportData, write_report
 from calib.results import Provenance, input_file, made_today
-from calib.session.moves import ArmGeometry
-from calib.session.take import PointStage, board_points, step_through, with_reference_tips
+from calib.session.conduct import Boards, conduct
+from calib.session.conversation import Message, Recorded, unattended
+from calib.session.folder import SessionFolder
+from calib.session.plan import SessionPlan, board_targets, fingerprint
+from calib.session.take import with_reference_tips
 from calib.validation.verify import Comparison, TrackPair, compare
 from control.errors import ArmError
 from control.model import table as tables
@@ -25,7 +27,8 @@ from control.model.arm import Arm, Table
 from control.progress import Advance
 from control.server.client import ArmClient
 from procedures.mock import MockBench
-from procedures.ports import HandPort, RuntimePort
+from procedures.ports import HandPort, MockHandSeat, RuntimePort
+from procedures.session.mock_session import arm_station
 from procedures.verify.survey import SETUPS, Model, Programme, Survey, compared, paired, places, ways
 
 
@@ -80,7 +83,7 @@ def run(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> JobOutcome:
     client.home()
     advance("verification, before", 0.05)
     before.drive(before.model, client, bench.speed)
-    for done, what in _session(arm, table, bench, client, out / "points.csv"):
+    for done, what in _session(arm, bench, client, out):
         advance(what, 0.15 + 0.6 * done)
     recording_before = shut_down(arm, bench, client)
 
@@ -141,17 +144,20 @@ def _report(
     return JobOutcome(verification, calibration, found, paths, report, made.file)
 
 
-def _session(
-    arm: Arm, table: Table, bench: MockBench, client: ArmClient, file: Path
-) -> Iterator[tuple[float, str]]:
-    """Step through every cavity on every tilt; yields the share done and the present step."""
-    targets = [point for setup in SETUPS for point in board_points(setup, tables.cavities(table, setup))]
-    port, seat = RuntimePort(client, bench.speed), HandPort(bench.rig.hand, bench.wait)
-    with PointsWriter(file, arm.joint_count) as writer:
-        for step in step_through(targets, ArmGeometry(arm), port, seat, writer):
-            if step.stage is PointStage.UNREACHABLE:
-                raise ArmError(f"cavity {step.point} on the board's setup {step.setup}: {step.reason}")
-            yield step.done_count / step.total_count, f"table: {step.setup} {step.point}"
+def _session(arm: Arm, bench: MockBench, client: ArmClient, out: Path) -> Iterator[tuple[float, str]]:
+    """A session over every cavity on every tilt; yields the share done and the step. ArmError for a cavity out of reach."""
+    targets = board_targets(SETUPS, list(tables.board_cavities(tables.table_of(arm))))
+    with SessionFolder(out, SessionPlan(arm.name, fingerprint(arm), arm.joint_count, targets)) as folder:
+        boards = Boards(arm, folder.plan)
+        hand = MockHandSeat(HandPort(bench.rig.hand, bench.wait), boards.reference_m)
+        station = arm_station(arm, folder, boards, RuntimePort(client, bench.speed), hand)
+        done = 0
+        for saying in unattended(conduct(folder, station)):
+            if isinstance(saying, Message) and saying.is_warning:
+                raise ArmError(saying.text)
+            if isinstance(saying, Recorded):
+                done += 1
+                yield done / len(targets), f"table: {saying.record.setup} {saying.record.point}"
 
 
 def _steps(points_count: int, verified_count: int) -> tuple[str, ...]:

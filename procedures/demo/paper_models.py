@@ -15,7 +15,7 @@ from calib.identify.identification import Identification, identify
 from calib.points.points import Points, make_points
 from calib.points.writer import PointsWriter, Record
 from calib.session.plan import Target
-from calib.session.take import BoardPoint, SessionSettings, take
+from calib.session.take import BoardPoint, SessionSettings, seated, take
 from control.dynamics.static_pose import friction_Nm, gravity_Nm, resting, torque_per_A
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
@@ -133,14 +133,8 @@ class Mover:
             x, y, z = (p + ABOVE_m * n for p, n in zip(point.tip_m, point.normal, strict=True))
             above = self._inverse.nearest((x, y, z), self.q_rad)
             self._port.move_to_q(above)
-            try:
-                self._port.release()
-                self._hand.seat(point.tip_m)
-                self._port.hold()
+            with seated(point.tip_m, self._port, self._hand):
                 record = self._recorded(point.setup, point.point, point.repeat, point.tip_m, writer)
-            finally:
-                self._port.hold()
-                self._hand.let_go()
             self._port.move_to_q(above)
             yield record
 

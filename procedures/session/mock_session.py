@@ -1,4 +1,4 @@
-"""Sessions with a stepped mock in this process: one arm and the hand that seats its tip, or the arms of a cell.
+"""What sessions work with, and sessions with a stepped mock in this process: one arm and the hand that seats its tip, or a cell.
 
 The scenario is saved in the session's folder, so that a resumed session has the same arm.
 """
@@ -17,10 +17,12 @@ from calib.closed_chain.conduct import ContactWatch, PairHand, PairStation
 from calib.closed_chain.planning import Poses, SharedRoom, base_of
 from calib.design.candidates import OTHER_TILTS, tilted
 from calib.errors import SessionError
-from calib.session.conduct import AutomaticHand, Boards
+from calib.session.conduct import AutomaticHand, Boards, Station
 from calib.session.folder import SessionFolder
-from calib.session.moves import ArmGeometry, Vector
+from calib.session.moves import ArmGeometry, ClearPaths, Vector
 from calib.session.plan import Target
+from calib.session.residual_watch import ResidualWatch
+from calib.session.take import SessionSettings
 from control.files import write_whole
 from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
@@ -130,6 +132,29 @@ def mock_pair(cell: Cell, folder: SessionFolder, scenario: str | None) -> Iterat
         bench.stop()
     finally:
         bench.close()
+
+
+def arm_station(
+    arm: Arm,
+    folder: SessionFolder,
+    boards: Boards,
+    port: RuntimePort,
+    hand: AutomaticHand | None = None,
+    clock_offset_s: float = 0.0,
+) -> Station:
+    """What a session of one arm works with, on a mock or a real one."""
+    plan, geometry = folder.plan, ArmGeometry(arm)
+    return Station(
+        arm=port,
+        geometry=geometry,
+        boards=boards,
+        watch=ResidualWatch(arm),
+        hand=hand,
+        camera=port if plan.has_camera else None,
+        ways=ClearPaths(arm, geometry),
+        settings=SessionSettings(payload_kg=plan.payload_kg),
+        clock_offset_s=clock_offset_s,
+    )
 
 
 Names = tuple[str, str]

@@ -5,12 +5,9 @@ from pathlib import Path
 
 from calib.errors import SessionError
 from calib.points.points import STREAM_FRAME
-from calib.session.conduct import AutomaticHand, Boards, Station, conduct
+from calib.session.conduct import Boards, Station, conduct
 from calib.session.folder import SessionFolder
-from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import SessionPlan, fingerprint
-from calib.session.residual_watch import ResidualWatch
-from calib.session.take import SessionSettings
 from console.commands.cell import contacts
 from console.commands.connection import in_control_of
 from control.model.arm import Arm
@@ -19,7 +16,7 @@ from control.server.client import ArmClient
 from hil_mocks.scenario import load_scenario
 from procedures.folders import require_writable
 from procedures.ports import RuntimePort
-from procedures.session.mock_session import SCENARIO, mock_session
+from procedures.session.mock_session import SCENARIO, arm_station, mock_session
 from procedures.session.operator import (
     SPEED,
     BoardWords,
@@ -62,7 +59,8 @@ def _with_mock(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, 
         _introduce(folder, interface)
         with mock_session(arm, folder, boards, given.scenario) as mock:
             hand = mock.hand if folder.plan.seat == "hand" else None
-            station = _station(arm, folder, boards, mock.client, mock.speed, last_s(folder), hand)
+            port = _port(folder, mock.client, mock.speed)
+            station = arm_station(arm, folder, boards, port, hand, last_s(folder))
             _conduct(arm, folder, boards, interface, station)
 
 
@@ -76,7 +74,8 @@ def _with_arm(given: argparse.Namespace, arm: Arm, wanted: SessionPlan | None, i
             require_same(folder, fingerprint(arm))
             boards = Boards(arm, folder.plan)
             _introduce(folder, interface)
-            station = _station(arm, folder, boards, client, SPEED, since_start_s(folder, status), None)
+            port = _port(folder, client, SPEED)
+            station = arm_station(arm, folder, boards, port, None, since_start_s(folder, status))
             _conduct(arm, folder, boards, interface, station)
     finally:
         client.close()
@@ -87,29 +86,10 @@ def _conduct(arm: Arm, folder: SessionFolder, boards: Boards, interface: Interfa
     interface.conduct(folder, words, conduct(folder, station), station.hand is not None)
 
 
-def _station(
-    arm: Arm,
-    folder: SessionFolder,
-    boards: Boards,
-    client: ArmClient,
-    speed: float,
-    offset_s: float,
-    hand: AutomaticHand | None,
-) -> Station:
-    is_unplaced = folder.plan.pose_frame == STREAM_FRAME
-    port, geometry = RuntimePort(client, speed, in_own_frame=is_unplaced), ArmGeometry(arm)
+def _port(folder: SessionFolder, client: ArmClient, speed: float) -> RuntimePort:
+    """The arm, which is told what its tip carries."""
     client.ask("payload", mass_kg=folder.plan.payload_kg)
-    return Station(
-        arm=port,
-        geometry=geometry,
-        boards=boards,
-        watch=ResidualWatch(arm),
-        hand=hand,
-        camera=port if folder.plan.has_camera else None,
-        ways=ClearPaths(arm, geometry),
-        settings=SessionSettings(payload_kg=folder.plan.payload_kg),
-        clock_offset_s=offset_s,
-    )
+    return RuntimePort(client, speed, in_own_frame=folder.plan.pose_frame == STREAM_FRAME)
 
 
 def _introduce(folder: SessionFolder, interface: Interface) -> None:

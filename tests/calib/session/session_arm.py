@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH, TILTS, board_points
-from calib.session import take as sequence
+from benchmarks.calibration.chains import REFERENCE, REFERENCE_DH
+from calib.session.conduct import Boards, Station, conduct
+from calib.session.conversation import GO, Ask, Do, Message, Recorded, SessionCommand, SessionQuestion
+from calib.session.folder import SessionFolder
 from calib.session.moves import ArmGeometry, RestSample, SeenTip
+from calib.session.plan import SessionPlan, Target, board_targets
+from calib.session.residual_watch import ResidualWatch
+from calib.session.take import SessionSettings
 from control.errors import ArmError
 from control.model.description import load_arm
+from control.model.table import cavities, table_of
 
 RIGHT = load_arm("right")
 GEOMETRY = ArmGeometry(RIGHT)
@@ -80,6 +89,82 @@ class ScriptedArm:
         return SeenTip(tuple(tip.tolist()), (1e-4, 1e-4, 1e-4))
 
 
-def board(setup: str, count: int = 4) -> tuple[sequence.BoardPoint, ...]:
-    tips = board_points(*TILTS[setup])
-    return sequence.board_points(setup, {str(k + 1): tips[k] for k in range(33)})[:count]
+TABLE = table_of(RIGHT)
+ALL = list(cavities(TABLE))
+SKIP, REDO, BAD, QUIT = (SessionCommand(do) for do in (Do.SKIP, Do.REDO, Do.BAD, Do.QUIT))
+NAMES = {
+    SessionQuestion.BOARD: "board",
+    SessionQuestion.NEXT: "next",
+    SessionQuestion.TAKE: "take",
+    SessionQuestion.SEATED: "seated",
+    SessionQuestion.DONE: "done",
+}
+
+
+class CavityHand:
+    """Seats the tip where the board really is; `beside` maps keys to how far beside the cavity it is put once."""
+
+    def __init__(self, arm: ScriptedArm, beside: dict | None = None, moved=(0.0, 0.0, 0.0)) -> None:
+        self._arm, self._beside, self._moved = arm, beside or {}, np.array(moved)
+
+    def grip(self) -> None:
+        self._arm.grip()
+
+    def seat(self, target: Target) -> None:
+        place = np.array(cavities(TABLE, target.setup)[target.point]) + self._moved
+        self._arm.seat(tuple((place + self._beside.pop(target.key, 0.0)).tolist()))
+
+    def let_go(self) -> None:
+        self._arm.let_go()
+
+
+@dataclass
+class Bench:
+    """A session in a folder, with a scripted arm. Each `run` is one start of the program."""
+
+    folder: Path
+    plan: SessionPlan
+    arm: ScriptedArm
+    hand: CavityHand | None = None
+    geometry: NumericGeometry = field(default_factory=NumericGeometry)
+    settings: SessionSettings = field(default_factory=SessionSettings)
+
+    def run(self, answers: Iterable[SessionCommand]) -> list:
+        """All that was said; questions are answered in turn, then with QUIT."""
+        answers = iter(answers)
+        self.said: list = []
+        with SessionFolder(self.folder, self.plan) as session:
+            camera = self.arm if self.plan.has_camera else None
+            boards, watch = Boards(RIGHT, self.plan), ResidualWatch(RIGHT)
+            station = Station(self.arm, self.geometry, boards, watch, self.hand, camera, None, self.settings)
+            talk = conduct(session, station)
+            try:
+                saying = next(talk)
+                while True:
+                    self.said.append(saying)
+                    if isinstance(saying, Ask):
+                        self.arm.log.append(
+                            f"{NAMES[saying.question]} {saying.target.name if saying.target else ''}".strip()
+                        )
+                    saying = talk.send(next(answers, QUIT) if isinstance(saying, Ask) else GO)
+            except StopIteration:
+                pass
+            finally:
+                talk.close()
+            self.marks = {key[:2] if key[2] == 1 else key: mark for key, mark in session.state.marks.items()}
+        return self.said
+
+    @property
+    def told(self) -> list[str]:
+        return [saying.text for saying in self.said if isinstance(saying, Message)]
+
+    @property
+    def kept(self) -> list[Recorded]:
+        return [saying for saying in self.said if isinstance(saying, Recorded)]
+
+
+def bench(tmp_path: Path, points=("1", "7"), setups=("normal",), has_hand=True, **plan) -> Bench:
+    arm = plan.pop("arm", None) or ScriptedArm()
+    targets = plan.pop("targets", None) or board_targets(setups, points)
+    wanted = SessionPlan("right", "00", 3, targets, **plan)
+    return Bench(tmp_path / "s", wanted, arm, CavityHand(arm) if has_hand else None)
