@@ -41,7 +41,7 @@ def aligned(rows: Iterable[Sequence[str]], left: int = 1, indent: str = "") -> s
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     sides = [str.ljust] * left + [str.rjust] * (len(widths) - left)
     return "\n".join(
-        (indent + "  ".join(side(cell, w) for cell, w, side in zip(row, widths, sides, strict=True))).rstrip()
+        indent + "  ".join(side(cell, w) for cell, w, side in zip(row, widths, sides, strict=True))
         for row in cells
     )
 

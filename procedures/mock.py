@@ -54,19 +54,24 @@ SHARED_MACHINE_WATCHDOG_S = 0.5
 SHARED_MACHINE_LAG_S = 0.5
 
 
-def wired_to(arm: Arm, rig: MockPorts) -> Arm:
-    """The arm with the mock's serial port, CAN bus and camera port, and with longer timeouts for boards on a shared machine."""
-    boards = tuple(
-        replace(arm.encoder_boards[i], port=url)
-        if i < len(arm.encoder_boards)
-        else EncoderBoardPort(f"enc{i}", url)
-        for i, url in enumerate(rig.encoder_urls)
-    )
+def on_wires(arm: Arm, rig: MockPorts) -> Arm:
+    """The arm on the mock's wires. Its limits stay: on the stepped clock no program keeps the boards waiting."""
+    own = dict(enumerate(arm.encoder_boards))
     return replace(
         arm,
-        encoder_boards=boards,
+        encoder_boards=tuple(
+            replace(own[i], port=url) if i in own else EncoderBoardPort(f"enc{i}", url)
+            for i, url in enumerate(rig.encoder_urls)
+        ),
         boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
         can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
+    )
+
+
+def wired_to(arm: Arm, rig: MockPorts) -> Arm:
+    """The arm on the mock's wires and camera port, with longer timeouts for boards on a shared machine."""
+    return replace(
+        on_wires(arm, rig),
         camera=(arm.camera or Camera()).on_this_machine(rig.camera_port),
         limits=replace(
             arm.limits,

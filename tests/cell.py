@@ -14,7 +14,7 @@ import msgspec
 from control.errors import ArmError
 from control.hardware.connect import Connection, connect
 from control.loop.runtime import Runtime
-from control.model.arm import Arm, CanBus
+from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.end_effector import Gripper
 from control.recording.record import RowSink
@@ -23,8 +23,9 @@ from control.server.assemble import Assembly, assemble
 from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from control.server.messages import asked
-from hil_mocks.rig import MockPorts, SteppedRig
+from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import EffectTable, FaultTable, Scenario, Start, load_scenario
+from procedures.mock import on_wires as wired_to
 
 PERIOD_S = 0.002
 RIGHT = load_arm("right")
@@ -119,17 +120,6 @@ class Cell:
 
         self.watchers.append(watch)
         return speeds
-
-
-def wired_to(arm: Arm, rig: MockPorts) -> Arm:
-    """The arm on the rig's wires, with the limits of a real one (procedures.mock has more patience with its boards)."""
-    boards = tuple(
-        replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
-    )
-    return replace(
-        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
-        boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
-    )  # fmt: skip
 
 
 @contextmanager

@@ -58,16 +58,10 @@ class Objective(Protocol):
         """The dual after a step that took `residuals` (m, 3) to `moved`; None if there is no kink."""
 
 
-@dataclass(frozen=True, slots=True)
-class SumOfDistances:
-    """E2 = sum of |measured - modelled|, SpringerPlus 5:1771, eq. (4) with Euclidean norms; the default. [m]"""
+class _Rounded:
+    """The sum of |s|, its kink at zero rounded off: sqrt(s^2 + smoothing^2)."""
 
-    name: str = "E2: sum of distances"
-    is_smooth: bool = False
-
-    def distances(self, residuals: Array) -> Array:
-        """Lengths, (m,)."""
-        return norms(residuals)
+    __slots__ = ()
 
     def value(self, distances_m: Array, smoothing_m: float) -> float:
         """Sum of sqrt(s^2 + smoothing^2)."""
@@ -77,6 +71,18 @@ class SumOfDistances:
         """1/sqrt(s^2 + e^2) and e^2/sqrt(s^2 + e^2)^3, of s and smoothing e."""
         across = 1.0 / np.maximum(np.hypot(distances_m, smoothing_m), TINY_m)
         return across, smoothing_m**2 * across**3
+
+
+@dataclass(frozen=True, slots=True)
+class SumOfDistances(_Rounded):
+    """E2 = sum of |measured - modelled|, SpringerPlus 5:1771, eq. (4) with Euclidean norms; the default. [m]"""
+
+    name: str = "E2: sum of distances"
+    is_smooth: bool = False
+
+    def distances(self, residuals: Array) -> Array:
+        """Lengths, (m,)."""
+        return norms(residuals)
 
     def expansion(
         self, residuals: Array, smoothing_m: float, dual: Array | None
@@ -102,7 +108,7 @@ class SumOfDistances:
 
 
 @dataclass(frozen=True, slots=True)
-class SumOfCoordinates:
+class SumOfCoordinates(_Rounded):
     """E1 = sum of |x| + |y| + |z| of measured minus modelled, the other reading of SpringerPlus 5:1771, eq. (4). [m]"""
 
     name: str = "E1: sum of absolute coordinates"
@@ -111,15 +117,6 @@ class SumOfCoordinates:
     def distances(self, residuals: Array) -> Array:
         """Absolute coordinates, (3m,)."""
         return np.abs(residuals).ravel()
-
-    def value(self, distances_m: Array, smoothing_m: float) -> float:
-        """Sum of sqrt(s^2 + smoothing^2)."""
-        return float(np.sum(np.hypot(distances_m, smoothing_m)))
-
-    def weights(self, distances_m: Array, smoothing_m: float) -> tuple[Array, Array]:
-        """1/sqrt(s^2 + e^2) and e^2/sqrt(s^2 + e^2)^3, of s and smoothing e."""
-        across = 1.0 / np.maximum(np.hypot(distances_m, smoothing_m), TINY_m)
-        return across, smoothing_m**2 * across**3
 
     def expansion(
         self, residuals: Array, smoothing_m: float, dual: Array | None

@@ -317,8 +317,7 @@ class InverseKinematics:
             except (OutOfReach, NearSingular) as failure:
                 failures.append(failure.with_traceback(None))  # else it would hold this frame, which holds it
         if not found:
-            failures.sort(key=_telling)
-            raise failures.pop(0)
+            raise errors.most_telling(failures)
         return found
 
     def solve(self, point: Sequence[float], branch: Branch) -> tuple[float, ...]:
@@ -482,8 +481,3 @@ class InverseKinematics:
         limit, pose = self._singular_margin_m, "losing a direction of motion"
         if weakest < limit:
             raise errors.near_singular(self._name, target, "arm", weakest, limit, "m/rad", pose)
-
-
-def _telling(failure: OutOfReach | NearSingular) -> tuple[int, float]:
-    """The most useful of several failures: near-singular, else the least distance out of reach."""
-    return (0, failure.margin) if isinstance(failure, NearSingular) else (1, failure.distance_m)

@@ -40,6 +40,17 @@ def near_singular(
     return NearSingular(message, which, margin, limit, unit)
 
 
+def most_telling(failures: list[OutOfReach | NearSingular]) -> OutOfReach | NearSingular:
+    """Take the most useful of several failures: near-singular, else the least distance out of reach.
+
+    The others are dropped: a frame that holds what it raises is garbage that only the collector finds.
+    """
+    failures.sort(key=lambda one: (0, one.margin) if isinstance(one, NearSingular) else (1, one.distance_m))
+    found = failures[0]
+    failures.clear()
+    return found
+
+
 def jump(name: str, point: Sequence[float], travel_rad: float, limit_rad: float) -> NearSingular:
     """Return the error for a path step that would need a jump of the joints."""
     message = (

@@ -97,8 +97,7 @@ class PoseInverse:
                 found.append(q)
                 yield q
         if not found:
-            failures.sort(key=_telling)
-            raise failures.pop(0)
+            raise problems.most_telling(failures)
 
     def _descended(self, target: TipPose, start: Sequence[float]) -> SolvedPoses:
         """The best pose near `start`: all rows weighed against each other first, then the exact ones exactly."""
@@ -133,11 +132,6 @@ class PoseInverse:
             pose = "losing a direction of motion"
             return problems.near_singular(name, target.position_m, "arm", margin, limit, "m/rad", pose)
         return None
-
-
-def _telling(failure: OutOfReach | NearSingular) -> tuple[int, float]:
-    """The most useful of several failures: near-singular, else the least distance out of reach."""
-    return (0, failure.margin) if isinstance(failure, NearSingular) else (1, failure.distance_m)
 
 
 def _spelled_turn(orientation: Quaternion) -> str:

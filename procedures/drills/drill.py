@@ -15,7 +15,7 @@ import msgspec
 
 from control.errors import ArmError
 from control.hardware.connect import Connection, connect
-from control.model.arm import Arm, CanBus
+from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.end_effector import Gripper
 from control.safety.table import Mode
@@ -25,8 +25,9 @@ from control.server.client import ArmClient
 from control.server.in_process import InProcessChannel
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
-from hil_mocks.rig import MockPorts, SteppedRig
+from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, GripperTable, Scenario, Start, load_scenario
+from procedures.mock import on_wires
 
 STANDS_m_s = 0.005
 WRONG_rad = (
@@ -285,21 +286,10 @@ def stage(arm: Arm | None = None, scenario: Scenario | None = None) -> Iterator[
 
 
 def _started(arm: Arm, rig: SteppedRig) -> tuple[Connection, Assembly]:
-    model = wired_as_real(arm, rig)
+    model = on_wires(arm, rig)
     period_s = 1.0 / arm.usual_rate_Hz
     connection = connect(model, rig.clock, period_s)
     return connection, assemble(model, connection.hardware, period_s, stopwatch_s=rig.clock.now_s)
-
-
-def wired_as_real(arm: Arm, rig: MockPorts) -> Arm:
-    """The arm on the rig's wires. Its limits stay: on the stepped clock no program keeps the boards waiting."""
-    boards = tuple(
-        replace(board, port=url) for board, url in zip(arm.encoder_boards, rig.encoder_urls, strict=True)
-    )
-    return replace(
-        arm, encoder_boards=boards, can=CanBus(rig.can_interface, rig.can_channel, options=rig.can_options),
-        boards=tuple(replace(board, port=rig.board_urls.get(board.port, board.port)) for board in arm.boards),
-    )  # fmt: skip
 
 
 @cache

@@ -33,11 +33,10 @@ from procedures.drills.drill import (
     length_m,
     off_way_m,
     stood_s,
-    wired_as_real,
 )
 from procedures.guiding import PERIOD_S as FOLLOWS_S
 from procedures.guiding import Following
-from procedures.mock import CellBench
+from procedures.mock import CellBench, on_wires
 
 PAIR = "both move"  # the situation
 FROM_rad, TO_rad = (0.0, -0.4, 0.4), (0.8, -0.3, 0.6)  # of both: they stay half a metre apart
@@ -367,7 +366,7 @@ def pair_stage(cell: Callable[[], Cell]) -> Iterator[PairStage]:
     demo = load_scenario("demo")
     scenario = msgspec.structs.replace(demo, start=Start(q_rad=FROM_rad, homed=True))
     with tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
-        bench = CellBench(cell(), scenario, Path(folder), wired_as_real)
+        bench = CellBench(cell(), scenario, Path(folder), on_wires)
         try:
             for client in bench.start(bench.standing).values():
                 client.enable()
