@@ -14,6 +14,7 @@ from calib.calibration.outcome import calibrated_arm
 from calib.identify.identification import Identification, identify
 from calib.points.points import Points, make_points
 from calib.points.writer import PointsWriter, Record
+from calib.session.moves import ArmGeometry, ClearPaths
 from calib.session.plan import Target
 from calib.session.take import BoardPoint, SessionSettings, seated, take
 from control.dynamics.static_pose import friction_Nm, gravity_Nm, resting, torque_per_A
@@ -90,7 +91,6 @@ APPROACH_rad: Final = 0.06  # last approach of every joint: several times the ba
 # brakes, which neither currents nor directions show; at 0.3, link friction brakes harder than the motors.
 GENTLE: Final = 0.3
 ABOVE_m: Final = 0.06  # an uncalibrated arm is some 3 cm off
-DIP_m: Final = 0.02  # below both ends: a path that dips lower goes over the rest pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class Mover:
 
     def __init__(self, arm: Arm, bench: MockBench, client: ArmClient) -> None:
         self._arm, self._client = arm, client
-        self._inverse = InverseKinematics(arm)
+        self._inverse, self._ways = InverseKinematics(arm), ClearPaths(arm, ArmGeometry(arm))
         self._port = RuntimePort(client, bench.speed, as_encoders=True)
         self._gentle = RuntimePort(client, GENTLE * bench.speed, as_encoders=True)
         self._hand = HandPort(bench.rig.hand, bench.wait)
@@ -139,13 +139,9 @@ class Mover:
             yield record
 
     def _go(self, q_rad: Array) -> None:
-        """Move quickly; over the rest pose if the straight path in joint angles dips towards the table."""
-        here = np.array(self.q_rad)
-        way = here + np.linspace(0.0, 1.0, 30)[:, None] * (q_rad - here)
-        height_m = self._inverse.kinematics.tips(way)[:, 2]
-        if self._arm.rest is not None and height_m.min() < min(height_m[0], height_m[-1]) - DIP_m:
-            self._port.move_to_q(self._arm.rest.q_rad)
-        self._port.move_to_q(q_rad.tolist())
+        """Move quickly, clear of table and floor."""
+        for stop in self._ways.stops(self.q_rad, q_rad.tolist(), None):
+            self._port.move_to_q(stop)
 
     def _recorded(
         self, setup: str, point: str, repeat: int, tip_m: Vector3 | None, writer: PointsWriter
