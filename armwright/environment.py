@@ -158,18 +158,23 @@ class ReachEnvironment(gymnasium.Env[Observation, Array]):
         """Observation, info, and whether the arm is in FAULT."""
         status = self._mock.status()
         values = {
-            "joint_rad": status.joint_rad, "speed_rad_s": status.speed_rad_s, "current_A": status.current_A,
-            "tip_m": status.tip_m, "target_m": self._target_m,
-        }  # fmt: skip
+            "joint_rad": status.joint_rad,
+            "speed_rad_s": status.speed_rad_s,
+            "current_A": status.current_A,
+            "tip_m": status.tip_m,
+            "target_m": self._target_m,
+        }
         observation = {
             name: np.clip(np.asarray(values[name], dtype=np.float32), box.low, box.high)
             for name, box in self._boxes.items()
         }
         distance_m = math.dist(self._mock.true_tip_m(), self._target_m)
         info = {
-            "distance_m": distance_m, "is_success": distance_m <= self._tolerance_m, "limited": limited,
+            "distance_m": distance_m,
+            "is_success": distance_m <= self._tolerance_m,
+            "limited": limited,
             "faults": status.faults,
-        }  # fmt: skip
+        }
         return observation, info, status.mode == "FAULT"
 
     def _free_pose(self) -> tuple[float, ...]:
@@ -216,9 +221,12 @@ def _observed(arm: Arm, limits: JointLimits) -> dict[str, Box]:
     current = np.array([arm.drive(joint).current_limit_A for joint in range(1, arm.joint_count + 1)])
     reach = np.full(3, reach_m(arm))
     return {
-        "joint_rad": _box(limits.lower_rad, limits.upper_rad), "speed_rad_s": _box(-speed, speed),
-        "current_A": _box(-current, current), "tip_m": _box(-reach, reach), "target_m": _box(-reach, reach),
-    }  # fmt: skip
+        "joint_rad": _box(limits.lower_rad, limits.upper_rad),
+        "speed_rad_s": _box(-speed, speed),
+        "current_A": _box(-current, current),
+        "tip_m": _box(-reach, reach),
+        "target_m": _box(-reach, reach),
+    }
 
 
 def _box(lower: ArrayLike, upper: ArrayLike) -> Box:

@@ -11,9 +11,16 @@ import re
 from typing import Protocol
 
 BITRATE_CODES = {
-    10_000: "S0", 20_000: "S1", 50_000: "S2", 100_000: "S3", 125_000: "S4", 250_000: "S5", 500_000: "S6", 800_000: "S7",
+    10_000: "S0",
+    20_000: "S1",
+    50_000: "S2",
+    100_000: "S3",
+    125_000: "S4",
+    250_000: "S5",
+    500_000: "S6",
+    800_000: "S7",
     1_000_000: "S8",
-}  # fmt: skip
+}
 OPTIONS = ("tty_baudrate",)
 _FRAME = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])([0-9A-Fa-f]*)")
 _OTHER_FRAMES = (b"T", b"r", b"R", b"d", b"D", b"b", b"B")

@@ -35,9 +35,18 @@ OF_MOTOR = (
     | {"switched_off", "switched_on", "stuck_encoder"}
 )
 OF_BOUGHT = ON_FRAMES | {
-    "board_reset", "e_stop", "over_current", "over_temperature", "supply", "swapped_polarity", "dead_motor", "stuck_joint",
-    "stuck_encoder", "switched_off", "switched_on",
-}  # fmt: skip
+    "board_reset",
+    "e_stop",
+    "over_current",
+    "over_temperature",
+    "supply",
+    "swapped_polarity",
+    "dead_motor",
+    "stuck_joint",
+    "stuck_encoder",
+    "switched_off",
+    "switched_on",
+}
 OF_CAMERA = (ON_FRAMES - {"delay_frames", "replay_frames"}) | {
     "exchanged_bodies"
 }  # its latency is a separate key

@@ -346,8 +346,13 @@ def _problem_of_others(
     tips = model.tips(model.nominal_dh, readings.q_rad)
     devices = devices_of(readings, tips, free_zero, known_m, to_spare=1)
     return DistanceProblem(
-        model, readings, devices, unit_m=POSITION_NOISE_m, tool_m=model.nominal_tool_m, fixed=dh_names(len(arm.links))
-    )  # fmt: skip
+        model,
+        readings,
+        devices,
+        unit_m=POSITION_NOISE_m,
+        tool_m=model.nominal_tool_m,
+        fixed=dh_names(len(arm.links)),
+    )
 
 
 def _errors_m(problem: DistanceProblem, where: Path) -> Array:

@@ -26,15 +26,21 @@ SEPARATORS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", ",":
 ANGLES: Final = {"rad": 1.0, "deg": np.pi / 180.0}
 LENGTHS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 UNITS: Final = (  # as a header says them, the first that is found
-    ("deg", r"deg|grad\b|°"), ("rad", r"rad"), ("mm", r"mm\b"), ("cm", r"cm\b"), ("m", r"m\b"), ("in", r"in(ch)?\b"),
-)  # fmt: skip
+    ("deg", r"deg|grad\b|°"),
+    ("rad", r"rad"),
+    ("mm", r"mm\b"),
+    ("cm", r"cm\b"),
+    ("m", r"m\b"),
+    ("in", r"in(ch)?\b"),
+)
 ALONE: Final = r"(?<![^\W\d_])(?:{})(?!\w*\s*/)"  # no mrad, no µm, no deg/s
 JOINT: Final = r"^\W*(?:q|j|a|joint|axis|achse|gelenk|axe|articulation|theta|winkel|angle)[\s_.-]*{}(?!\d)"
 COLUMNS: Final = {
     **{name: rf"^(?:tip|tcp|pos(?:ition)?|mess(?:ung|punkt)?)?[\s_.-]*{name[0]}(?![a-z])" for name in TIP},
-    "setup": r"^(setup|aufbau|lage|tilt)\b", "point": r"^(point|punkt|pose|name|no|nr|id|place|stelle)\b",
+    "setup": r"^(setup|aufbau|lage|tilt)\b",
+    "point": r"^(point|punkt|pose|name|no|nr|id|place|stelle)\b",
     "repeat": r"^(repeat|rep|wiederholung|visit|take)\b",
-}  # fmt: skip
+}
 NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.ASCII | re.IGNORECASE)
 OPTIONAL: Final = ("setup", "point", "repeat")
 

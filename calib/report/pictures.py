@@ -69,9 +69,17 @@ def _draw_arrows(
     _mark_setups(axes, comparison, tips[:, i], tips[:, j])
     reach = magnified * _cut(shown, ARROW_LIMIT * typical)
     arrows = axes.quiver(
-        tips[:, i], tips[:, j], reach[:, i], reach[:, j],
-        angles="xy", scale_units="xy", scale=1.0, color=colour, width=0.0042, zorder=3,
-    )  # fmt: skip
+        tips[:, i],
+        tips[:, j],
+        reach[:, i],
+        reach[:, j],
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        color=colour,
+        width=0.0042,
+        zorder=3,
+    )
     axes.set_aspect("equal", adjustable="datalim")
     axes.update_datalim(np.vstack((tips, tips + reach))[:, plane])
     axes.margins(0.06)

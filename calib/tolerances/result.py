@@ -338,9 +338,13 @@ def _draw_costs(figure: Figure, made: Made) -> None:
         )
         spread = 100 * np.abs(shares[:, 1:] - shares[:, :1]).T
         axes.barh(
-            [one.name for one in first], 100 * shares[:, 0], xerr=spread, color=STYLES[stage][0], height=0.6,
+            [one.name for one in first],
+            100 * shares[:, 0],
+            xerr=spread,
+            color=STYLES[stage][0],
+            height=0.6,
             error_kw={"elinewidth": 0.8},
-        )  # fmt: skip
+        )
         axes.set(xlabel="mean square error less if exact [%]")
         axes.set_title(STAGES[stage], loc="left")
         axes.grid(visible=False, axis="y")

@@ -212,9 +212,13 @@ class SessionScreen(Screen[None]):
 
 # Rows of the session's screen: the board with its cavities, and each record with its residuals.
 SIGNS: Mapping[str, Span] = {
-    "done": ("#", "accent"), "partly": ("+", "accent"), "now": ("O", "chosen"), "left": (".", "plain"),
-    "skipped": ("-", "warning"), "bad": ("x", "error"),
-}  # fmt: skip
+    "done": ("#", "accent"),
+    "partly": ("+", "accent"),
+    "now": ("O", "chosen"),
+    "left": (".", "plain"),
+    "skipped": ("-", "warning"),
+    "bad": ("x", "error"),
+}
 MEANINGS = {
     "done": "done",
     "partly": "some repeats",

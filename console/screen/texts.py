@@ -13,9 +13,12 @@ Message = dict[str, Any]
 NEAR = 0.8  # of a limit: warn above
 # A command and a reply of 8 bytes a joint and cycle, with the worst stuffing: 135 bit times each (docs/motor_board.md).
 MODE_LOOKS = {
-    "PAUSED": "warning-badge", "STOPPING": "warning-badge", "GUIDING": "warning-badge", "FAULT": "error-badge",
+    "PAUSED": "warning-badge",
+    "STOPPING": "warning-badge",
+    "GUIDING": "warning-badge",
+    "FAULT": "error-badge",
     "HELD": "warning-badge",
-}  # fmt: skip
+}
 NEXT = {
     "OFF": "The drives are off. `n` switches them on and holds.",
     "BRAKED": "The drives are at 0 V; the windings brake. `n` holds.",

@@ -303,13 +303,17 @@ PICTURES: Final = (
     Picture("currents", "Motor current", draw_currents, lambda s: _is_any(s.current_A)),
     Picture("voltages", "Commanded motor voltage", draw_voltages, lambda s: _is_any(s.voltage_V)),
     Picture(
-        "supply", "Supply and temperature", draw_supply,
-        lambda s: _is_any(s.supply_V) or _is_any(s.temperature_C), False, 2,
+        "supply",
+        "Supply and temperature",
+        draw_supply,
+        lambda s: _is_any(s.supply_V) or _is_any(s.temperature_C),
+        False,
+        2,
     ),
     Picture("spectra", "Spectra", draw_spectra, _has_spectrum, False, 1, 2.6),
     Picture("tip", "Tip", draw_tip, lambda s: s.arm is not None and _is_any(s.q_rad), False, 1, 5.6),
     Picture("lateness", "Cycle timing", draw_lateness, lambda s: _is_any(s.late_s), False, 1, 2.0),
-)  # fmt: skip
+)
 
 
 Report = Advance

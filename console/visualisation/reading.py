@@ -122,8 +122,15 @@ def _numbers(texts: list[str]) -> Array:
 
 
 PER_JOINT = (
-    "q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A", "voltage_V", "supply_V", "temperature_C",
-)  # fmt: skip
+    "q_rad",
+    "q_set_rad",
+    "joint_rad",
+    "joint_set_rad",
+    "current_A",
+    "voltage_V",
+    "supply_V",
+    "temperature_C",
+)
 ANGLES = ("q_rad", "q_set_rad", "joint_rad", "joint_set_rad")
 
 

@@ -135,9 +135,15 @@ class Player:
 
 
 def play(
-    scene: Scene, series: Series, rows: Sequence[int], traces: Traces, speed: float, clock: Clock, open_: Open,
+    scene: Scene,
+    series: Series,
+    rows: Sequence[int],
+    traces: Traces,
+    speed: float,
+    clock: Clock,
+    open_: Open,
     period_s: float = 1.0 / 60.0,
-) -> None:  # fmt: skip
+) -> None:
     """Show a recording until the window is closed."""
     player = Player([float(series.t_s[row]) for row in rows], speed)
     handle = open_(scene, player.key)

@@ -206,9 +206,11 @@ class Tuner:
         gains = pole_gains(self._fit, largest, self._filter_s, pole_rad_s)
         each = [self.margins_of(gains, ratio) for ratio in self._ratios]
         worst = Margins(
-            min(m.gain_dB for m in each), min(m.phase_deg for m in each), min(m.crossover_rad_s for m in each),
+            min(m.gain_dB for m in each),
+            min(m.phase_deg for m in each),
+            min(m.crossover_rad_s for m in each),
             max(m.sensitivity for m in each),
-        )  # fmt: skip
+        )
         if any(math.isnan(m.phase_deg) for m in each):
             worst = Margins(math.nan, math.nan, math.nan, math.nan)
         return LoopDesign(gains, pole_rad_s, self.margins_of(gains), worst)

@@ -41,9 +41,13 @@ class Joint:
     def __init__(self, name: str, motor: Motor, limits: CrossCheckLimits) -> None:
         self.name, self.motor = name, motor
         self.speed = SpeedCheck(
-            motor.resistance_ohm, motor.volts_per_rad_s, limits.speed_contradiction_rad_s, motor.current_step_A,
-            motor.current_is_newest, motor.slack_rad,
-        )  # fmt: skip
+            motor.resistance_ohm,
+            motor.volts_per_rad_s,
+            limits.speed_contradiction_rad_s,
+            motor.current_step_A,
+            motor.current_is_newest,
+            motor.slack_rad,
+        )
         self.torque = TorqueCheck(limits.unexplained_torque * motor.current_limit_A)
         most_A = OPEN_CURRENT * motor.current_limit_A
         self.current = Lasting(-most_A, most_A, LASTS_S)

@@ -298,13 +298,21 @@ class Arm:
         if gripper is None or not gripper.board:
             return self.drives
         own = Drive(
-            joint=self.joint_count + 1, gear_ratio=1.0, encoder_counts_per_rev=max(gripper.encoder_counts_per_rev, 1),
-            torque_constant_Nm_A=gripper.torque_constant_Nm_A, resistance_ohm=gripper.resistance_ohm, supply_V=gripper.supply_V,
-            rotor_inertia_kg_m2=gripper.rotor_inertia_kg_m2, current_limit_A=gripper.current_limit_A,
+            joint=self.joint_count + 1,
+            gear_ratio=1.0,
+            encoder_counts_per_rev=max(gripper.encoder_counts_per_rev, 1),
+            torque_constant_Nm_A=gripper.torque_constant_Nm_A,
+            resistance_ohm=gripper.resistance_ohm,
+            supply_V=gripper.supply_V,
+            rotor_inertia_kg_m2=gripper.rotor_inertia_kg_m2,
+            current_limit_A=gripper.current_limit_A,
             joint_speed_limit_rad_s=gripper.speed_limit_m_s * 2.0 * math.pi / gripper.travel_per_turn_m,
-            encoder_direction=gripper.motor_direction, motor_direction=gripper.motor_direction, board=gripper.board,
-            board_channel=gripper.board_channel, servo=gripper.servo,
-        )  # fmt: skip
+            encoder_direction=gripper.motor_direction,
+            motor_direction=gripper.motor_direction,
+            board=gripper.board,
+            board_channel=gripper.board_channel,
+            servo=gripper.servo,
+        )
         return (*self.drives, own)
 
     def has_absolute_encoder(self, drive: Drive) -> bool:

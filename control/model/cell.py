@@ -48,8 +48,11 @@ class ArmEntry:
         0.0,
     )
     orientation: Annotated[Quaternion, "qw, qx, qy, qz of the base frame in the frame of the cell"] = (
-        1.0, 0.0, 0.0, 0.0,
-    )  # fmt: skip
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     encoder_ports: Annotated[tuple[str, ...], "instead of the ports in its file, in their order"] = ()
     board_ports: Annotated[
         tuple[str, ...], "instead of those of its [[board]]s, one per serial port, in the order of the file"

@@ -180,6 +180,12 @@ class Drive:
         if self.motor_counts_per_rev is None:
             return self
         return replace(
-            self, encoder_counts_per_rev=self.motor_counts_per_rev, encoder_on="motor", encoder_ratio=1.0, encoder_bits=32,
-            encoder_direction=1, zero_count=0, motor_counts_per_rev=None,
-        )  # fmt: skip
+            self,
+            encoder_counts_per_rev=self.motor_counts_per_rev,
+            encoder_on="motor",
+            encoder_ratio=1.0,
+            encoder_bits=32,
+            encoder_direction=1,
+            zero_count=0,
+            motor_counts_per_rev=None,
+        )

@@ -370,9 +370,13 @@ class PostureFollower:
             return tip
         into = tip.times_s - np.array(spline.times_s)[tip.section]
         return TipSamples(
-            tip.times_s, tip.section, tip.position_m, tip.velocity_m_s, tip.acceleration_m_s2,
+            tip.times_s,
+            tip.section,
+            tip.position_m,
+            tip.velocity_m_s,
+            tip.acceleration_m_s2,
             turn.sample(tip.section, into),
-        )  # fmt: skip
+        )
 
     # ---- the reference posture
 

@@ -25,8 +25,15 @@ from control.recording.frames import (
 
 Integers = npt.NDArray[np.int64]
 NUMPY_OF_CODE: Final = {
-    "d": "<f8", "f": "<f4", "I": "<u4", "i": "<i4", "H": "<u2", "h": "<i2", "B": "u1", "b": "i1",
-}  # fmt: skip
+    "d": "<f8",
+    "f": "<f4",
+    "I": "<u4",
+    "i": "<i4",
+    "H": "<u2",
+    "h": "<i2",
+    "B": "u1",
+    "b": "i1",
+}
 _UNFINISHED: Final = bytes(range(0x80, 0x100))  # bytes of a number that goes on
 _LONG: Final = bytes(0x80) + _UNFINISHED[:1] * 0x80
 _BATCH_FRAMES: Final = 1000  # summed up at once: more would not be faster, and takes memory

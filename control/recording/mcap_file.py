@@ -253,12 +253,17 @@ class _Export:
                 data=text.encode(),
             )
         about = {
-            "arm": recording.header.get("arm", ""), "recording": recording.path.name,
-            "recording_sha256": _sha256(recording.path), "started_unix_s": recording.header.get("started_unix_s", ""),
-            "period_s": recording.header.get("period_s", ""), "joint_count": recording.layout.joint_count,
-            "cycles": written, "every": every, "program": f"armwright {version('armwright')}",
+            "arm": recording.header.get("arm", ""),
+            "recording": recording.path.name,
+            "recording_sha256": _sha256(recording.path),
+            "started_unix_s": recording.header.get("started_unix_s", ""),
+            "period_s": recording.header.get("period_s", ""),
+            "joint_count": recording.layout.joint_count,
+            "cycles": written,
+            "every": every,
+            "program": f"armwright {version('armwright')}",
             "recorded_by": recording.header.get("program", ""),
-        }  # fmt: skip
+        }
         self._writer.add_metadata(f"{before}armwright", {key: str(value) for key, value in about.items()})
 
 

@@ -38,9 +38,14 @@ class SpeedCheck:
     )
 
     def __init__(
-        self, resistance_ohm: float, volts_per_rad_s: float, base_rad_s: float, current_step_A: float = 0.0,
-        is_newest: bool = False, slack_rad: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        resistance_ohm: float,
+        volts_per_rad_s: float,
+        base_rad_s: float,
+        current_step_A: float = 0.0,
+        is_newest: bool = False,
+        slack_rad: float = 0.0,
+    ) -> None:
         """`base_rad_s`: allowed difference of the two speeds at rest and without current.
 
         `current_step_A`: to which the board rounds its current; `is_newest`: the current belongs to the last command.

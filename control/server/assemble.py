@@ -105,16 +105,21 @@ def assemble(
         tools=tools,
         tool=tools[arm.tool.name],
         loads=loads,
-        camera=camera, joint_names=names, period_s=period_s, stopwatch_s=stopwatch_s, strain=strain,
+        camera=camera,
+        joint_names=names,
+        period_s=period_s,
+        stopwatch_s=stopwatch_s,
+        strain=strain,
         do_counters_span=all(_does_counter_span(drive) for drive in arm.drives),
         board_stop=board_stop(arm, period_s),
-        allows_unrecorded=arm.recording.unrecorded == "allow", payload_limit_kg=arm.limits.payload_limit_kg,
+        allows_unrecorded=arm.recording.unrecorded == "allow",
+        payload_limit_kg=arm.limits.payload_limit_kg,
         aim_limits=tuple(_aim_limits(drive) for drive in arm.drives),
         gripper=_gripper(arm, hardware),
         outputs=_outputs(arm, hardware),
         unique_turns=tuple(_unique_turns(arm)),
         joint_side=JointSide.of(without_tool_mass(arm), loads.torques),
-    )  # fmt: skip
+    )
     runtime = Runtime(parts)
     requests = Requests(runtime, limits, arm, dict(about or {}))
     requests.beside = guard_itself(arm, runtime)

@@ -28,9 +28,13 @@ AT_ONCE = frozenset(("stop", "brake"))  # overtake what waits
 LONG = frozenset(("run_path", "run_joints", "move_together"))  # carry paths
 
 _IN_WORDS = {
-    "`float`": "a number", "`int`": "a whole number", "`bool`": "true or false", "`str`": "text", "`array`": "a list",
+    "`float`": "a number",
+    "`int`": "a whole number",
+    "`bool`": "true or false",
+    "`str`": "text",
+    "`array`": "a list",
     "`object`": "a JSON object",
-}  # fmt: skip
+}
 
 Id = Annotated[int, Meta(ge=-LARGEST_ID, le=LARGEST_ID)] | Annotated[str, Meta(max_length=LONGEST_ID)] | None
 Name = Annotated[str, Meta(max_length=LONGEST_ID)]

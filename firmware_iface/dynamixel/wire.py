@@ -21,9 +21,14 @@ STATUS_OVERHEAD: Final = 11  # header, id, length, instruction, error, CRC
 
 
 REFUSALS: Final = {
-    1: "it failed", 2: "it knows no such instruction", 3: "the CRC was wrong", 4: "the value is out of range",
-    5: "the value is too short", 6: "the value is beyond the limit that is set in it", 7: "it cannot be written now",
-}  # fmt: skip
+    1: "it failed",
+    2: "it knows no such instruction",
+    3: "the CRC was wrong",
+    4: "the value is out of range",
+    5: "the value is too short",
+    6: "the value is beyond the limit that is set in it",
+    7: "it cannot be written now",
+}
 """Why an instruction was not obeyed, by the error number of a status packet."""
 
 

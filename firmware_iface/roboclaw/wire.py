@@ -85,12 +85,19 @@ STATUS_BYTES: Final = (2, 4)
 # Bits of the older status (Basicmicro's Arduino library, ReadError of two bytes), and today's. Its warnings of supply and
 # temperature are none of today's errors.
 _OLDER_STATUS: Final = (
-    (0x0004, RoboclawStatus.E_STOP), (0x0008, RoboclawStatus.TEMPERATURE), (0x0010, RoboclawStatus.TEMPERATURE_2),
-    (0x0020, RoboclawStatus.MAIN_VOLTAGE_HIGH), (0x0040, RoboclawStatus.LOGIC_VOLTAGE_HIGH),
-    (0x0080, RoboclawStatus.LOGIC_VOLTAGE_LOW), (0x0100, RoboclawStatus.DRIVER_1), (0x0200, RoboclawStatus.DRIVER_2),
-    (0x0001, RoboclawStatus.OVER_CURRENT_WARNING_1), (0x0002, RoboclawStatus.OVER_CURRENT_WARNING_2),
-    (0x4000, RoboclawStatus.S4_TRIGGERED), (0x8000, RoboclawStatus.S5_TRIGGERED),
-)  # fmt: skip
+    (0x0004, RoboclawStatus.E_STOP),
+    (0x0008, RoboclawStatus.TEMPERATURE),
+    (0x0010, RoboclawStatus.TEMPERATURE_2),
+    (0x0020, RoboclawStatus.MAIN_VOLTAGE_HIGH),
+    (0x0040, RoboclawStatus.LOGIC_VOLTAGE_HIGH),
+    (0x0080, RoboclawStatus.LOGIC_VOLTAGE_LOW),
+    (0x0100, RoboclawStatus.DRIVER_1),
+    (0x0200, RoboclawStatus.DRIVER_2),
+    (0x0001, RoboclawStatus.OVER_CURRENT_WARNING_1),
+    (0x0002, RoboclawStatus.OVER_CURRENT_WARNING_2),
+    (0x4000, RoboclawStatus.S4_TRIGGERED),
+    (0x8000, RoboclawStatus.S5_TRIGGERED),
+)
 IDLES: Final = 0x80  # at duty 0, after the delay, the motor is free
 QUADRATURE_ONLY: Final = (
     0x9F  # of an encoder mode: neither absolute nor RC/analog; bits 5 and 6 only reverse senses

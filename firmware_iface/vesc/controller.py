@@ -137,11 +137,13 @@ class Vesc:
         asked: tuple[tuple[Frame, Callable[[], bool], float, str], ...] = (
             (wire.ping(self.number), lambda: self._is_here, ANSWER_TIMEOUT_s, "PING"),
             (
-                wire.ask_fault(self.number), lambda: self.fault is not None, ANSWER_TIMEOUT_s,
+                wire.ask_fault(self.number),
+                lambda: self.fault is not None,
+                ANSWER_TIMEOUT_s,
                 "the question for its fault code: a fault shows by its effect alone",
             ),
             (wire.ask_settings(self.number), lambda: self.settings is not None, SETTINGS_WAIT_s, ""),
-        )  # fmt: skip
+        )
         self.settings = self.fault = None
         silent = [
             what

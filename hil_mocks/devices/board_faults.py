@@ -43,9 +43,7 @@ def switch_encoder_board(
     counts: Callable[[], Sequence[int]],
 ) -> None:
     """Begin or end a fault of an encoder board; `counts`: of its shafts now, from which it starts after a reset."""
-    sets = {
-        "stuck_encoder": board.stuck, "lost_wire": board.lost, "backwards_encoder": board.backwards
-    }  # fmt: skip
+    sets = {"stuck_encoder": board.stuck, "lost_wire": board.lost, "backwards_encoder": board.backwards}
     if fault.kind in sets:
         change: Callable[[int], None] = sets[fault.kind].add if is_on else sets[fault.kind].discard
         change(fault.channel)

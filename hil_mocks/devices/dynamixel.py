@@ -270,9 +270,17 @@ class DynamixelMock:
         motor = self._motor
         motor.measure(now_s)
         struct.pack_into(
-            "<hiiiiHB", self.table, VALUES, self._effort(current_A, supply_V),
-            round(motor.speed_turns_s * 60.0 / 0.229), self.position, 0, 0, round(supply_V * 10), 35,
-        )  # fmt: skip
+            "<hiiiiHB",
+            self.table,
+            VALUES,
+            self._effort(current_A, supply_V),
+            round(motor.speed_turns_s * 60.0 / 0.229),
+            self.position,
+            0,
+            0,
+            round(supply_V * 10),
+            35,
+        )
         least, most = (control_table.value(self.table, address) for address in (MIN_VOLTAGE, MAX_VOLTAGE))
         voltage = 0 if least <= supply_V * 10 <= most else INPUT_VOLTAGE
         self.table[ERROR_STATUS] &= self.table[SHUTDOWN]  # the others last as long as their causes

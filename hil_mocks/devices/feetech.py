@@ -38,9 +38,17 @@ PHASE, UNLOADING, RESOLUTION, CORRECTION, PROTECTIVE_TORQUE, PROTECTION_TIME, OV
 )
 STORED_END = 40  # what is below is kept without supply
 STORED = {  # at delivery
-    0: 3, 1: 10, RETURN_LEVEL: 1, LOWEST_VOLTAGE: 40, PHASE: 0x0C, UNLOADING: 44, RESOLUTION: 1, PROTECTIVE_TORQUE: 20,
-    PROTECTION_TIME: 200, OVERLOAD_TORQUE: 80,
-}  # fmt: skip
+    0: 3,
+    1: 10,
+    RETURN_LEVEL: 1,
+    LOWEST_VOLTAGE: 40,
+    PHASE: 0x0C,
+    UNLOADING: 44,
+    RESOLUTION: 1,
+    PROTECTIVE_TORQUE: 20,
+    PROTECTION_TIME: 200,
+    OVERLOAD_TORQUE: 80,
+}
 FULL_ANGLE = 0x10  # bit of the phase: the position counts on beyond a turn
 SPEED_0_IS_FULL = 0x08  # bit of the phase: else it stands
 HIGHEST_OF_NOMINAL = 14.0 / 12.0  # as stored in servos of 12 V

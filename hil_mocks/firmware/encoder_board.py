@@ -54,8 +54,13 @@ class EncoderBoardFirmware(EncoderBoardHardware):
         self.is_line_blocked = False  # nothing leaves the board: frames wait in its queue
         channels = len(setup.counts_per_turn)
         given = _Setup(
-            setup.serial_number, setup.baud, (*setup.counts_per_turn,), setup.firmware, channels, setup.encoder_bits
-        )  # fmt: skip
+            setup.serial_number,
+            setup.baud,
+            (*setup.counts_per_turn,),
+            setup.firmware,
+            channels,
+            setup.encoder_bits,
+        )
         self._code.aw_encoder_init(self._board, ctypes.byref(given), self._inputs(0, self._latched()))
         self._take(0, now_s)
 

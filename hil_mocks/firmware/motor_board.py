@@ -126,11 +126,18 @@ class MotorBoardFirmware(MotorBoardHardware):
     def _boot(self) -> None:
         self._built = setup = self.setup
         given = _Setup(
-            setup.serial_number, setup.counts_per_turn, setup.rating_mA, round(LOWEST_SUPPLY_V * 1e3),
-            round(HIGHEST_SUPPLY_V * 1e3), round(setup.rated_degC * 1e3), setup.firmware, setup.period_us, setup.node,
+            setup.serial_number,
+            setup.counts_per_turn,
+            setup.rating_mA,
+            round(LOWEST_SUPPLY_V * 1e3),
+            round(HIGHEST_SUPPLY_V * 1e3),
+            round(setup.rated_degC * 1e3),
+            setup.firmware,
+            setup.period_us,
+            setup.node,
             setup.digital_pins,
             setup.reset_cause,
-        )  # fmt: skip
+        )
         self._look(0.0)
         self._code.aw_motor_init(self._board, ctypes.byref(given), self._at[0])
         self._obey()

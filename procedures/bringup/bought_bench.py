@@ -34,8 +34,9 @@ EXCESS_S = 0.15  # a board that does not limit the current exceeds it until its 
 CURRENT_MARGIN_A = 0.2  # noise of the measurement
 SPEED_FILTER_S = 0.02
 _MODES: Final[Mapping[Literal["voltage", "current", "position"], OutputMode]] = {
-    "voltage": OutputMode.VOLTAGE, "position": OutputMode.POSITION
-}  # fmt: skip
+    "voltage": OutputMode.VOLTAGE,
+    "position": OutputMode.POSITION,
+}
 
 
 class BoughtBench(Closing):

@@ -293,9 +293,15 @@ def _take(found: WiringFound, pulse: Pulse, drive: Drive) -> None:
     encoder_direction = pulse.direction * (1 if pulse.moved_count > 0 else -1)
     holds = drive.board_holds if drive.board else _can_board_hold(pulse)
     found.joints[pulse.joint] = MeasuredWiring(
-        pulse.joint, pulse.node, pulse.direction, pulse.channel, encoder_direction, holds,
-        drive.board, drive.board_channel,
-    )  # fmt: skip
+        pulse.joint,
+        pulse.node,
+        pulse.direction,
+        pulse.channel,
+        encoder_direction,
+        holds,
+        drive.board,
+        drive.board_channel,
+    )
     _compare_motor_board(found, pulse, drive)
 
 

@@ -65,13 +65,19 @@ SIZES: Mapping[str, tuple[tuple[int, ...], Mapping[str, Range]]] = {
     "payload": ((), {"mass_kg": (0.12, 0.30)}),
     "command_delay": ((), {"delay_s": (0.002, 0.004)}),
     "supply_sag": ((), {"resistance_ohm": (0.05, 0.12)}),
-}  # fmt: skip
+}
 WHOLE = ("order",)  # integer parameters
 # The demo draws from these by default: effects that the loop corrects or feeds forward, so the result shows on the arm.
 DRAWN = (
-    "backlash", "joint_compliance", "encoder_scale", "encoder_eccentricity", "belt_coupling", "viscous_friction",
-    "coulomb_friction", "load_friction",
-)  # fmt: skip
+    "backlash",
+    "joint_compliance",
+    "encoder_scale",
+    "encoder_eccentricity",
+    "belt_coupling",
+    "viscous_friction",
+    "coulomb_friction",
+    "load_friction",
+)
 ON_TIP = (
     "backlash",
     "joint_compliance",

@@ -268,11 +268,17 @@ def _own_section(replay: PaperReplay) -> Section:
     rows: list[Sequence[Cell]] = []
     for setup, entry, theirs in own_tilt(replay):
         after = AFTER_m[setup]
-        rows.append((
-            setup, ("before", _mm(entry.before_m, entry.before_half_m)), ("after", _mm(entry.after_m, entry.after_half_m)),
-            f"{entry.percent:.1f} ± {entry.percent_half:.1f} %", f"{1e3 * PUBLISHED_BEFORE_m:.2f}", f"{1e3 * after:.2f}",
-            f"{theirs:.1f} %",
-        ))  # fmt: skip
+        rows.append(
+            (
+                setup,
+                ("before", _mm(entry.before_m, entry.before_half_m)),
+                ("after", _mm(entry.after_m, entry.after_half_m)),
+                f"{entry.percent:.1f} ± {entry.percent_half:.1f} %",
+                f"{1e3 * PUBLISHED_BEFORE_m:.2f}",
+                f"{1e3 * after:.2f}",
+                f"{theirs:.1f} %",
+            )
+        )
     header = ("tilt", "before [mm]", "after [mm]", "improved", "paper: before [mm]", "after [mm]", "improved")
     return Section(
         "Each tilt alone, verified on itself",

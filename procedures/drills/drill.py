@@ -119,9 +119,17 @@ REST, MOVE, HOME, SESSION = "at rest", "in motion", "homing", "in a session"
 
 
 GRIPPER = Gripper(
-    motor_node=4, travel_m=0.08, travel_per_turn_m=0.004, torque_constant_Nm_A=0.02, resistance_ohm=2.0, supply_V=24.0,
-    current_limit_A=2.0, speed_limit_m_s=0.16, encoder_counts_per_rev=2048, rotor_inertia_kg_m2=4e-7,
-)  # fmt: skip
+    motor_node=4,
+    travel_m=0.08,
+    travel_per_turn_m=0.004,
+    torque_constant_Nm_A=0.02,
+    resistance_ohm=2.0,
+    supply_V=24.0,
+    current_limit_A=2.0,
+    speed_limit_m_s=0.16,
+    encoder_counts_per_rev=2048,
+    rotor_inertia_kg_m2=4e-7,
+)
 HELD_m = 0.03  # the width of what it holds
 
 

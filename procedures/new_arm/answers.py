@@ -296,8 +296,13 @@ def ask_parts(given: Given, asker: Asker, joints: int) -> ChosenParts:
     )
     index = ", and its encoder an index" if REFERENCE in boards else ""
     home = _answer_if(
-        any(map(may_home, boards)), given.home, asker, f"Has every joint a home switch{index}", "yes", yes_from
-    )  # fmt: skip
+        any(map(may_home, boards)),
+        given.home,
+        asker,
+        f"Has every joint a home switch{index}",
+        "yes",
+        yes_from,
+    )
     every_count = counts or (usual,) * joints
     return ChosenParts(boards, gears, every_count, bool(home), side, *_ask_lines(given, asker, boards))
 
