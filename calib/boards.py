@@ -19,8 +19,7 @@ from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, RegistrationError
 from calib.points.points import COVARIANCE, ORIENTATION, TIP
 from calib.points.reading import IMPORT
-from calib.results import Provenance, write_json
-from control.files import parsed_json, read_text
+from calib.results import Provenance, array_in, read_json, write_json
 from control.tables import TableColumn, TableFormat, read_table
 
 FORMAT = "boards/1"
@@ -60,16 +59,7 @@ def write_boards(path: Path, arm: str, found: Mapping[str, Registration], made: 
 
 def read_boards(path: Path) -> dict[str, BoardPose]:
     """The poses by setup. RegistrationError names file and key."""
-    try:
-        content = parsed_json(read_text(path))
-    except OSError as error:
-        raise RegistrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise RegistrationError(f"{path}: not JSON ({error})") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        got = content.get("format") if isinstance(content, dict) else content
-        raise RegistrationError(f'{path}, format: expected "{FORMAT}", got {got!r}')
-    boards = content.get("boards")
+    boards = read_json(path, FORMAT, RegistrationError).get("boards")
     if not isinstance(boards, dict) or not boards:
         raise RegistrationError(f"{path}, boards: expected one entry per setup, got {boards!r}")
     return {setup: _pose(path, setup, entry) for setup, entry in boards.items()}
@@ -79,22 +69,12 @@ def _pose(path: Path, setup: str, entry: object) -> BoardPose:
     where = f"{path}, boards.{setup}"
     if not isinstance(entry, dict):
         raise RegistrationError(f"{where}: expected origin_m and rotation, got {entry!r}")
-    origin = _array(f"{where}.origin_m", entry.get("origin_m"), (3,))
-    rotation = _array(f"{where}.rotation", entry.get("rotation"), (3, 3))
+    origin = array_in(f"{where}.origin_m", entry.get("origin_m"), (3,), RegistrationError)
+    rotation = array_in(f"{where}.rotation", entry.get("rotation"), (3, 3), RegistrationError)
     is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=ROTATION_TOLERANCE)
     if not is_rotation or np.linalg.det(rotation) < 0.0:
         raise RegistrationError(f"{where}.rotation: expected the rows of a rotation, got {rotation.tolist()}")
     return BoardPose(rotation, origin)
-
-
-def _array(where: str, value: object, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.array(np.nan)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise RegistrationError(f"{where}: expected {' by '.join(map(str, shape))} numbers, got {value!r}")
-    return frozen(array)
 
 
 # markers.csv: positions of a board's markers, or of the tip in the board's cavities, measured by a camera.

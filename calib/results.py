@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
-from control.files import write_whole
+from calib.arrays import Array, frozen
+from control.files import parsed_json, read_text, write_whole
 from control.model.arm import Arm, Calibration
 
 
@@ -88,6 +91,31 @@ def entries(record: object, *names: str) -> dict[str, object]:
 def write_json(path: Path, content: object) -> None:
     """Write a result file, whole or not at all. NotWritten."""
     write_whole(path, json_text(content))
+
+
+def read_json(path: Path, form: str, fault: Callable[[str], Exception]) -> dict[str, Any]:
+    """The content of a result file of the format `form`, such as "boards/1"; raises `fault(what is wrong)`."""
+    try:
+        content = parsed_json(read_text(path))
+    except OSError as error:
+        raise fault(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise fault(f"{path}: not JSON ({error})") from error
+    got = content.get("format") if isinstance(content, dict) else content
+    if got != form or not isinstance(content, dict):
+        raise fault(f'{path}, format: expected "{form}", got {got!r}')
+    return content
+
+
+def array_in(where: str, value: object, shape: tuple[int, ...], fault: Callable[[str], Exception]) -> Array:
+    """Finite numbers of this shape in a result file; raises `fault(what is wrong where)`."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise fault(f"{where}: expected {' by '.join(map(str, shape))} numbers, got {value!r}")
+    return frozen(array)
 
 
 def _plain(value: Any) -> object:

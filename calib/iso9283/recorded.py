@@ -15,7 +15,7 @@ from calib.arrays import Array, frozen
 from calib.iso9283.criteria.pose import Iso9283Error
 from calib.points.points import TIP, Points, make_points
 from calib.points.reading import IMPORT, beyond
-from control.files import parsed_json, read_text
+from calib.results import array_in, read_json
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import logarithms, matrices
 from control.model.arm import Arm
@@ -273,15 +273,5 @@ def _require_meant(arm: Arm, q_rad: Array, tip_m: Array, is_as_given: bool) -> N
 
 def read_rectangle(path: Path) -> tuple[Array, ...]:
     """The corners E1 .. E4 of programme.json."""
-    try:
-        document = parsed_json(read_text(path))
-        corners = [np.array(corner, dtype=np.float64) for corner in document["rectangle_m"]]
-        if (
-            document["format"] != "iso9283-programme/1"
-            or len(corners) != 4
-            or any(c.shape != (3,) for c in corners)
-        ):
-            raise ValueError("expected format iso9283-programme/1 and four corners in rectangle_m")
-    except (ValueError, KeyError, TypeError) as error:
-        raise Iso9283Error(f"{path}: not a programme of `armwright iso9283 --record` ({error})") from error
-    return tuple(corners)
+    document = read_json(path, "iso9283-programme/1", Iso9283Error)
+    return tuple(array_in(f"{path}, rectangle_m", document.get("rectangle_m"), (4, 3), Iso9283Error))

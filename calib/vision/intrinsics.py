@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.arrays import Array, frozen
 from calib.errors import VisionError
-from calib.results import Provenance, entries, write_json
+from calib.results import Provenance, array_in, entries, read_json, write_json
 from calib.vision.lens import NAMES, Lens
 from calib.vision.placed import (
     CONVERGED,
@@ -26,7 +26,6 @@ from calib.vision.placed import (
     started_pose,
 )
 from calib.vision.targets import PrintedTarget, Sighting, Sightings, opencv
-from control.files import parsed_json, read_text
 
 PICTURES_LEAST = 4  # below it nothing is determined; the advice asks for more
 PICTURES_TO_HOLD_OUT = 8
@@ -260,14 +259,7 @@ def write_camera(
 
 def read_camera(path: Path) -> Lens:
     """The lens of a file. VisionError names file and key."""
-    try:
-        content = parsed_json(read_text(path))
-    except OSError as error:
-        raise VisionError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise VisionError(f"{path}: not JSON ({error})") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise VisionError(f'{path}, format: expected "{FORMAT}", as `armwright camera calibrate` writes it')
+    content = read_json(path, FORMAT, VisionError)
     values = content.get("lens")
     if not isinstance(values, dict):
         raise VisionError(f"{path}, lens: expected {', '.join(NAMES)}, got {values!r}")
@@ -279,7 +271,7 @@ def read_camera(path: Path) -> Lens:
         frozen(numbers),
         int(_number(path, "width_px", content.get("width_px"), 1, PIXELS_MOST)),
         int(_number(path, "height_px", content.get("height_px"), 1, PIXELS_MOST)),
-        frozen(_covariance(path, content.get("covariance"))),
+        _covariance(path, content.get("covariance")),
         _number(path, "noise_px", content.get("noise_px"), 0.0),
         _number(path, "readout_s", content.get("readout_s", 0.0), 0.0, READOUT_MOST_s),
     )
@@ -298,12 +290,9 @@ def _limits(least: float, most: float) -> str:
     return f" from {least:g} on" if np.isfinite(least) else ""
 
 
-def _covariance(path: Path, value: Any) -> Any:
+def _covariance(path: Path, value: Any) -> Array:
     k = len(NAMES)
-    try:
-        found = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        found = np.array(np.nan)
-    if found.shape != (k, k) or not np.isfinite(found).all() or not np.allclose(found, found.T):
+    found = array_in(f"{path}, covariance", value, (k, k), VisionError)
+    if not np.allclose(found, found.T):
         raise VisionError(f"{path}, covariance: expected {k} by {k} numbers, symmetric")
     return found
