@@ -29,13 +29,13 @@ if TYPE_CHECKING:
         MissingModel,
         NearSingular,
         OutOfReach,
+        PathError,
     )
     from control.hardware.averaging import Average
     from control.kinematics.inverse import Solution
     from control.model.arm import Arm
     from control.model.description import arm_names, load_arm, save_arm
     from control.model.fingerprint import AnotherArm
-    from control.motion.errors import PathError
     from control.server.channel import RuntimeGone
     from control.server.client import ArmFaulted, MotionStopped, RequestRefused
     from firmware_iface.errors import ArmwrightError, LinkError
@@ -108,6 +108,7 @@ _NAMES = {
         "MissingModel",
         "NearSingular",
         "OutOfReach",
+        "PathError",
     ),
     "control.hardware.averaging": ("Average",),
     "control.server.client": ("ArmFaulted", "MotionStopped", "RequestRefused", "RuntimeGone"),
@@ -115,7 +116,6 @@ _NAMES = {
     "control.model.description": ("arm_names", "load_arm", "save_arm"),
     "control.model.fingerprint": ("AnotherArm",),
     "control.kinematics.inverse": ("Solution",),
-    "control.motion.errors": ("PathError",),
     "firmware_iface.errors": ("ArmwrightError", "LinkError"),
     "hil_mocks.errors": ("MockError",),
 }

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from control.errors import BadTarget
+from control.errors import BadTarget, PathError
 from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.rotation import checked_quaternion
 from control.model.arm import Arm
-from control.motion.errors import PathError
 from control.motion.plan import PlannedPath
 from control.motion.plan import plan_path as planned
 from control.motion.waypoints import Waypoints, read_waypoints

@@ -13,7 +13,7 @@ from typing import Protocol
 from control.hardware.gripper_board import GripperHardware
 from control.hardware.words import Wanted
 from control.model.end_effector import Digital
-from firmware_iface.motor.digital_pins import DigitalPins
+from firmware_iface.motor.board import DigitalPins
 
 # The named pins of an arm's motor boards, for the loop.
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.errors import ArmError, MissingModel, NearSingular, OutOfReach
-from control.kinematics import inverse_errors as errors
-from control.kinematics.joint_range import JointRange, travel_rad, turned_toward
+from control.kinematics import reach as errors
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.numeric_inverse import ACCURACY_M, Descent, Newton, can_move_freely, descend, seeds
 from control.kinematics.pose_solver import (
@@ -28,6 +27,7 @@ from control.kinematics.pose_solver import (
     solve,
     task_of,
 )
+from control.kinematics.reach import JointRange, travel_rad, turned_toward
 from control.kinematics.tracing import Graph, Scalar, acos, atan2, compile_function, cos, sin, sqrt
 from control.model.arm import Arm, Vector3
 

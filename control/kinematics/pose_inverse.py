@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from control.errors import NearSingular, OutOfReach
-from control.kinematics import inverse_errors as problems
+from control.kinematics import reach as problems
 from control.kinematics import rotation as rotations
-from control.kinematics.joint_range import JointRange, travel_rad
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.numeric_inverse import Array, descended, seeds
 from control.kinematics.pose_solver import (
@@ -25,6 +24,7 @@ from control.kinematics.pose_solver import (
     solve,
     task_of,
 )
+from control.kinematics.reach import JointRange, travel_rad
 from control.kinematics.rotation import Quaternion, checked_quaternion
 from control.model.arm import Arm, Vector3
 

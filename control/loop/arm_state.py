@@ -13,8 +13,9 @@ from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.parts import NOWHERE, Parts, Punctuality
 from control.loop.standstill import Standstill
+from control.motion.lookout import Lookout
 from control.motion.pace import Paced
-from control.motion.setpoint import Lookout, Motion, at_rest
+from control.motion.setpoint import Motion, at_rest
 from control.safety.monitor import Monitor
 from control.safety.table import CONTROLLED_MODES, Event, Mode
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from operator import add
 from typing import Protocol
 
-from control.errors import ArmError
+from control.errors import ArmError, MotionError
 from control.hardware.board_stop import Bridge
 from control.kinematics.inverse import InverseKinematics
-from control.motion.errors import MotionError
 from control.motion.guard import Guard
 from control.motion.jogs import STILL, JointJog, RestGuard, TipJog, Twist
 from control.motion.joint_limits import JogLimits

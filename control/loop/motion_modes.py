@@ -13,8 +13,9 @@ from control.loop.active_motion import begin, stop_along, stop_from
 from control.loop.arm_state import ArmState
 from control.loop.fault_reactions import fail, lose_motion, refuse
 from control.loop.jogging import JogRequest
+from control.motion.lookout import Lookout
 from control.motion.pace import Limited
-from control.motion.setpoint import Lookout, Motion, SetPoint
+from control.motion.setpoint import Motion, SetPoint
 from control.safety.fault import Fault, Reaction
 from control.safety.table import TRAVELLING_MODES, Event, Mode
 

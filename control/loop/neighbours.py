@@ -11,11 +11,10 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from control.errors import ArmError
+from control.errors import ArmError, MotionError
 from control.loop.runtime import Runtime
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
-from control.motion.errors import MotionError
 from control.motion.guard import FarPoses, ROOM_m
 from control.motion.joint_limits import reaches_m
 from control.motion.setpoint import Motion

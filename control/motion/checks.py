@@ -11,11 +11,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from control.errors import PathError
 from control.kinematics.kinematics import Corners, ForwardKinematics, PoseKinematics
 from control.kinematics.pose_solver import Targets, Task, joint_rates, margins, solve
 from control.model import table as tables
 from control.model.arm import Arm, Limits
-from control.motion.errors import PathError
 from control.motion.joint_limits import JointLimits
 from control.motion.spline import CartesianSpline
 from control.motion.waypoints import Waypoints

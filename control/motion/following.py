@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from control.errors import ArmError
-from control.kinematics import inverse_errors as problems
+from control.errors import ArmError, PathError
+from control.kinematics import reach as problems
 from control.kinematics import rotation as rotations
 from control.kinematics.inverse import Branch, InverseKinematics, Solution
 from control.kinematics.kinematics import PoseKinematics
@@ -39,7 +39,6 @@ from control.motion.checks import (
     sample_tip,
     solve_joints,
 )
-from control.motion.errors import PathError
 from control.motion.joint_path import JointPath, quintic
 from control.motion.spline import CartesianSpline, TimedWaypoints, continuous_velocities
 from control.motion.waypoints import Waypoints

@@ -16,10 +16,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from control.errors import ArmError
+from control.errors import ArmError, MotionError
 from control.kinematics.kinematics import Corners
 from control.model.arm import Arm
-from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits, reach_m, reaches_m
 from control.motion.joint_move import HARDEST, StopMotion, StraightStop
 from control.motion.joint_path import JointPath

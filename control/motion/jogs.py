@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from control.errors import MotionError
 from control.kinematics import rotation as rotations
 from control.kinematics.kinematics import PoseKinematics
 from control.kinematics.pose_solver import TURN_LENGTH_M, Task
 from control.model.rules import ANGLE
-from control.motion.errors import MotionError
 from control.motion.joint_limits import (
     JointLimits,
     TIP_ACCELERATION_m_s2,

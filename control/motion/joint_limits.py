@@ -4,9 +4,8 @@ import math
 from dataclasses import dataclass, replace
 
 from control.dynamics.joint_side import usable_range_rad
-from control.errors import MissingModel
+from control.errors import MissingModel, MotionError
 from control.model.arm import Arm
-from control.motion.errors import MotionError
 
 
 @dataclass(frozen=True, slots=True)

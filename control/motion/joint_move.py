@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from control.errors import MotionError
 from control.model.rules import ANGLE
-from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.setpoint import SetPoint, at_rest
 

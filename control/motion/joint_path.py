@@ -10,7 +10,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from control.motion.errors import MotionError
+from control.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.setpoint import SetPoint, at_rest
 

@@ -15,13 +15,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from control.errors import ArmError
+from control.errors import ArmError, PathError
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.pose_inverse import PoseInverse
 from control.model.arm import Arm
 from control.motion import checks
 from control.motion.checks import Array, JointSamples, TipSamples
-from control.motion.errors import PathError
 from control.motion.following import (
     BOUND_M,
     BOUND_RAD,

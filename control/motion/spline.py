@@ -12,8 +12,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+from control.errors import PathError
 from control.kinematics.pose_solver import TURN_LENGTH_M
-from control.motion.errors import PathError
 from control.motion.setpoint import Vector
 
 # Default speed: slow enough to watch, and usual for friction identification.

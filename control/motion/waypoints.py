@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from control.errors import MissingModel
+from control.errors import MissingModel, WaypointFileError
 from control.kinematics.rotation import Quaternion
 from control.model import table as tables
 from control.model.arm import Table
-from control.motion.errors import WaypointFileError
 from control.motion.setpoint import Vector
 from control.tables import ColumnGroup, TableColumn, TableFormat, read_table
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from control.errors import MotionError
 from control.model.description import load_arm
-from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove, StopMotion
 from control.motion.setpoint import SetPoint

@@ -17,9 +17,15 @@ from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.report import write_report
 from calib.results import InputFile, input_file, made_today
-from console.commands.calibration.options import board_frames, bounds_of, names_in, record_of
+from console.commands.calibration.options import (
+    board_frames,
+    bounds_of,
+    names_in,
+    orientation_noise_rad,
+    quantity,
+    record_of,
+)
 from console.commands.progress import Bar, answer, warn
-from console.quantities import orientation_noise_rad, quantity
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_new

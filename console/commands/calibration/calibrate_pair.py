@@ -9,9 +9,8 @@ from calib.closed_chain.pair_problem import Contacts, names_of, read_contacts
 from calib.errors import CalibrationError
 from calib.identify.objective import objective_named
 from calib.results import input_file, made_today
-from console.commands.calibration.options import bounds_of, names_in
+from console.commands.calibration.options import bounds_of, length_m, names_in
 from console.commands.progress import Bar, answer, warn
-from console.quantities import length_m
 from control.model.arm import Arm
 from control.model.description import load_arm
 from procedures.folders import require_new

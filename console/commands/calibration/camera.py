@@ -31,8 +31,8 @@ from calib.vision.targets import (
     read_tags,
     write_print,
 )
+from console.commands.calibration.options import quantity
 from console.commands.progress import Bar, answer, warn
-from console.quantities import quantity
 from control.files import write_whole
 from procedures.folders import require_new
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from calib.closed_chain.pair_problem import DISTANCE_MOST_m
 from calib.closed_chain.planning import pair_of, plan_contacts, plan_text, write_contacts
 from calib.errors import CalibrationError
-from console.quantities import quantity
+from console.commands.calibration.options import quantity
 from control.errors import ArmError
 from control.model.cell import load_cell
 from procedures.folders import require_writable

@@ -14,9 +14,8 @@ from calib.results import input_file, made_today
 from calib.trust.prediction import Path as TaskPath
 from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
-from console.commands.calibration.options import board_frames
+from console.commands.calibration.options import board_frames, length_m
 from console.commands.progress import Bar, answer, warn
-from console.quantities import length_m
 from control.model.description import load_arm
 from control.motion.waypoints import read_waypoints
 from procedures.folders import require_new

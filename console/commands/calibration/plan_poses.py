@@ -11,9 +11,8 @@ from calib.design.planning import Plan, Request, in_words, known_to, plan_json, 
 from calib.errors import CalibrationError
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
-from console.commands.calibration.options import board_frames
+from console.commands.calibration.options import board_frames, length_m, orientation_noise_rad
 from console.commands.progress import answer, warn
-from console.quantities import length_m, orientation_noise_rad
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.plain_text import aligned

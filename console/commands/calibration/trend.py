@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 
 from calib.ageing import as_text, read_history, trend_json, trend_of
+from console.commands.calibration.options import length_m
 from console.commands.progress import answer
-from console.quantities import length_m
 from control.model.description import load_arm
 
 

@@ -31,9 +31,8 @@ from calib.tolerances.study import StudyDesign, design_of, require_near, study_t
 from calib.trust.prediction import planned, reliability_of
 from calib.trust.report import FORMAT, PoseFigures, as_text, pose_figures, trust_json, trust_report, write_map
 from calib.trust.trust import MapRequest, Trust, trust_in
-from console.commands.calibration.options import board_frames
+from console.commands.calibration.options import board_frames, length_m
 from console.commands.progress import Bar, answer, warn
-from console.quantities import length_m
 from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import arm_text, load_arm

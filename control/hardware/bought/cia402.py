@@ -24,9 +24,8 @@ from control.hardware.words import (
     WATCHDOG,
     Wanted,
 )
-from control.model.arm import Arm, Board, Drive
+from control.model.arm import Arm, Board, Drive, Limits
 from control.model.joint_map import JointMap
-from control.model.limits import Limits
 from firmware_iface.can_link import open_can
 from firmware_iface.canopen.bus import CanOpenBus
 from firmware_iface.canopen.drive import (

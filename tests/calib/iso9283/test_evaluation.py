@@ -307,7 +307,9 @@ def test_tips_are_those_of_the_joints_where_the_recording_tells_them_from_the_en
 def test_a_programme_file_of_something_else_is_refused(tmp_path: Path) -> None:
     for text in ("{}", "[1]", "not json", '{"format": "iso9283-programme/1", "rectangle_m": [[1, 2]]}'):
         (tmp_path / "programme.json").write_text(text)
-        with pytest.raises(Iso9283Error, match=r"programme.json(, (format|rectangle_m): expected|: not JSON)"):
+        with pytest.raises(
+            Iso9283Error, match=r"programme.json(, (format|rectangle_m): expected|: not JSON)"
+        ):
             read_rectangle(tmp_path / "programme.json")
 
 

@@ -29,9 +29,9 @@ from calib.planning.search import (
 from calib.points.points import Points, make_points
 from calib.trust.prediction import Predictor
 from calib.trust.trust import MapRequest, trust_in
+from control.errors import PathError
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Vector3
-from control.motion.errors import PathError
 from control.motion.waypoints import Waypoints, read_waypoints
 from hil_mocks.scenario import EffectTable
 from tests.cell import FRICTION, RIGHT, Cell, holding_cell, scenario

@@ -8,8 +8,8 @@ import pytest
 
 from control.errors import ArmError, BadTarget, JointLimitViolated, MissingModel, NearSingular, OutOfReach
 from control.kinematics.inverse import BRANCHES, Branch, InverseKinematics
-from control.kinematics.joint_range import JointRange, travel_rad, turned_toward
 from control.kinematics.numeric_inverse import descend
+from control.kinematics.reach import JointRange, travel_rad, turned_toward
 from control.model.arm import Arm, Link
 from control.model.description import load_arm
 from tests.places import ARMS

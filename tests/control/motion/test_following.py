@@ -18,12 +18,11 @@ from benchmarks.arms import (
     tip_of,
     turned_in_place,
 )
-from control.errors import ArmError
+from control.errors import ArmError, PathError
 from control.kinematics import rotation
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.model.arm import Arm
-from control.motion.errors import PathError
 from control.motion.following import BOUND_M, BOUND_RAD, LONGEST_S, OrientationSpline, turns_rad
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath

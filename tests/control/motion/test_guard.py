@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks.arms import SEVEN, SIX
-from control.errors import ArmError
+from control.errors import ArmError, MotionError
 from control.kinematics.kinematics import Corners, ForwardKinematics
 from control.model.arm import Arm
-from control.motion.errors import MotionError
 from control.motion.guard import Guard, stopping_distance
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove, StopMotion

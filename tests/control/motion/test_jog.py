@@ -7,11 +7,10 @@ from itertools import pairwise
 
 import pytest
 
-from control.errors import ArmError
+from control.errors import ArmError, MotionError
 from control.kinematics.inverse import InverseKinematics
 from control.loop.jogging import Jogging, JointSpeeds, JointStep, TipStep, TipVelocity
 from control.model.description import load_arm
-from control.motion.errors import MotionError
 from control.motion.guard import Guard
 from control.motion.joint_limits import JogLimits, JointLimits, UNHOMED_SPEED_rad_s, reaches_m
 from control.motion.joint_move import JointMove

@@ -5,10 +5,9 @@ import random
 
 import pytest
 
-from control.errors import MissingModel
+from control.errors import MissingModel, MotionError
 from control.model.arm import Arm, Drive, Link
 from control.model.description import load_arm
-from control.motion.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import HARDEST, JointMove, StopMotion, StraightStop
 from control.motion.setpoint import SetPoint, at_rest

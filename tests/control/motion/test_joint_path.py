@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from control.motion.errors import MotionError
+from control.errors import MotionError
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.setpoint import SetPoint, at_rest

@@ -6,12 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from control.errors import ArmError
+from control.errors import ArmError, PathError
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
 from control.motion import checks
-from control.motion.errors import PathError
 from control.motion.following import BOUND_M, FEWEST
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from control.motion.errors import PathError
+from control.errors import PathError
 from control.motion.spline import (
     arc_lengths,
     hermite,

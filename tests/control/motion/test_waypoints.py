@@ -4,10 +4,9 @@ import math
 
 import pytest
 
-from control.errors import MissingModel
+from control.errors import MissingModel, WaypointFileError
 from control.model.arm import Table
 from control.model.description import load_arm
-from control.motion.errors import WaypointFileError
 from control.motion.waypoints import circle, line, read_waypoints
 
 
