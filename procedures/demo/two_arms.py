@@ -7,7 +7,8 @@ measured by the truth, as an outside camera would.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations, islice
 from pathlib import Path
@@ -114,41 +115,18 @@ def run(cell: Cell, scenario_file: Path, out: Path, advance: Advance) -> PairOut
     bench = CellBench(as_bolted_down(cell, scenario.seed), scenario, out / "log")
     try:
         advance("homing", 0.02)
-        before = _circle(bench, cell, names, lambda: _take(cell, names, bench, plan, out, advance))
+        with _homed(cell, names, bench) as pair:
+            before = pair.circle_beside()
+            _take(pair, plan, out, advance)
         advance("identification", 0.8)
         fitted, checked = (_read(out / name / POINTS, plan) for name in ("contacts", "check"))
         found = calibrate_pair(plan.arms, fitted, PairPlan())
         calibrated = _written(cell, names, plan, found, out)
         advance("circle, after", 0.9)
-        after = _circle(bench, calibrated, names)
+        with _homed(calibrated, names, bench) as pair:
+            after = pair.circle_beside()
     finally:
         bench.close()
-    circle = TrackPair(before.name, "", before, after)
-    return _judged(cell, plan, found, fitted, checked, circle, out)
-
-
-def _circle(
-    bench: CellBench, cell: Cell, names: tuple[str, str], then: Callable[[], None] = lambda: None
-) -> Track:
-    """A runtime that knows `cell`: home, the circle of one tip beside the other, something else, to the rest poses, off."""
-    bench.home(cell)
-    track = circle_beside(cell, names, bench)
-    then()
-    rest(cell, names, bench)
-    bench.stop()
-    return track
-
-
-def _judged(
-    cell: Cell,
-    plan: ContactPlan,
-    found: PairFound,
-    fitted: Contacts,
-    checked: Contacts,
-    circle: TrackPair,
-    out: Path,
-) -> PairOutcome:
-    """The result on contacts that were not used: by the files, with the second base placed alone, and calibrated."""
     base = base_of(cell, (cell.names[0], cell.names[1]))
     placed = calibrate_pair(plan.arms, fitted, PairPlan(fixed=_geometry(found)))
     files = {
@@ -165,22 +143,30 @@ def _judged(
         contact_errors_m(found.arms, found.base, checked),
         fitted,
         checked,
-        circle,
+        TrackPair(before.name, "", before, after),
         files,
     )
 
 
-def _take(
-    cell: Cell, names: tuple[str, str], bench: CellBench, plan: ContactPlan, out: Path, advance: Advance
-) -> None:
+@contextmanager
+def _homed(cell: Cell, names: tuple[str, str], bench: CellBench) -> Iterator[MockPair]:
+    """The pair on a runtime that knows `cell`: homed at first, at its rest poses and off in the end."""
+    bench.home(cell)
+    pair = MockPair(cell, names, bench)
+    yield pair
+    pair.go(pair.room.rest_rad)  # from which they hardly sink when the drives go off
+    bench.stop()
+
+
+def _take(pair: MockPair, plan: ContactPlan, out: Path, advance: Advance) -> None:
     """Record the planned contacts in one session, and some others, which the calibration does not get, in another."""
     rest = len(plan.others.contacts)
     rows = np.random.default_rng(CHECK_SEED).permutation(rest)[:CHECKED].tolist()
-    hand, done = MockPairHand(cell, names, bench), 0
+    hand, done = MockPairHand(pair.cell, pair.names, pair.bench), 0
     for name, wanted in (("contacts", plan.chosen), ("check", plan.others.chosen(rows))):
-        station = pair_station(cell, names, bench.clients, 1.0, 0.0, hand)
+        station = pair_station(pair.cell, pair.names, pair.bench.clients, 1.0, 0.0, hand)
         ordered = wanted.contacts.chosen(in_order(wanted, station.room))
-        with SessionFolder(out / name, contact_plan(names, "demo", ordered, "hand")) as folder:
+        with SessionFolder(out / name, contact_plan(pair.names, "demo", ordered, "hand")) as folder:
             for saying in unattended(conduct(folder, station)):
                 if isinstance(saying, Recorded):
                     done += 1
@@ -221,25 +207,6 @@ TURNS = 20  # steps to the best turn
 HELD_m = (0.4, 0.06, 0.4)  # where the first tip holds meanwhile, in the frame of the cell
 
 
-def go(bench: CellBench, room: SharedRoom, names: tuple[str, str], goal_rad: Poses) -> bool:
-    """Move both together on a way that is clear; False, and nothing moves, if there is none."""
-    way = room.way(poses_now(bench, names), goal_rad)
-    for poses in way or ():
-        bench.together(dict(zip(names, poses, strict=True)))
-    return way is not None
-
-
-def rest(cell: Cell, names: tuple[str, str], bench: CellBench) -> None:
-    """Move both to their rest poses, from which they hardly sink when the drives go off."""
-    room = SharedRoom(cell, (cell.placed(names[0]), cell.placed(names[1])))
-    go(bench, room, names, room.rest_rad)
-
-
-def poses_now(bench: CellBench, names: tuple[str, str]) -> Poses:
-    """Where the arms are."""
-    return [bench.clients[name].status()["joint_rad"] for name in names]
-
-
 def in_order(planned: Candidates, room: SharedRoom) -> list[int]:
     """The order of the contacts from the rest poses with little joint travel, and few detours."""
     here_rad = room.rest_rad
@@ -253,38 +220,55 @@ def in_order(planned: Candidates, room: SharedRoom) -> list[int]:
     return [k - 1 for k in short_path(ways)[1:]]
 
 
-def circle_beside(cell: Cell, names: tuple[str, str], bench: CellBench) -> Track:
-    """The second arm's tip on a circle relative to the first one's tip, planned by the arms' models, measured by the truth.
+class MockPair:
+    """The two arms of a mock cell on a runtime that knows `cell`."""
 
-    Positions are of the second tip from the first, along the axes of the cell. Planned: the nearest place of the circle, so
-    what is compared is its shape and place, not the time. No contact tells where the first arm's joint 1 is zero: measured
-    positions are turned about the vertical as they fit best.
-    """
-    held, moved = names
-    holding, moving = cell.placed(held), cell.placed(moved)
-    here, there = poses_now(bench, names)
-    inverse = InverseKinematics(holding.arm)
-    q_held = inverse.nearest(holding.in_base(HELD_m), here)
-    points = cell.beside_tip(moved, held, inverse.kinematics.tip(*q_held), _offsets())
-    path = plan_path(moving.arm, Waypoints(points, None), q_near_rad=there)
-    room = SharedRoom(cell, (holding, moving))
-    if not go(bench, room, names, (q_held, path.q_start_rad)):
-        raise CalibrationError("demo two-arms: no clear way to where the circle begins")
-    seen = _turned(_run(bench, names, path))
-    time_s = np.arange(len(seen)) * SAMPLE_s
-    return Track("circle beside the other tip", frozen(time_s), frozen(_on_circle(seen)), frozen(seen))
+    def __init__(self, cell: Cell, names: tuple[str, str], bench: CellBench) -> None:
+        self.cell, self.names, self.bench = cell, names, bench
+        self.room = SharedRoom(cell, (cell.placed(names[0]), cell.placed(names[1])))
 
+    @property
+    def here_rad(self) -> Poses:
+        """Where the arms are."""
+        return [self.bench.clients[name].status()["joint_rad"] for name in self.names]
 
-def _run(bench: CellBench, names: tuple[str, str], path: PlannedPath) -> Array:
-    """The true way (k, 3) of the second tip from the first."""
-    held, moved = names
-    bench.clients[moved].run_path(path.to_message(), waits=False)
-    seen = []
-    for _ in range(math.ceil(path.duration_s / SAMPLE_s)):
-        seen.append(np.subtract(bench.tip_m(moved), bench.tip_m(held)))
-        bench.wait(SAMPLE_s)
-    bench.clients[moved].arrive(5.0)
-    return np.array(seen)
+    def go(self, goal_rad: Poses) -> bool:
+        """Move both together on a way that is clear; False, and nothing moves, if there is none."""
+        way = self.room.way(self.here_rad, goal_rad)
+        for poses in way or ():
+            self.bench.together(dict(zip(self.names, poses, strict=True)))
+        return way is not None
+
+    def circle_beside(self) -> Track:
+        """The second arm's tip on a circle relative to the first one's, planned by the arms' models, measured by the truth.
+
+        Positions are of the second tip from the first, along the axes of the cell. Planned: the nearest place of the circle,
+        so what is compared is its shape and place, not the time. No contact tells where the first arm's joint 1 is zero:
+        measured positions are turned about the vertical as they fit best.
+        """
+        held, moved = self.names
+        holding, moving = self.cell.placed(held), self.cell.placed(moved)
+        here, there = self.here_rad
+        inverse = InverseKinematics(holding.arm)
+        q_held = inverse.nearest(holding.in_base(HELD_m), here)
+        points = self.cell.beside_tip(moved, held, inverse.kinematics.tip(*q_held), _offsets())
+        path = plan_path(moving.arm, Waypoints(points, None), q_near_rad=there)
+        if not self.go((q_held, path.q_start_rad)):
+            raise CalibrationError("demo two-arms: no clear way to where the circle begins")
+        seen = _turned(self._seen_on(path))
+        time_s = np.arange(len(seen)) * SAMPLE_s
+        return Track("circle beside the other tip", frozen(time_s), frozen(_on_circle(seen)), frozen(seen))
+
+    def _seen_on(self, path: PlannedPath) -> Array:
+        """The true way (k, 3) of the second tip from the first, while the second arm runs the path."""
+        held, moved = self.names
+        self.bench.clients[moved].run_path(path.to_message(), waits=False)
+        seen = []
+        for _ in range(math.ceil(path.duration_s / SAMPLE_s)):
+            seen.append(np.subtract(self.bench.tip_m(moved), self.bench.tip_m(held)))
+            self.bench.wait(SAMPLE_s)
+        self.bench.clients[moved].arrive(5.0)
+        return np.array(seen)
 
 
 def _offsets() -> list[list[float]]:
