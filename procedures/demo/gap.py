@@ -217,13 +217,21 @@ def run(arm: Arm, bench: MockBench, hidden: Hidden, out: Path, advance: Advance)
     own = tour.Bench(client, first, bench.rig.set_payload, speed=bench.speed)
     recordings, outcome = _recorded(arm, own, plans, out, advance)
     advance("moving by the nominal model", 0.6)
-    before = _driven("nominal", arm, arm, programme, client, first, bench, out)
+    nominal = Model(arm)
+    before = _driven("nominal", nominal, nominal, Drive(client, first, bench.speed, programme, out))
     shut_down(arm, bench, client)
 
     if recordings.log_files:
         outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
     model = write_gap(outcome, arm, recordings, out / "gap")
-    off, on = _driven_off_and_on(arm, model, programme, bench, out, advance)
+    advance("moving with the correction off", 0.8)
+    client = start_again(model, bench)
+    drive, whole = Drive(client, _newest(out), bench.speed, programme, out), Model(model)
+    kept = tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
+    off = _driven("off", Model(dataclasses.replace(model, effects=kept)), whole, drive)
+    advance("moving with the correction on", 0.87)
+    on = _driven("on", whole, whole, drive)
+    shut_down(model, bench, client)
     advance("reporting", 0.95)
     return Circle(
         hidden,
@@ -259,23 +267,6 @@ def _recorded(
     return recordings, outcome
 
 
-def _driven_off_and_on(
-    arm: Arm, model: Arm, programme: Programme, bench: MockBench, out: Path, advance: Advance
-) -> tuple[DrivenSurvey, DrivenSurvey]:
-    """On a runtime that uses `model`: by its geometry without the added effects, and by the whole model."""
-    advance("moving with the correction off", 0.8)
-    client = start_again(model, bench)
-    recording = _newest(out)
-    bare = dataclasses.replace(
-        model, effects=tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
-    )
-    off = _driven("off", bare, model, programme, client, recording, bench, out)
-    advance("moving with the correction on", 0.87)
-    on = _driven("on", model, model, programme, client, recording, bench, out)
-    shut_down(model, bench, client)
-    return off, on
-
-
 def named_in(found: GapFinding) -> tuple[NamedEffect, ...]:
     """The effects that a finding names, without geometry."""
     return tuple(one for one in found.effects if one.name.effect not in NO_NAMES)
@@ -301,23 +292,23 @@ def programme_of(arm: Arm) -> Programme:
     return Programme(tuple(found), ways(tables.table_of(arm), ("normal",)))
 
 
-def _driven(
-    name: str,
-    arm: Arm,
-    runtime_model: Arm,
-    programme: Programme,
-    client: ArmClient,
-    recording: Path,
-    bench: MockBench,
-    out: Path,
-) -> DrivenSurvey:
-    """Run every place and every path once by the model `arm`, on a runtime that uses the model `runtime_model`."""
-    model = Model(arm)
-    runtime = model if arm is runtime_model else Model(runtime_model)
-    survey = Survey(model, programme, out / f"driven_{name}.csv")
-    survey.drive(runtime, client, bench.speed)
-    client.wait(0.3)
-    return DrivenSurvey(name, survey, recording, _following_rad(recording, survey))
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A running arm, its recording, and where it is to go."""
+
+    client: ArmClient
+    recording: Path
+    speed: float
+    programme: Programme
+    out: Path
+
+
+def _driven(name: str, model: Model, runtime: Model, drive: Drive) -> DrivenSurvey:
+    """Run every place and every path once by a model, on a runtime that uses the model `runtime`."""
+    survey = Survey(model, drive.programme, drive.out / f"driven_{name}.csv")
+    survey.drive(runtime, drive.client, drive.speed)
+    drive.client.wait(0.3)
+    return DrivenSurvey(name, survey, drive.recording, _following_rad(drive.recording, survey))
 
 
 def _following_rad(recording: Path, survey: Survey) -> float:
