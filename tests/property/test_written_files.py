@@ -21,7 +21,7 @@ from control.model.description import load_arm, save_arm
 from procedures.new_arm.answers import USUAL_AXES
 from procedures.on_boards import REFERENCE
 
-AT_EACH_CHANGE, AT_NIGHT = 20, 300
+AT_EACH_CHANGE, AT_NIGHT = 7, 300
 NAMES = (
     "a",
     "7",

@@ -160,7 +160,7 @@ def test_the_tips_distance_is_to_the_model_and_only_once_the_arm_knows_its_zeros
 
 
 def test_a_folder_gets_a_picture_each_and_a_file_all(recording: Path, tmp_path: Path) -> None:
-    assert main(["plot", str(recording), "--out", str(tmp_path / "each")]) == 0
+    assert main(["plot", str(recording), "--joints", "2", "--out", str(tmp_path / "each")]) == 0
     assert {path.stem for path in (tmp_path / "each").iterdir()} == {picture.name for picture in PICTURES}
     svg = tmp_path / "all.svg"
     assert (
@@ -204,7 +204,7 @@ def test_rows_of_nothing_but_nan_are_drawn(tmp_path: Path) -> None:
     }
     changes = {k: {**gone, "q1_rad": nan, "q2_set_rad": nan, "x_m": nan} for k in range(100)}
     log = write_recording(tmp_path / "a.armlog", 100, changes=changes, arm_toml=TOML)
-    assert main(["plot", str(log), "--out", str(tmp_path / "p.svg")]) == 0
+    assert main(["plot", str(log), "--joints", "1,2", "--out", str(tmp_path / "p.svg")]) == 0
 
 
 def test_an_empty_recording_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -214,7 +214,7 @@ def test_an_empty_recording_is_one_message(tmp_path: Path, capsys: pytest.Captur
 
 def test_a_recording_of_one_cycle_is_drawn(tmp_path: Path) -> None:
     log = write_recording(tmp_path / "a.armlog", 1, arm_toml=TOML)
-    assert main(["plot", str(log), "--out", str(tmp_path / "p.svg")]) == 0
+    assert main(["plot", str(log), "--joints", "1", "--out", str(tmp_path / "p.svg")]) == 0
 
 
 def test_a_torn_recording_is_drawn_and_the_loss_said(

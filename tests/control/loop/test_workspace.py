@@ -21,6 +21,7 @@ from control.motion.setpoint import SetPoint, at_rest
 from control.safety.table import Mode
 from control.server.client import RequestRefused
 from tests.cell import RIGHT, Cell, holding_cell, scenario
+from tests.thirds import third_of
 
 LOW = (0.6, -0.8, -0.1)  # beside the board, the tip 0.07 m above the table
 TOLERANCE_m = RIGHT.limits.floor_tolerance_m
@@ -63,12 +64,14 @@ def test_a_raw_path_into_the_table_is_refused(low: Cell) -> None:
 
 @pytest.mark.parametrize(
     "request_",
-    [
-        {"joint_speed_rad_s": [0.0, -2.0, -2.0]},
-        {"joint_speed_rad_s": [0.3, -2.0, 0.0]},
-        {"tip_velocity_m_s": [0.0, 0.0, -0.25]},
-        {"tip_velocity_m_s": [-0.1, 0.1, -0.2]},
-    ],
+    third_of(  # one of joints and one of the tip
+        [
+            {"joint_speed_rad_s": [0.0, -2.0, -2.0]},
+            {"joint_speed_rad_s": [0.3, -2.0, 0.0]},
+            {"tip_velocity_m_s": [0.0, 0.0, -0.25]},
+            {"tip_velocity_m_s": [-0.1, 0.1, -0.2]},
+        ]
+    ),
     ids=str,
 )
 def test_a_jog_comes_to_rest_above_the_floor_says_why_and_can_be_jogged_back(

@@ -16,6 +16,7 @@ from control.motion.joint_limits import JogLimits, JointLimits, UNHOMED_SPEED_ra
 from control.motion.joint_move import JointMove
 from control.motion.setpoint import at_rest
 from control.safety.limits import SetPointLimits, limit_set_point
+from tests.thirds import third_of
 
 ARM = load_arm("right")
 ANYWHERE = Guard(  # neither floor nor table nor base: what they do is in tests/control/loop/test_workspace.py
@@ -248,7 +249,7 @@ def test_a_joint_alone_never_moves_the_tip_faster_than_its_limit():
         assert LIMITS.joints.speed_rad_s[joint] * reach[joint] <= 0.25 + 1e-12
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", third_of(range(25)))
 def test_whatever_is_asked_for_in_whatever_pose_all_limits_hold(seed):
     draw = random.Random(seed)
     hand = Hand([draw.uniform(d.joint_lower_rad, d.joint_upper_rad) for d in ARM.drives])

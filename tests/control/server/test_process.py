@@ -24,6 +24,7 @@ from control.server.client import ArmClient, RequestRefused
 from hil_mocks.realtime import RealTimeRig
 from procedures.mock import wired_to
 from tests.cell import RIGHT
+from tests.thirds import third_of
 
 pytestmark = pytest.mark.realtime
 LIMIT_s = 300.0  # of anything here; a busy machine is slow, a broken program never ends
@@ -260,13 +261,15 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 @pytest.mark.parametrize(
     "command",
-    [
-        ("check",),
-        ("doctor", "--seconds", "0.1"),
-        ("serve", "--socket", "another.sock", "--log", "another"),
-        ("bringup", "--out", "wired.toml", "--yes"),
-        ("tune", "--out", "tuned.toml", "--yes"),
-    ],
+    third_of(
+        [
+            ("check",),
+            ("doctor", "--seconds", "0.1"),
+            ("serve", "--socket", "another.sock", "--log", "another"),
+            ("bringup", "--out", "wired.toml", "--yes"),
+            ("tune", "--out", "tuned.toml", "--yes"),
+        ]
+    ),
     ids=lambda command: str(command[0]),
 )
 def test_a_command_that_would_open_the_boards_of_a_moving_arm_names_who_has_them_and_the_arm_moves_on(
