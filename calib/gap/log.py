@@ -42,6 +42,7 @@ LOG = TableFormat(
     ),
     groups=(ColumnGroup(TIP),),
     unknown="kept",
+    unwarned=r"lead\d+_rad",  # calib.gap.leads
     most_rows=SAMPLES_MOST,
     separated=IMPORT,
 )

@@ -22,6 +22,7 @@ from calib.gap.finding import (
     with_given_numbers,
     write_gap_json,
 )
+from calib.gap.leads import gears_by_leads
 from calib.gap.log import (
     AMPERES,
     TORQUES,
@@ -157,6 +158,8 @@ def find_gap(
         None if dynamic is None else as_totals(arm, dynamic.finding),
     )
     warnings = told + [sentence for one in (static, dynamic) if one is not None for sentence in one.warnings]
+    if log is not None:
+        finding = dataclasses.replace(finding, effects=(*finding.effects, *gears_by_leads(given, log)))
     found = GapOutcome(consistent(finding), static, dynamic, agreement, tuple(warnings))
     before = {} if static is None else numbers_before(given, static.arm)
     return _with_given_numbers(found, before) if before else found

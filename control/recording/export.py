@@ -15,7 +15,7 @@ from control.files import make_whole
 from control.model.arm import Arm
 from control.recording.mcap_file import to_mcap
 from control.recording.reading import RecordError, Recording, recorded_arm
-from control.recording.record import END_FIELDS, JOINT_SIDE_FIELDS, Layout
+from control.recording.record import END_FIELDS, JOINT_SIDE_FIELDS, LEAD_FIELD, Layout
 
 __all__ = ["export", "to_csv", "to_mcap"]
 
@@ -70,9 +70,8 @@ def _run_rows(recording: Recording, every: int, report: Callable[[int], None]) -
 
 def _csv_columns(layout: Layout) -> list[str]:
     joints = range(1, layout.joint_count + 1)
-    more = [form.format(j) for form, _ in JOINT_SIDE_FIELDS for j in joints] + [
-        name for name, _ in END_FIELDS
-    ]
+    forms = [*(form for form, _ in JOINT_SIDE_FIELDS), LEAD_FIELD[0]]
+    more = [form.format(j) for form in forms for j in joints] + [name for name, _ in END_FIELDS]
     return [
         *CSV_SCALARS[:2],
         *(name for n in CSV_JOINT for j in joints if (name := n.format(j)) in layout.names),

@@ -1,0 +1,222 @@
+"""Gears seen directly: how far a motor is ahead of its joint, where both have an encoder, by what the gear transmits.
+
+With the joint's own encoder the link's motion is measured, and with it the torque tau that the gear gives it. At each pair of
+counts
+
+    lead = a + c (tau + r) + w/2 flank(tau + r) - b q2 + t q'          [rad]
+
+with the compliance c of its spring [rad/(N m)], its play w [rad], the ratio b of a belt that passes joint 3, the time t between
+the two counts [s], and the friction r = f sgn(q') that acts on the link, behind the gear, flank(x) = tanh(x / (u max |x|)): a
+link without load lies on neither. f and u are searched; a is one for all runs, or one for each, as the data say: leads begin
+anew when drives come on. Nothing is simulated, and no motor's current is needed.
+
+The sets of {c, w, b} are weighed by the Bayesian information criterion (Schwarz, 1978), with as many independent samples as the
+autocorrelation of what is left leaves, and by the prior of a name. An effect is named whose sets have nearly all of the weight,
+as everywhere in gap, if they also predict pairs better that were not fitted.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.gap.finding import EffectName, NamedEffect
+from calib.gap.log import Log, LoggedRun
+from calib.gap.posterior.constants import CERTAIN, NAME_PRIOR
+from calib.gap.signals.filters import filters_for
+from control.dynamics.dynamics import Dynamics
+from control.errors import MissingModel
+from control.model.arm import Arm
+from control.model.effects import COUPLED, COUPLED_TO
+
+FRICTIONS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4)  # f, of the largest torque that is transmitted
+UNCERTAIN = (0.01, 0.03, 0.1)  # u: within it a flank is not certain
+FEWEST = 50  # pairs of counts
+TURNS_rad_s = 0.02  # as fast as this, friction has its full size
+LAW = {"joint_compliance": "stiffness_Nm_rad", "backlash": "width_rad", "belt_coupling": "ratio"}
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """The pairs of one joint (0-based), m over all runs: lead, torque without rotor, speed, angle of joint 2, number of run."""
+
+    joint: int
+    lead_rad: Array
+    torque_Nm: Array
+    speed_rad_s: Array
+    q2_rad: Array
+    run: Array
+    begun: Array  # which offset it has
+
+
+@dataclass(frozen=True, slots=True)
+class Flank:
+    """How a link lies in its gear: the friction behind it [N m], and u."""
+
+    friction_Nm: float
+    uncertain: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A set of effects fitted by least squares: coefficients and their covariance for independent samples, what is left (m,)."""
+
+    effects: tuple[str, ...]
+    flank: Flank
+    found: Array
+    covariance: Array
+    left_rad: Array
+
+    @property
+    def variance_rad2(self) -> float:
+        """Of what is left; none for a spring or play below nought, which no gear has."""
+        signed = [
+            value
+            for value, effect in zip(self.found, self.effects, strict=False)
+            if effect != "belt_coupling"
+        ]
+        return (
+            math.inf
+            if any(value <= 0.0 for value in signed)
+            else max(float(np.mean(self.left_rad**2)), 1e-30)
+        )
+
+    @property
+    def independent(self) -> float:
+        """How many samples are as good as independent, by the correlation of neighbours."""
+        left = self.left_rad
+        alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-30)
+        alike = min(max(alike, 0.0), 0.999)
+        return max(len(left) * (1.0 - alike) / (1.0 + alike), 2.0)
+
+
+def gears_by_leads(arm: Arm, log: Log) -> tuple[NamedEffect, ...]:
+    """What the leads of a log (columns `lead1_rad` ...) show of the gears between two encoders; nothing where there are none."""
+    try:
+        dynamics = Dynamics(arm)
+    except MissingModel:
+        return ()
+    named: list[NamedEffect] = []
+    for j, drive in enumerate(arm.drives):
+        if drive.motor_counts_per_rev is not None and (pairs := _pairs(arm, dynamics, log, j)) is not None:
+            named += _named(arm, pairs)
+    return tuple(named)
+
+
+def _pairs(arm: Arm, dynamics: Dynamics, log: Log, joint: int) -> Pairs | None:
+    found = [part for k, run in enumerate(log.runs) for part in _of_run(arm, dynamics, run, joint, k)]
+    if sum(len(part[0]) for part in found) < FEWEST:
+        return None
+    lead, torque, speed, q2, run = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Pairs(joint, lead, torque, speed, q2, run, np.zeros(len(run)))
+
+
+def _of_run(
+    arm: Arm, dynamics: Dynamics, run: LoggedRun, joint: int, number: int
+) -> Iterator[tuple[Array, ...]]:
+    """Lead, torque, speed, angle of joint 2 and the run's number at each pair, but for the ends, where filters see too little."""
+    column = run.extra.get(f"lead{joint + 1}_rad")
+    if column is None or len(run) < 3:
+        return
+    lead_rad = np.array([float(text) if text else math.nan for text in column])
+    period_s = float(np.median(np.diff(run.t_s)))
+    filters = filters_for(1.0 / period_s)
+    t_s = np.arange(run.t_s[0], run.t_s[-1], period_s)
+    q, speed, acceleration = filters.states(
+        np.stack([np.interp(t_s, run.t_s, q) for q in run.q_rad.T], axis=1)
+    )
+    payload_kg = np.interp(t_s, run.t_s, run.payload_kg)
+    drive = arm.drives[joint]
+    torque = dynamics.torques(q, speed, acceleration, payload_kg)[:, joint]
+    torque -= drive.gear_ratio**2 * drive.rotor_inertia_kg_m2 * acceleration[:, joint]
+    edge_s = len(filters.state[0]) // 2 * period_s
+    seen = np.flatnonzero(np.isfinite(lead_rad) & (run.t_s > t_s[0] + edge_s) & (run.t_s < t_s[-1] - edge_s))
+    at_s = run.t_s[seen]
+    second = q[:, COUPLED_TO - 1] if q.shape[1] >= COUPLED_TO else np.zeros(len(q))
+    beside = (np.interp(at_s, t_s, values) for values in (torque, speed[:, joint], second))
+    yield lead_rad[seen], *beside, np.full(len(seen), float(number))
+
+
+def _named(arm: Arm, pairs: Pairs) -> Iterator[NamedEffect]:
+    """The effects that stand, with their values from all runs."""
+    runs = np.unique(pairs.run)
+    kept = np.isin(pairs.run, runs[2::3]) if len(runs) > 2 else _last_third(pairs.run)
+    effects = ["joint_compliance", "backlash", *(["belt_coupling"] if pairs.joint == COUPLED - 1 else [])]
+    sets = [some for size in range(len(effects) + 1) for some in itertools.combinations(effects, size)]
+    with_own = replace(pairs, begun=pairs.run)
+    richest = [_best(one, sets[-1], ~kept) for one in (pairs, with_own)]
+    independent = min(richest, key=lambda fit: fit.variance_rad2).independent
+    a_value = math.log(independent)
+    costs = [independent * math.log(fit.variance_rad2) + a_value * len(fit.found) for fit in richest]
+    pairs = pairs if costs[0] <= costs[1] else with_own
+    tried = [_best(pairs, some, ~kept) for some in sets]
+    a_name = a_value - 2.0 * math.log(NAME_PRIOR)
+    criteria = np.array(
+        [independent * math.log(fit.variance_rad2) + a_name * len(fit.effects) for fit in tried]
+    )
+    weights = np.exp(-0.5 * (criteria - criteria.min()))
+    inclusion = {one: float(weights[[one in some for some in sets]].sum() / weights.sum()) for one in effects}
+    fit = tried[sets.index(tuple(one for one in effects if inclusion[one] >= CERTAIN))]
+    before, after = (_predicted_rad(pairs, one, kept) for one in (tried[0], fit))
+    if not after < before:
+        return
+    whole = _fit(pairs, fit.effects, fit.flank, np.ones(len(kept), dtype=bool))
+    sds = np.sqrt(np.diag(whole.covariance) * len(kept) / whole.independent)
+    given = {effect.effect: effect.parameters for effect in arm.effects if effect.joint is None}
+    for effect, value, sd in zip(fit.effects, whole.found.tolist(), sds.tolist(), strict=False):
+        name = EffectName(effect, None if effect == "belt_coupling" else pairs.joint + 1)
+        if effect == "joint_compliance":
+            value, sd = 1.0 / value, sd / value**2
+        elif effect == "belt_coupling":  # the loop has taken off what the file says of it
+            value += given.get(effect, {}).get("ratio", 0.0)
+        evidence = {"lead_before_rad": before, "lead_after_rad": after}
+        yield NamedEffect(name, {LAW[effect]: (value, sd)}, after / before, evidence, inclusion[effect])
+
+
+def _last_third(run: Array) -> np.ndarray:
+    """The later part of each of few runs."""
+    kept = np.zeros(len(run), dtype=bool)
+    for one in np.unique(run):
+        rows = np.flatnonzero(run == one)
+        kept[rows[2 * len(rows) // 3 :]] = True
+    return kept
+
+
+def _best(pairs: Pairs, effects: tuple[str, ...], rows: np.ndarray) -> Fit:
+    """The fit with the likeliest flanks."""
+    largest_Nm = float(np.abs(pairs.torque_Nm).max())
+    flanks = [Flank(share * largest_Nm, u) for share in FRICTIONS for u in UNCERTAIN]
+    fits = [_fit(pairs, effects, flank, rows) for flank in (flanks if effects else flanks[:1])]
+    return min(fits, key=lambda fit: fit.variance_rad2)
+
+
+def _columns(pairs: Pairs, effects: Sequence[str], flank: Flank) -> Array:
+    """Of the effects, of the counts' moments, and of the offsets: (m, k)."""
+    loaded = pairs.torque_Nm + flank.friction_Nm * np.tanh(pairs.speed_rad_s / TURNS_rad_s)
+    laws = {
+        "joint_compliance": loaded,
+        "backlash": 0.5 * np.tanh(loaded / (flank.uncertain * np.abs(loaded).max())),
+        "belt_coupling": -pairs.q2_rad,
+    }
+    offsets = (pairs.begun[:, None] == np.unique(pairs.begun)[None]).astype(np.float64)
+    return np.column_stack([*(laws[effect] for effect in effects), pairs.speed_rad_s, offsets])
+
+
+def _fit(pairs: Pairs, effects: tuple[str, ...], flank: Flank, rows: np.ndarray) -> Fit:
+    columns, lead_rad = _columns(pairs, effects, flank)[rows], pairs.lead_rad[rows]
+    found, *_ = np.linalg.lstsq(columns, lead_rad, rcond=None)
+    left_rad = lead_rad - columns @ found
+    return Fit(effects, flank, found, np.linalg.pinv(columns.T @ columns) * np.mean(left_rad**2), left_rad)
+
+
+def _predicted_rad(pairs: Pairs, fit: Fit, kept: np.ndarray) -> float:
+    """Root mean square of what a fit leaves of pairs that it did not use, about their means where no offset is known."""
+    laws = len(fit.effects) + 1  # and the counts' moments
+    left = pairs.lead_rad - _columns(pairs, fit.effects, fit.flank)[:, :laws] @ fit.found[:laws]
+    own = [left[kept & (pairs.begun == one)] for one in np.unique(pairs.begun[kept])]
+    return float(np.sqrt(np.mean(np.concatenate([part - part.mean() for part in own]) ** 2)))
