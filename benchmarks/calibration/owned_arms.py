@@ -1,4 +1,4 @@
-"""What an afternoon makes of the arms that people own, on the mock. `make owned-arms-study`: docs/arms.md, docs/so101.md.
+"""What an afternoon makes of the arms that people own, on the mock. `make owned-arms-study`: docs/arms.md and their pages.
 
 An arm as printed and put together at home (scenario so101: geometry 1 mm and 1 deg off, zeros 2 deg), with play as published.
 A camera of 0.5 mm sees the tip, in the base frame, in 40 poses to calibrate with and in 25 others to look at. Every model says
@@ -48,7 +48,9 @@ from procedures.mock import scenario_bytes
 # Play of each joint [deg], and whose figure it is.
 PLAYS = {
     "so101": {0.5: "data sheet, at most", 1.0: "the project's simulation", 1.3: "owners"},
+    "so100": {1.0: "as an SO-101"},
     "koch": {0.25: "data sheet of the larger XM430", 1.0: "as an SO-101"},
+    "widowx250": {0.25: "data sheet of the XM430"},
 }
 FRICTION = 0.03  # of the stall torque, where none is published
 NOISE_m = 5e-4

@@ -57,7 +57,12 @@ class Journey:
     def arms(self, when: str = "Walked by") -> list[str]:
         """Who walks it, by its own line `Walked by: ...`, or `At each change: ...` for `make test`."""
         found = re.search(rf"^{when}: (.*)\.$", self.page.read_text(encoding="utf-8"), re.MULTILINE)
-        return [] if found is None else list(ARMS) if found[1] == "all" else found[1].split(", ")
+        named = [] if found is None else found[1].split(", ")
+        return [
+            arm
+            for arm, words in ARMS.items()
+            if arm in named or ("all" in named and "ONLY_NAMED" not in words)
+        ]
 
     def steps(self) -> Iterator[Step]:
         """Its commands in order."""
