@@ -28,7 +28,7 @@ from procedures.ports import HandPort, RuntimePort
 
 SETUPS: Final = ("normal", "roll", "pitch")
 OTHER: Final = "other trajectory"
-HEIGHT_m: Final = 0.05  # above the board: an uncalibrated arm is some 3 cm off
+HEIGHT_m: Final = 0.06  # above the board: an uncalibrated arm is some 3 cm off, and approaches from up to 4 cm below
 RADIUS_m: Final = 0.06
 POINTS: Final = 6  # "points 1-6" of the paper's verification trajectory
 STOPS: Final = 10
