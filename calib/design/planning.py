@@ -180,7 +180,7 @@ def _greedy(
         chosen.append((row, group))
         open_count[group] -= 1
         left = [rows[rows != row] for rows in left]
-        information = information + _information_of(experiment, row)
+        information = information + np.asarray(experiment.rows[row].T @ experiment.rows[row])
     return chosen
 
 
@@ -205,11 +205,6 @@ def _exchange(
                 is_changed = True
         if not is_changed:
             return
-
-
-def _information_of(experiment: Experiment, row: int) -> Array:
-    """J'J of one pose."""
-    return np.asarray(experiment.rows[row].T @ experiment.rows[row])
 
 
 WAY_SAMPLES = 16

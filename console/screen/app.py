@@ -150,7 +150,7 @@ class ConsoleApp(App[None]):
             is_typing = isinstance(self.focused, Input)
             if event.key == "space":
                 self._stopping = asyncio.create_task(self.action_stop())  # later keys need not wait
-                if not (is_typing and self._is_resting()):
+                if not (is_typing and all(desk.is_resting for desk in self.desks)):
                     return
             elif event.key in COMMAND_KEYS and not is_typing and self.screen is self.operating:
                 self.operating.action_command()
@@ -188,6 +188,3 @@ class ConsoleApp(App[None]):
         ]
         folder = Path(words[words.index("--out") + 1])
         self.push_screen(SessionScreen(shlex.join([*words, *known]), folder, self.desk.arm_name, self.say))
-
-    def _is_resting(self) -> bool:
-        return all(desk.is_resting for desk in self.desks)

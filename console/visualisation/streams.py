@@ -11,7 +11,6 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from console.visualisation.series import Array
 from console.visualisation.snapshots import Snapshot
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
@@ -67,16 +66,11 @@ def _log(rerun: Any, kinematics: ForwardKinematics, snapshot: Snapshot) -> None:
         ("measured", snapshot.joint_rad, MEASURED),
         ("commanded", snapshot.joint_set_rad, COMMANDED),
     ):
-        points = _points_m(kinematics, angles)
+        points = [*kinematics.link_transforms([angles])[0][:, :3, 3], kinematics.tips([angles])[0]]
         rerun.log(f"arm/{name}", rerun.LineStrips3D([points], colors=[colour], radii=[0.01]))
         rerun.log(f"arm/{name}_tip", rerun.Points3D([points[-1]], colors=[colour], radii=[0.012]))
     if snapshot.camera_m is not None:
         rerun.log("arm/camera", rerun.Points3D([snapshot.camera_m], colors=[CAMERA_PATH], radii=[0.008]))
-
-
-def _points_m(kinematics: ForwardKinematics, q_rad: Sequence[float]) -> list[Array]:
-    """Origins of the link frames and the tip."""
-    return [*kinematics.link_transforms([q_rad])[0][:, :3, 3], kinematics.tips([q_rad])[0]]
 
 
 # Serves the live arm to Foxglove over a WebSocket: the topics of an exported MCAP file. An extra: foxglove-sdk is 19 MB.

@@ -135,7 +135,7 @@ def _stop_one(state: SetPoint, limits: JointLimits) -> "tuple[ruckig.Trajectory,
     """The gentlest stop of one joint within its range, or else the hardest one, and its overshoot [rad]."""
     for acceleration, jerk in _HARDER:
         trajectory = _calculate(state, None, limits.braking(acceleration, jerk))
-        ((low, high),) = _extrema(trajectory)
+        ((low, high),) = [(bound.min, bound.max) for bound in trajectory.position_extrema]
         lower, upper = _range(limits, state, 0)
         overshoot = max(high - upper, lower - low, 0.0)
         if overshoot <= _ROUNDING_RAD:
@@ -164,11 +164,6 @@ def _calculate(state: SetPoint, target: tuple[float, ...] | None, limits: JointL
 def _sample(trajectory: "ruckig.Trajectory", time_s: float) -> SetPoint:
     q, speed, acceleration = trajectory.at_time(max(time_s, 0.0))
     return SetPoint(tuple(q), tuple(speed), tuple(acceleration))
-
-
-def _extrema(trajectory: "ruckig.Trajectory") -> list[tuple[float, float]]:
-    """Least and greatest position of each joint of a stop [rad]."""
-    return [(bound.min, bound.max) for bound in trajectory.position_extrema]
 
 
 def _searched_extrema(trajectory: "ruckig.Trajectory", joint: int) -> tuple[float, float]:

@@ -97,8 +97,24 @@ def assemble(
         motor_leads=_motor_leads(arm),
         second_encoders=tuple(j for j, d in enumerate(arm.drives) if d.motor_counts_per_rev is not None),
         servo=servo,
-        checks=_checks(arm, measurement, names, period_s),
-        set_point_limits=tuple(_set_point_limits(drive) for drive in arm.drives),
+        checks=Checks(
+            watch=Watch(_watch_limits(arm, period_s), names),
+            motors=CrossChecks(_motors(arm), _cross_check_limits(arm), names),
+            indices=_indices(arm, measurement, names),
+            switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
+            motor_counts=_motor_counts(arm, names),
+            leads=LeadWatch(arm.limits.transmission_slack_rad, names),
+            limit_switches=LimitSwitchWatch(list(_limit_switches(arm, names))),
+        ),
+        set_point_limits=tuple(
+            SetPointLimits(
+                drive.joint_lower_rad,
+                drive.joint_upper_rad,
+                SET_POINT_MARGIN * drive.joint_speed_limit_rad_s,
+                SET_POINT_MARGIN * drive.joint_acceleration_limit_rad_s2,
+            )
+            for drive in arm.drives
+        ),
         homing=lambda: HomingSequence(_homes(arm), hardware),
         gravity_compensation=_gravity_compensation(arm, servo, names, limits),
         stop_from=lambda state: StopMotion(state, limits),
@@ -124,18 +140,6 @@ def assemble(
     requests = Requests(runtime, limits, arm, dict(about or {}))
     requests.beside = guard_itself(arm, runtime)
     return Assembly(runtime, requests)
-
-
-def _checks(arm: Arm, measurement: Measurement, names: Sequence[str], period_s: float) -> Checks:
-    return Checks(
-        watch=Watch(_watch_limits(arm, period_s), names),
-        motors=CrossChecks(_motors(arm), _cross_check_limits(arm), names),
-        indices=_indices(arm, measurement, names),
-        switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
-        motor_counts=_motor_counts(arm, names),
-        leads=LeadWatch(arm.limits.transmission_slack_rad, names),
-        limit_switches=LimitSwitchWatch(list(_limit_switches(arm, names))),
-    )
 
 
 def _gravity_compensation(
@@ -332,15 +336,6 @@ def _watch_limits(arm: Arm, period_s: float) -> WatchLimits:
     )
     missed_in_row = int(PAUSE_LIMIT * arm.limits.watchdog_s / period_s)
     return WatchLimits(joints, arm.limits.stale_s, arm.limits.watchdog_s, missed_in_row)
-
-
-def _set_point_limits(drive: Drive) -> SetPointLimits:
-    return SetPointLimits(
-        drive.joint_lower_rad,
-        drive.joint_upper_rad,
-        SET_POINT_MARGIN * drive.joint_speed_limit_rad_s,
-        SET_POINT_MARGIN * drive.joint_acceleration_limit_rad_s2,
-    )
 
 
 def _aim_limits(drive: Drive) -> SetPointLimits:

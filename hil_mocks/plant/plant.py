@@ -55,7 +55,14 @@ class Plant:
         self.bridges = Bridges(
             self._model, self._data, windings_of(arm, effects), self._at.bridge, effects.supply_resistance_ohm
         )
-        self.hand = self._free_hand(options)
+        self.hand = Hand(
+            self._at,
+            self._data,
+            options.hand_speed_m_s,
+            options.seating_noise_m,
+            options.seed,
+            self.effects.base_pose,
+        )
         self._steps = 0
         self._free_damping = [float(damping) for damping in self._model.dof_damping]
         self._steadying = [0.0] * len(self._free_damping)  # N m s/rad, by the hand
@@ -69,16 +76,6 @@ class Plant:
         )
         self._apply_asymmetry()
         self._read()
-
-    def _free_hand(self, options: PlantOptions) -> Hand:
-        return Hand(
-            self._at,
-            self._data,
-            options.hand_speed_m_s,
-            options.seating_noise_m,
-            options.seed,
-            self.effects.base_pose,
-        )
 
     @property
     def steps(self) -> int:

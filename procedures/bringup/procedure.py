@@ -131,13 +131,9 @@ def brought_up(draft: Arm, journal: Journal, serials: dict[int, int]) -> Arm:
         home = entry["drive"]["home"]
         if drive.motor_serial_number is not None:
             keys["motor_serial_number"] = serials.get(keys["motor_node"], drive.motor_serial_number)
-        drives.append(_replaced(drive, keys, Home(**home) if home else None))
+        drives.append(replace(drive, **keys, home=Home(**home) if home else None))
         effects = _with_friction(effects, drive.joint, entry["friction"])
     return replace(draft, drives=tuple(drives), effects=tuple(effects))
-
-
-def _replaced(drive: Drive, keys: dict[str, Any], home: Home | None) -> Drive:
-    return replace(drive, **keys, home=home)
 
 
 def _with_friction(effects: list[Effect], joint: int, friction: list[float | None]) -> list[Effect]:

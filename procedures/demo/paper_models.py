@@ -28,7 +28,8 @@ from procedures.ports import HandPort, RuntimePort
 
 SETUPS: Final = ("normal", "roll", "pitch")
 OTHER: Final = "other trajectory"
-HEIGHT_m: Final = 0.06  # above the board: an uncalibrated arm is some 3 cm off, and approaches from up to 4 cm below
+# Of points above the board: an uncalibrated arm is some 3 cm off, and approaches begin up to 4 cm below them.
+HEIGHT_m: Final = 0.06
 RADIUS_m: Final = 0.06
 POINTS: Final = 6  # "points 1-6" of the paper's verification trajectory
 STOPS: Final = 10
