@@ -39,6 +39,8 @@ def aligned(rows: Iterable[Sequence[str]], left: int = 1, indent: str = "") -> s
     """Rows of cells as lines of columns, each as wide as its widest cell: the first `left` flush left, the others flush right."""
     cells = list(rows)
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    if left >= len(widths):
+        widths[-1:] = [0]  # nothing follows it
     sides = [str.ljust] * left + [str.rjust] * (len(widths) - left)
     return "\n".join(
         indent + "  ".join(side(cell, w) for cell, w, side in zip(row, widths, sides, strict=True))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,7 +36,7 @@ from calib.points.arm_points import require_recorded_of
 from calib.points.points import TIP
 from calib.points.reading import read_points
 from calib.points.writer import PointsWriter, cell
-from calib.results import input_file, made_today
+from calib.results import InputFile, input_file, made_today
 from calib.session.take import SessionSettings
 from control.files import KeptLines
 from control.kinematics.inverse import InverseKinematics
@@ -234,36 +234,42 @@ def record_on_mock(
         record(arm, Bench(client, recording, bench.rig.set_payload, speed=speed), planned, out, advance)
 
 
+@dataclass(frozen=True, slots=True)
+class RecordedFiles:
+    """What is evaluated: poses, runs, poses of other arms, programme.json; `is_as_given`: units are as the columns say."""
+
+    points: Path
+    logs: Sequence[Path] = ()
+    others: Sequence[Path] = ()
+    programme: Path | None = None
+    is_as_given: bool = False
+
+    @property
+    def inputs(self) -> Iterator[InputFile]:
+        """The files that the result depends on."""
+        yield input_file(self.points, "poses")
+        yield from (input_file(log, "runs") for log in self.logs)
+        yield from (input_file(other, "poses of another arm") for other in self.others)
+        if self.programme is not None:
+            yield input_file(self.programme, "test programme")
+
+
 def evaluate_files(
-    arm: Arm,
-    points: Path,
-    logs: Sequence[Path],
-    others: Sequence[Path],
-    programme: Path | None,
-    band_m: float | None,
-    out: Path,
-    notes: Sequence[str] = (),
-    is_as_given: bool = False,
+    arm: Arm, files: RecordedFiles, band_m: float | None, out: Path, notes: Sequence[str] = ()
 ) -> tuple[Evaluation, tuple[str, ...]]:
     """Evaluate, write iso9283.json and iso9283.html into `out`; returns the evaluation and warnings about the files."""
-    require_recorded_of(arm, points)
-    groups, point_notes, warnings = _poses(points, arm, is_as_given)
-    for log in logs:
+    require_recorded_of(arm, files.points)
+    groups, point_notes, warnings = _poses(files.points, arm, files.is_as_given)
+    for log in files.logs:
         if log.suffix == ".armlog":
             raise Iso9283Error(
                 f"{log}: a recording, expected log.csv: `armwright export {log} --out DIR` makes one"
             )
-    runs: list[RecordedRun] = [run for log in logs for run in read_runs(log, arm, is_as_given)]
-    visited = {str(other): _poses(other, arm, is_as_given)[0] for other in others}
-    corners = read_rectangle(programme) if programme is not None else None
+    runs: list[RecordedRun] = [run for log in files.logs for run in read_runs(log, arm, files.is_as_given)]
+    visited = {str(other): _poses(other, arm, files.is_as_given)[0] for other in files.others}
+    corners = read_rectangle(files.programme) if files.programme is not None else None
     found = evaluate(groups, runs, visited, corners, band_m, arm.joint_count, (*point_notes, *notes))
-    inputs = [
-        input_file(points, "poses"),
-        *(input_file(log, "runs") for log in logs),
-        *(input_file(other, "poses of another arm") for other in others),
-        *([input_file(programme, "test programme")] if programme is not None else []),
-    ]
-    made = made_today(*inputs)
+    made = made_today(*files.inputs)
     write_document(out / "iso9283.json", found, arm.name, made)
     write_page(out / "iso9283.html", found, arm.name, made)
     return found, warnings

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from calib.iso9283.criteria.pose import Iso9283Error
@@ -14,7 +15,15 @@ from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
 from procedures.folders import require_writable
-from procedures.iso9283 import Planned, evaluate_files, largest_load_kg, plan, rated_speed_m_s, record
+from procedures.iso9283 import (
+    Planned,
+    RecordedFiles,
+    evaluate_files,
+    largest_load_kg,
+    plan,
+    rated_speed_m_s,
+    record,
+)
 from procedures.tour import bench_of, telling_where
 
 FULL = Extent()
@@ -38,7 +47,7 @@ def run(given: argparse.Namespace) -> int:
         require_writable(Path(given.out))
     if given.points:
         points, logs = Path(given.points), [Path(log) for log in given.log or ()]
-        return _evaluate(given, arm, points, logs, _programme(given, points), ())
+        return _evaluate(given, arm, RecordedFiles(points, logs, programme=_programme(given, points)))
     _require_within(given.speed, "--speed", 1.0, "a fraction of the joints' limits")
     _require_within(given.rated_speed, "--rated-speed", arm.limits.tip_speed_m_s, "a rated path speed in m/s")
     is_real = given.record and not given.plan_only
@@ -62,28 +71,23 @@ def _record_and_evaluate(given: argparse.Namespace, arm: Arm, client: ArmClient 
             _record_mock(given, arm, planned, out)
         else:
             _record_real(given, arm, client, planned, out)
-    notes = _notes(extent, cube)
-    return _evaluate(given, arm, out / "points.csv", [out / "log.csv"], out / "programme.json", notes)
+    files = RecordedFiles(out / "points.csv", [out / "log.csv"], programme=out / "programme.json")
+    return _evaluate(given, arm, files, _notes(extent, cube))
 
 
-def _evaluate(
-    given: argparse.Namespace,
-    arm: Arm,
-    points: Path,
-    logs: list[Path],
-    programme: Path | None,
-    notes: tuple[str, ...],
-) -> int:
+def _evaluate(given: argparse.Namespace, arm: Arm, files: RecordedFiles, notes: tuple[str, ...] = ()) -> int:
     out = Path(given.out)
-    has_runs = [log for log in logs if not _is_only_header(log)]
-    others = [Path(other) for other in given.other or ()]
-    found, warnings = evaluate_files(
-        arm, points, has_runs, others, programme, given.band_m, out, notes, given.as_given
+    files = replace(
+        files,
+        logs=[log for log in files.logs if not _is_only_header(log)],
+        others=[Path(other) for other in given.other or ()],
+        is_as_given=given.as_given,
     )
+    found, warnings = evaluate_files(arm, files, given.band_m, out, notes)
     for warning in warnings:
         sys.stderr.write(f"armwright: {warning}\n")
-    files = {"report": out / "iso9283.html", "figures": out / "iso9283.json"}
-    answer(given, files["figures"], summary_text(found.criteria), files)
+    written = {"report": out / "iso9283.html", "figures": out / "iso9283.json"}
+    answer(given, written["figures"], summary_text(found.criteria), written)
     return 0
 
 
