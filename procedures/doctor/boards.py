@@ -6,6 +6,7 @@ Each failure is a finding; the other boards are still checked. No drive is enabl
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partialmethod
 
 from control.hardware.board_stop import knows_motor
 from control.hardware.kinds import open_boards as open_kinds
@@ -65,14 +66,17 @@ class AnsweringBoards:
         """Add a finding about boards."""
         self.findings.append(Finding(level, GROUP, what, measured, expected, remedy))
 
+    ok = partialmethod(note, Level.OK)
+    warn = partialmethod(note, Level.WARN)
+    bad = partialmethod(note, Level.BAD)
+
 
 def open_boards(arm: Arm, clock: Clock, period_s: float) -> AnsweringBoards:
     """Open the boards of arm.toml and identify them; nothing is enabled, nothing moves. Never raises LinkError."""
     boards = AnsweringBoards()
     _open_bought(boards, arm, clock, period_s)
     if not arm.encoder_boards and any(drive.encoder_board >= 0 for drive in arm.drives):
-        boards.note(
-            Level.BAD,
+        boards.bad(
             "encoder boards",
             "arm.toml names none",
             "",
@@ -84,7 +88,7 @@ def open_boards(arm: Arm, clock: Clock, period_s: float) -> AnsweringBoards:
         return boards
     if arm.can is None:
         remedy = "add [can] to arm.toml, or give --can-interface and --can-channel"
-        boards.note(Level.BAD, "CAN bus", "arm.toml names none", "", remedy)
+        boards.bad("CAN bus", "arm.toml names none", "", remedy)
         return boards
     _open_bus(boards, arm, clock)
     return boards
@@ -94,8 +98,7 @@ def _open_bought(boards: AnsweringBoards, arm: Arm, clock: Clock, period_s: floa
     """Open the [[board]]s, and time how fast they answer."""
     for drive in arm.drives:
         if drive.pid.mode in arm.kind_of(drive).frees_in:
-            boards.note(
-                Level.WARN,
+            boards.warn(
                 f"joint {drive.joint}: without the host",
                 f'frees its motor in mode "{drive.pid.mode}": nothing stops the joint, and a loaded arm drops',
                 "held or braked",
@@ -105,18 +108,18 @@ def _open_bought(boards: AnsweringBoards, arm: Arm, clock: Clock, period_s: floa
     open_kinds(arm, clock, period_s, opened)
     boards.closers += opened.closers
     for where, identity in opened.identities:
-        boards.note(Level.OK, where, identity)
+        boards.ok(where, identity)
     for failure in opened.failures:
         remedy = "docs/boards.md has a page for each kind"
         if isinstance(failure, PortMissing):
             remedy = "connect the board, or correct the port of its [[board]] in arm.toml"
-        boards.note(Level.BAD, "bought boards", str(failure), "", remedy)
+        boards.bad("bought boards", str(failure), "", remedy)
     for encoders in opened.encoders:
         what = f"joint {encoders.joints[0] + 1}: answers with its counts"
         try:
             took_s = sorted(_took_s(encoders, clock) for _ in range(ASKED))
         except LinkError as error:
-            boards.note(Level.BAD, what, str(error))
+            boards.bad(what, str(error))
             continue
         # A board that reports by itself may have just done so.
         limit_s = (0.5 if encoders.is_asked else 1.5) * period_s
@@ -145,7 +148,7 @@ def _open_encoder(
     try:
         link = open_serial(port.port, port.baud)
     except LinkError as error:
-        boards.note(Level.BAD, what, str(error), "", _port_remedy(error))
+        boards.bad(what, str(error), "", _port_remedy(error))
         return
     boards.closers.append(link.close)
     board = EncoderBoard(link, clock, port.name)
@@ -153,15 +156,14 @@ def _open_encoder(
         identity = board.identify()
     except BoardSilent as error:
         link.close()
-        boards.note(Level.BAD, what, str(error), "an IDENTITY", _silence_remedy(port, clock))
+        boards.bad(what, str(error), "an IDENTITY", _silence_remedy(port, clock))
         return
     except LinkError as error:
-        boards.note(Level.BAD, what, str(error), "", "connect the right board to this port")
+        boards.bad(what, str(error), "", "connect the right board to this port")
         return
     boards.encoders[index] = board
     firmware = f"{identity.firmware >> 8}.{identity.firmware & 255}"
-    boards.note(
-        Level.OK,
+    boards.ok(
         what,
         f"{port.port}: serial number {identity.serial_number}, firmware {firmware}, {identity.channels} channels,"
         f" {identity.encoder_bits}-bit counters",
@@ -179,37 +181,41 @@ def _compare_encoder(
 ) -> None:
     if port.serial_number not in (None, identity.serial_number):
         remedy = "swap the plugs, or correct [[encoder_board]] serial_number"
-        boards.note(
-            Level.BAD, f"{what}: serial number", str(identity.serial_number), str(port.serial_number), remedy
-        )
+        boards.bad(f"{what}: serial number", str(identity.serial_number), str(port.serial_number), remedy)
     for drive in arm.drives:
         if drive.encoder_board != index:
             continue
         if drive.encoder_channel >= identity.channels:
             remedy = f"correct encoder_channel of joint {drive.joint} (from 0)"
-            boards.note(
-                Level.BAD, f"{what}: joint {drive.joint}", f"{identity.channels} channels",
-                f"a channel {drive.encoder_channel}", remedy,
-            )  # fmt: skip
+            boards.bad(
+                f"{what}: joint {drive.joint}",
+                f"{identity.channels} channels",
+                f"a channel {drive.encoder_channel}",
+                remedy,
+            )
             continue
         _same(boards, what, drive, "counts per turn", identity.counts_per_turn[drive.encoder_channel])
         if drive.encoder_bits != identity.encoder_bits:
-            boards.note(
-                Level.BAD, f"{what}: joint {drive.joint}, counter bits", str(identity.encoder_bits),
-                str(drive.encoder_bits), "correct encoder_bits in arm.toml",
-            )  # fmt: skip
+            boards.bad(
+                f"{what}: joint {drive.joint}, counter bits",
+                str(identity.encoder_bits),
+                str(drive.encoder_bits),
+                "correct encoder_bits in arm.toml",
+            )
 
 
 def _same(boards: AnsweringBoards, what: str, drive: Drive, name: str, found: int) -> None:
     if found == drive.encoder_counts_per_rev:
         return
-    boards.note(
-        Level.BAD, f"{what}: joint {drive.joint}, {name}", str(found), str(drive.encoder_counts_per_rev),
+    boards.bad(
+        f"{what}: joint {drive.joint}, {name}",
+        str(found),
+        str(drive.encoder_counts_per_rev),
         (
             "correct encoder_counts_per_rev, or configure the board for its encoder; `armwright bringup` measures the"
             " true value"
         ),
-    )  # fmt: skip
+    )
 
 
 def _port_remedy(error: LinkError) -> str:
@@ -251,7 +257,7 @@ def _open_bus(boards: AnsweringBoards, arm: Arm, clock: Clock) -> None:
     except PortMissing as error:
         in_use = isinstance(error, PortInUse)
         remedy = "" if in_use else "bring the interface up, or correct [can] in arm.toml"
-        boards.note(Level.BAD, "CAN bus", str(error), "", remedy)
+        boards.bad("CAN bus", str(error), "", remedy)
         return
     boards.closers.append(link.close)
     counted = boards.counted = CountedLink(link)
@@ -259,12 +265,8 @@ def _open_bus(boards: AnsweringBoards, arm: Arm, clock: Clock) -> None:
         before = listen(counted, clock, LISTEN_S)
         found = scan_nodes(counted, clock)
     except LinkError as error:
-        boards.note(
-            Level.BAD,
-            "CAN bus",
-            str(error),
-            "",
-            "check adapter, termination (120 ohm at both ends) and bit rate",
+        boards.bad(
+            "CAN bus", str(error), "", "check adapter, termination (120 ohm at both ends) and bit rate"
         )
         return
     _judge_bus(boards, arm, before, found)
@@ -279,27 +281,33 @@ def _judge_bus(boards: AnsweringBoards, arm: Arm, before: BusScan, found: BusSca
     if commanded:
         boards.may_command = False
         nodes = ", ".join(map(str, commanded))
-        boards.note(
-            Level.BAD, "CAN bus", f"another host commands node {nodes}", "one host per bus",
+        boards.bad(
+            "CAN bus",
+            f"another host commands node {nodes}",
+            "one host per bus",
             (
                 "end the other program (`armwright off --quit` ends a runtime); the doctor sends nothing to the boards"
                 " until then"
             ),
-        )  # fmt: skip
+        )
     strangers = before.strangers + found.strangers
     if strangers:
-        boards.note(
-            Level.WARN, "CAN bus", f"{strangers} frames of devices other than motor boards", "none",
+        boards.warn(
+            "CAN bus",
+            f"{strangers} frames of devices other than motor boards",
+            "none",
             "remove CANopen and other devices from this bus: id 0 stops the arm",
-        )  # fmt: skip
+        )
     nodes = ", ".join(map(str, sorted(found.serial_numbers))) or "none"
-    boards.note(Level.OK, "CAN bus", f"{where}: answering nodes: {nodes}")
+    boards.ok("CAN bus", f"{where}: answering nodes: {nodes}")
     known = {drive.motor_node for drive in arm.drives}
     for node in sorted(set(found.serial_numbers) - known):
-        boards.note(
-            Level.WARN, f"node {node}", "a motor board that is not in arm.toml",
-            "", f"set motor_node = {node} at its joint, or give the board another node id",
-        )  # fmt: skip
+        boards.warn(
+            f"node {node}",
+            "a motor board that is not in arm.toml",
+            "",
+            f"set motor_node = {node} at its joint, or give the board another node id",
+        )
 
 
 def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan) -> None:
@@ -313,25 +321,15 @@ def _check_motor(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan
     try:
         identity = board.identify()
     except LinkError as error:
-        boards.note(
-            Level.BAD,
-            what,
-            str(error),
-            "",
-            "update the board's firmware, or remove the other host from the bus",
-        )
+        boards.bad(what, str(error), "", "update the board's firmware, or remove the other host from the bus")
         return
     boards.motors[drive.joint] = board
     firmware = f"{identity.firmware >> 8}.{identity.firmware & 255}"
-    boards.note(Level.OK, what, f"serial number {identity.serial_number}, firmware {firmware}")
+    boards.ok(what, f"serial number {identity.serial_number}, firmware {firmware}")
     if drive.motor_serial_number not in (None, identity.serial_number):
         remedy = "two boards or node ids may be swapped: correct motor_node or motor_serial_number"
-        boards.note(
-            Level.BAD,
-            f"{what}: serial number",
-            str(identity.serial_number),
-            str(drive.motor_serial_number),
-            remedy,
+        boards.bad(
+            f"{what}: serial number", str(identity.serial_number), str(drive.motor_serial_number), remedy
         )
     if knows_motor(drive):
         _same(boards, what, drive.at_motor, "counts per turn", identity.encoder_counts_per_turn)
@@ -346,7 +344,7 @@ def _judge_reset(boards: AnsweringBoards, what: str, board: MotorBoard) -> None:
         return
     if cause in _RESETS:
         measured, remedy = _RESETS[ResetCause(cause)]
-        boards.note(Level.WARN, f"{what}: last start", measured, "a power-up", remedy)
+        boards.warn(f"{what}: last start", measured, "a power-up", remedy)
 
 
 def _note_not_one(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusScan, what: str) -> None:
@@ -358,15 +356,11 @@ def _note_not_one(boards: AnsweringBoards, arm: Arm, drive: Drive, found: BusSca
             remedy = f"check its supply and its node id{hint}"
         else:
             remedy = "no board answers: check supply, emergency stop, CAN-H and CAN-L, termination, and [can] bitrate"
-        boards.note(Level.BAD, what, "does not answer", "an answer within 5 ms", remedy)
+        boards.bad(what, "does not answer", "an answer within 5 ms", remedy)
     else:
         both = " and ".join(map(str, serials))
-        boards.note(
-            Level.BAD,
-            what,
-            f"two boards answer: serial numbers {both}",
-            "one",
-            "give each board its own node id",
+        boards.bad(
+            what, f"two boards answer: serial numbers {both}", "one", "give each board its own node id"
         )
 
 
