@@ -16,8 +16,7 @@ from calib.arrays import frozen
 from calib.calibration.calibrate import Calibrated
 from calib.identify.estimates import Estimate
 from calib.report.page import Section, bullets, paragraph, table
-from calib.report.report import ReportData
-from calib.report.report_sections import NO_EFFECT, frames_section, of_the_arm
+from calib.report.report import NO_EFFECT, ReportData, frames_section, of_the_arm
 from calib.results import Provenance, entries
 from calib.validation.holdout import HeldOut
 from calib.validation.statistics import mean_half_width

@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import Array, norms
 from calib.iso9283.criteria.pose import pose_repeatability
 from calib.report.page import PLANNED, Cell, Section, bullets, page, svg, table
-from calib.report.report_sections import inputs_section
+from calib.report.report import inputs_section
 from calib.results import Provenance, entries, write_json
 from control.files import write_whole
 from control.plain_text import aligned

@@ -23,7 +23,7 @@ from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
 from calib.gap.report import GapReport, gap_parts
 from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
 from calib.report.page import Section, list_section, page, paragraph, table, tiles, verdict
-from calib.report.report_sections import paths_section, verification_section
+from calib.report.report import paths_section, verification_section
 from calib.results import Provenance, made_today
 from calib.validation.verify import Comparison, TrackPair
 from control.errors import ArmError

@@ -26,7 +26,7 @@ from calib.report.page import (
     tiles,
     verdict,
 )
-from calib.report.report_sections import inputs_section
+from calib.report.report import inputs_section
 from calib.results import Provenance, entries
 from calib.validation.statistics import mean_half_width, student_t
 from control.plain_text import aligned

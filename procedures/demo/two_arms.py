@@ -61,7 +61,7 @@ from calib.report.page import (
     verdict,
 )
 from calib.report.pictures import path_picture
-from calib.report.report_sections import dh_section
+from calib.report.report import dh_section
 from calib.results import input_file, made_today
 from calib.session.conversation import Recorded, unattended
 from calib.session.folder import POINTS, SessionFolder

@@ -16,8 +16,7 @@ from calib.calibration.outcome import write_calibrated_arm, write_calibration_js
 from calib.errors import CalibrationError
 from calib.report.page import list_section
 from calib.report.pictures import SAMPLES_DRAWN, thinned
-from calib.report.report import ReportData, report_html, write_report
-from calib.report.report_sections import dh_section, parameters_section
+from calib.report.report import ReportData, dh_section, parameters_section, report_html, write_report
 from calib.results import InputFile, Provenance, input_file
 from calib.validation.holdout import Fold, HeldOut
 from calib.validation.statistics import PairedFinding, difference, student_t
