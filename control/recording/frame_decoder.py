@@ -10,16 +10,19 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from control.recording.fixed_point import NO_COLUMN, ORDER_MOST, StoredColumn, in_turn
 from control.recording.frames import (
     FLUSHED,
     HEAD,
+    NO_COLUMN,
+    ORDER_MOST,
     PLAIN,
     RESTART,
     ROWS,
     CONTENT_MOST_bytes,
     NUMBER_bytes,
+    StoredColumn,
     frames_in,
+    in_turn,
     is_whole,
 )
 

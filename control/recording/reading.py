@@ -14,8 +14,7 @@ from control.errors import ArmError
 from control.files import open_file, parsed_json
 from control.model.arm import Arm
 from control.model.description import load_arm, parse_arm
-from control.recording.fixed_point import StoredColumn, columns_of
-from control.recording.frames import HEAD, ROWS, ROWS_MOST, CONTENT_MOST_bytes
+from control.recording.frames import HEAD, ROWS, ROWS_MOST, CONTENT_MOST_bytes, StoredColumn, columns_of
 from control.recording.record import (
     LATER_FIELDS,
     MAGIC,

@@ -23,7 +23,7 @@ from control.dynamics.joint_side import has_joint_side
 from control.end_effector.gripper import GripState
 from control.model.arm import Arm
 from control.model.cell import Cell
-from control.recording.fixed_point import content_of, stored_columns
+from control.recording.frames import content_of, stored_columns
 from control.recording.recorder_state import RecorderState
 from control.safety.table import Mode
 

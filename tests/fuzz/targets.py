@@ -11,8 +11,8 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from control.recording.fixed_point import stored_columns
 from control.recording.frame_decoder import FrameDecoder
+from control.recording.frames import stored_columns
 from control.recording.record import Layout
 from control.server import messages
 from firmware_iface import camera

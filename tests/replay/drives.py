@@ -21,9 +21,8 @@ import numpy.typing as npt
 from benchmarks.loop.memory_rig import Delivery, MemoryRig
 from control.model.description import load_arm
 from control.model.joint_map import JointMap
-from control.recording.fixed_point import columns_of, content_of, stored_columns
 from control.recording.frame_decoder import FrameDecoder, row_type
-from control.recording.frames import FrameEncoder, in_frames
+from control.recording.frames import FrameEncoder, columns_of, content_of, in_frames, stored_columns
 from control.recording.record import Layout
 from control.recording.recorder_state import RecorderState
 from control.server.assemble import Assembly, assemble

@@ -12,9 +12,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from control.recording.fixed_point import columns_of, content_of, stored_columns
 from control.recording.frame_decoder import FrameDecoder
-from control.recording.frames import HEAD, ROWS_MOST, STREAM_ROWS, FrameEncoder, frames_in, in_frames
+from control.recording.frames import (
+    HEAD,
+    ROWS_MOST,
+    STREAM_ROWS,
+    FrameEncoder,
+    columns_of,
+    content_of,
+    frames_in,
+    in_frames,
+    stored_columns,
+)
 from control.recording.reading import RecordError, Recording, RowReader
 from control.recording.record import MAGIC_OF_FRAMES, Layout
 from control.recording.rotation import PartFile, Policy, RecordingParts, begin
