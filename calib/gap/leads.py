@@ -6,9 +6,10 @@ counts
     lead = a + c (tau + r) + w/2 flank(tau + r) - b q2 + t q'          [rad]
 
 with the compliance c of its spring [rad/(N m)], its play w [rad], the ratio b of a belt that passes joint 3, the time t between
-the two counts [s], and the friction r = f sgn(q') that acts on the link, behind the gear, flank(x) = tanh(x / (u max |x|)): a
-link without load lies on neither. f and u are searched; a is one for all runs, or one for each, as the data say: leads begin
-anew when drives come on. Nothing is simulated, and no motor's current is needed.
+the two counts [s], and the friction r = f sgn(q') on the link, behind the gear, which stays as it was at rest.
+flank(x) = tanh(x / (u max |x|)): a link without load may lie on either, so that a pair's variance is that of the counts' steps,
+of the moments at which they were made, and w^2/4 (1 - flank^2). f and u are searched; a is one for all runs, or one for each, as
+the data say: leads begin anew when drives come on. Nothing is simulated, and no motor's current is needed.
 
 The sets of {c, w, b} are weighed by the Bayesian information criterion (Schwarz, 1978), with as many independent samples as the
 autocorrelation of what is left leaves, and by the prior of a name. An effect is named whose sets have nearly all of the weight,
@@ -25,6 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
+from calib.gap.effects.gear import LOOSE, SPRING
 from calib.gap.finding import EffectName, NamedEffect
 from calib.gap.log import Log, LoggedRun
 from calib.gap.posterior.constants import CERTAIN, NAME_PRIOR
@@ -34,10 +36,29 @@ from control.errors import MissingModel
 from control.model.arm import Arm
 from control.model.effects import COUPLED, COUPLED_TO
 
-FRICTIONS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4)  # f, of the largest torque that is transmitted
+FRICTIONS = (
+    0.0,
+    0.01,
+    0.02,
+    0.03,
+    0.05,
+    0.07,
+    0.1,
+    0.14,
+    0.2,
+    0.3,
+    0.4,
+)  # f, of the largest torque that is transmitted
 UNCERTAIN = (0.01, 0.03, 0.1)  # u: within it a flank is not certain
 FEWEST = 50  # pairs of counts
+LATE_s = 0.007  # within which the motor's board answers, evenly
+PASSES = 3  # of a fit: how sure a flank is goes by the play
 TURNS_rad_s = 0.02  # as fast as this, friction has its full size
+SMALLEST = {
+    "joint_compliance": SPRING.smallest,
+    "backlash": LOOSE.smallest,
+    "belt_coupling": LOOSE.smallest,
+}  # worth a name
 LAW = {"joint_compliance": "stiffness_Nm_rad", "backlash": "width_rad", "belt_coupling": "ratio"}
 
 
@@ -49,9 +70,11 @@ class Pairs:
     lead_rad: Array
     torque_Nm: Array
     speed_rad_s: Array
+    direction: Array  # of the last motion: a link that rests is held by friction as it was before
     q2_rad: Array
     run: Array
     begun: Array  # which offset it has
+    sd_rad: Array  # by the steps of both encoders, and by the time between the two counts, which varies
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,32 +87,34 @@ class Flank:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A set of effects fitted by least squares: coefficients and their covariance for independent samples, what is left (m,)."""
+    """A set of effects fitted by least squares: coefficients, their covariance for independent samples, what is left (m,).
+
+    What is left is in standard deviations of each pair.
+    """
 
     effects: tuple[str, ...]
     flank: Flank
     found: Array
     covariance: Array
-    left_rad: Array
+    left: Array
+    log_sd: float  # mean logarithm of the pairs' variances
 
     @property
-    def variance_rad2(self) -> float:
+    def variance(self) -> float:
         """Of what is left; none for a spring or play below nought, which no gear has."""
         signed = [
             value
             for value, effect in zip(self.found, self.effects, strict=False)
             if effect != "belt_coupling"
         ]
-        return (
-            math.inf
-            if any(value <= 0.0 for value in signed)
-            else max(float(np.mean(self.left_rad**2)), 1e-30)
-        )
+        if any(value <= 0.0 for value in signed):
+            return math.inf
+        return max(float(np.mean(self.left**2)), 1e-30) * math.exp(self.log_sd)
 
     @property
     def independent(self) -> float:
         """How many samples are as good as independent, by the correlation of neighbours."""
-        left = self.left_rad
+        left = self.left
         alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-30)
         alike = min(max(alike, 0.0), 0.999)
         return max(len(left) * (1.0 - alike) / (1.0 + alike), 2.0)
@@ -112,8 +137,12 @@ def _pairs(arm: Arm, dynamics: Dynamics, log: Log, joint: int) -> Pairs | None:
     found = [part for k, run in enumerate(log.runs) for part in _of_run(arm, dynamics, run, joint, k)]
     if sum(len(part[0]) for part in found) < FEWEST:
         return None
-    lead, torque, speed, q2, run = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Pairs(joint, lead, torque, speed, q2, run, np.zeros(len(run)))
+    lead, torque, speed, direction, q2, run = (np.concatenate(column) for column in zip(*found, strict=True))
+    steps_rad = (
+        2.0 * math.pi / one.counts_per_joint_turn for one in (arm.drives[joint], arm.drives[joint].at_motor)
+    )
+    sd_rad = np.sqrt((sum(step**2 for step in steps_rad) + (LATE_s * speed) ** 2) / 12.0)
+    return Pairs(joint, lead, torque, speed, direction, q2, run, np.zeros(len(run)), sd_rad)
 
 
 def _of_run(
@@ -135,10 +164,17 @@ def _of_run(
     torque = dynamics.torques(q, speed, acceleration, payload_kg)[:, joint]
     torque -= drive.gear_ratio**2 * drive.rotor_inertia_kg_m2 * acceleration[:, joint]
     edge_s = len(filters.state[0]) // 2 * period_s
-    seen = np.flatnonzero(np.isfinite(lead_rad) & (run.t_s > t_s[0] + edge_s) & (run.t_s < t_s[-1] - edge_s))
+    is_seen = np.isfinite(lead_rad) & (run.t_s > t_s[0] + edge_s) & (run.t_s < t_s[-1] - edge_s)
+    if (
+        run.is_commanded
+    ):  # off or braked, it may be in a hand or at its end stop: that torque is not the gear's
+        is_seen &= np.nan_to_num(run.voltage_V[:, joint]) != 0.0
+    seen = np.flatnonzero(is_seen)
     at_s = run.t_s[seen]
     second = q[:, COUPLED_TO - 1] if q.shape[1] >= COUPLED_TO else np.zeros(len(q))
-    beside = (np.interp(at_s, t_s, values) for values in (torque, speed[:, joint], second))
+    moves = np.where(np.abs(speed[:, joint]) > TURNS_rad_s, np.sign(speed[:, joint]), 0.0)
+    last = np.maximum.accumulate(np.where(moves != 0.0, np.arange(len(moves)), 0))
+    beside = (np.interp(at_s, t_s, values) for values in (torque, speed[:, joint], moves[last], second))
     yield lead_rad[seen], *beside, np.full(len(seen), float(number))
 
 
@@ -150,15 +186,13 @@ def _named(arm: Arm, pairs: Pairs) -> Iterator[NamedEffect]:
     sets = [some for size in range(len(effects) + 1) for some in itertools.combinations(effects, size)]
     with_own = replace(pairs, begun=pairs.run)
     richest = [_best(one, sets[-1], ~kept) for one in (pairs, with_own)]
-    independent = min(richest, key=lambda fit: fit.variance_rad2).independent
+    independent = min(richest, key=lambda fit: fit.variance).independent
     a_value = math.log(independent)
-    costs = [independent * math.log(fit.variance_rad2) + a_value * len(fit.found) for fit in richest]
+    costs = [independent * math.log(fit.variance) + a_value * len(fit.found) for fit in richest]
     pairs = pairs if costs[0] <= costs[1] else with_own
     tried = [_best(pairs, some, ~kept) for some in sets]
     a_name = a_value - 2.0 * math.log(NAME_PRIOR)
-    criteria = np.array(
-        [independent * math.log(fit.variance_rad2) + a_name * len(fit.effects) for fit in tried]
-    )
+    criteria = np.array([independent * math.log(fit.variance) + a_name * len(fit.effects) for fit in tried])
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     inclusion = {one: float(weights[[one in some for some in sets]].sum() / weights.sum()) for one in effects}
     fit = tried[sets.index(tuple(one for one in effects if inclusion[one] >= CERTAIN))]
@@ -169,6 +203,8 @@ def _named(arm: Arm, pairs: Pairs) -> Iterator[NamedEffect]:
     sds = np.sqrt(np.diag(whole.covariance) * len(kept) / whole.independent)
     given = {effect.effect: effect.parameters for effect in arm.effects if effect.joint is None}
     for effect, value, sd in zip(fit.effects, whole.found.tolist(), sds.tolist(), strict=False):
+        if abs(value) < SMALLEST[effect]:
+            continue
         name = EffectName(effect, None if effect == "belt_coupling" else pairs.joint + 1)
         if effect == "joint_compliance":
             value, sd = 1.0 / value, sd / value**2
@@ -192,31 +228,56 @@ def _best(pairs: Pairs, effects: tuple[str, ...], rows: np.ndarray) -> Fit:
     largest_Nm = float(np.abs(pairs.torque_Nm).max())
     flanks = [Flank(share * largest_Nm, u) for share in FRICTIONS for u in UNCERTAIN]
     fits = [_fit(pairs, effects, flank, rows) for flank in (flanks if effects else flanks[:1])]
-    return min(fits, key=lambda fit: fit.variance_rad2)
+    return min(fits, key=lambda fit: fit.variance)
+
+
+def _loaded_Nm(pairs: Pairs, flank: Flank) -> Array:
+    return np.asarray(pairs.torque_Nm + flank.friction_Nm * pairs.direction)
+
+
+def _side(loaded_Nm: Array, flank: Flank) -> Array:
+    return np.asarray(np.tanh(loaded_Nm / (flank.uncertain * np.abs(loaded_Nm).max())))
 
 
 def _columns(pairs: Pairs, effects: Sequence[str], flank: Flank) -> Array:
     """Of the effects, of the counts' moments, and of the offsets: (m, k)."""
-    loaded = pairs.torque_Nm + flank.friction_Nm * np.tanh(pairs.speed_rad_s / TURNS_rad_s)
+    loaded_Nm = _loaded_Nm(pairs, flank)
     laws = {
-        "joint_compliance": loaded,
-        "backlash": 0.5 * np.tanh(loaded / (flank.uncertain * np.abs(loaded).max())),
+        "joint_compliance": loaded_Nm,
+        "backlash": 0.5 * _side(loaded_Nm, flank),
         "belt_coupling": -pairs.q2_rad,
     }
     offsets = (pairs.begun[:, None] == np.unique(pairs.begun)[None]).astype(np.float64)
     return np.column_stack([*(laws[effect] for effect in effects), pairs.speed_rad_s, offsets])
 
 
+def _sd_rad(pairs: Pairs, effects: tuple[str, ...], flank: Flank, found: Array) -> Array:
+    """Of each pair, with the doubt about its flank: it may lie on the other one, half a play away from where none lies."""
+    if "backlash" not in effects:
+        return pairs.sd_rad
+    half_rad = 0.5 * found[effects.index("backlash")]
+    return np.asarray(
+        np.hypot(pairs.sd_rad, half_rad * np.sqrt(1.0 - _side(_loaded_Nm(pairs, flank), flank) ** 2))
+    )
+
+
 def _fit(pairs: Pairs, effects: tuple[str, ...], flank: Flank, rows: np.ndarray) -> Fit:
-    columns, lead_rad = _columns(pairs, effects, flank)[rows], pairs.lead_rad[rows]
-    found, *_ = np.linalg.lstsq(columns, lead_rad, rcond=None)
-    left_rad = lead_rad - columns @ found
-    return Fit(effects, flank, found, np.linalg.pinv(columns.T @ columns) * np.mean(left_rad**2), left_rad)
+    whole, sd_rad = _columns(pairs, effects, flank), pairs.sd_rad
+    for _ in range(PASSES):
+        columns, lead = whole[rows] / sd_rad[rows, None], pairs.lead_rad[rows] / sd_rad[rows]
+        found, *_ = np.linalg.lstsq(columns, lead, rcond=None)
+        left, used_rad = lead - columns @ found, sd_rad[rows]
+        sd_rad = _sd_rad(pairs, effects, flank, found)
+    covariance = np.linalg.pinv(columns.T @ columns) * np.mean(left**2)
+    return Fit(effects, flank, found, covariance, left, float(np.mean(2.0 * np.log(used_rad))))
 
 
 def _predicted_rad(pairs: Pairs, fit: Fit, kept: np.ndarray) -> float:
     """Root mean square of what a fit leaves of pairs that it did not use, about their means where no offset is known."""
     laws = len(fit.effects) + 1  # and the counts' moments
     left = pairs.lead_rad - _columns(pairs, fit.effects, fit.flank)[:, :laws] @ fit.found[:laws]
-    own = [left[kept & (pairs.begun == one)] for one in np.unique(pairs.begun[kept])]
-    return float(np.sqrt(np.mean(np.concatenate([part - part.mean() for part in own]) ** 2)))
+    weight, squares = pairs.sd_rad**-2.0 * kept, 0.0
+    for one in np.unique(pairs.begun[kept]):
+        own = weight * (pairs.begun == one)
+        squares += float(own @ (left - own @ left / own.sum()) ** 2)
+    return math.sqrt(squares / float(weight.sum()))
