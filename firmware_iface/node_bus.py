@@ -3,10 +3,10 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from firmware_iface.clock import Clock
-from firmware_iface.errors import Problems
+from firmware_iface.errors import MisuseError, Problems
 from firmware_iface.link import FrameLink
 
 _STEP_s = 0.0005
@@ -52,6 +52,48 @@ class SteadyMessages:
                 self._period_s += (now_s - self._drained_s - self._period_s) / self._messages
             self.at_s = min(max(self.at_s + self._period_s, drained_s), now_s)
         self._drained_s = now_s
+
+
+class NodeBoard:
+    """A board on such a bus: its number, and the latest of what it measures. Times are the host's."""
+
+    make: ClassVar[str]
+    numbered: ClassVar[str] = "id"
+    numbers: ClassVar[range]
+
+    def __init__(self, bus: "NodeBus[Any]", number: int, name: str) -> None:
+        if number not in self.numbers:
+            first, last = self.numbers.start, self.numbers.stop - 1
+            raise MisuseError(f'{self.make} "{name}": {self.numbered}s are {first} to {last}, got {number}')
+        self.number, self.name, self._name_of_bus = number, name, bus.name
+        self.count = self.resets = 0
+        self.current_A, self.supply_V, self.temperature_degC = 0.0, math.nan, 0.0
+        self.is_switch_on = False
+        bus.nodes[number] = self
+
+    @property
+    def where(self) -> str:
+        """Name in messages: `VESC "elbow" (id 3) on socketcan:can0`."""
+        return f'{self.make} "{self.name}" ({self.numbered.split()[0]} {self.number}) on {self._name_of_bus}'
+
+
+class UnaskedBoard(NodeBoard):
+    """One that sends unasked what it measures; `needed` are the messages without which it cannot be used."""
+
+    def __init__(self, bus: "NodeBus[Any]", number: int, name: str, needed: Iterable[Any]) -> None:
+        super().__init__(bus, number, name)
+        self._counted = SteadyMessages()
+        self._at_s: dict[Any, float] = dict.fromkeys(needed, -math.inf)
+
+    @property
+    def counted_at_s(self) -> float:
+        """When it sent the count; -inf: it has none."""
+        return self._counted.at_s
+
+    @property
+    def at_s(self) -> float:
+        """When the oldest of the values came."""
+        return min(self._at_s.values())
 
 
 class NodeBus(ABC, Generic[N]):

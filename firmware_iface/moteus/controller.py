@@ -15,7 +15,7 @@ from firmware_iface.errors import (
 )
 from firmware_iface.moteus import wire
 from firmware_iface.moteus.wire import Frame, MoteusMode, Register
-from firmware_iface.node_bus import NodeBus
+from firmware_iface.node_bus import NodeBoard, NodeBus
 
 ANSWER_TIMEOUT_s = 0.05
 ATTEMPTS = 3
@@ -39,24 +39,21 @@ class MoteusBus(NodeBus["Moteus"]):
             controller.take(payload, now_s)
 
 
-class Moteus:
+class Moteus(NodeBoard):
     """Keeps the latest values of a controller and its command; times are the host's, on arrival where nothing else is said."""
+
+    make, numbers = "moteus", wire.IDS
 
     def __init__(self, bus: MoteusBus, number: int, name: str, counts_per_turn: int) -> None:
         """`counts_per_turn`: the position comes as turns, and is made counts of so many a turn."""
-        if number not in wire.IDS:
-            raise MisuseError(f'moteus "{name}": ids are 1 to {wire.IDS.stop - 1}, got {number}')
-        self.number, self.name, self.counts_per_turn = number, name, counts_per_turn
+        super().__init__(bus, number, name)
+        self.counts_per_turn = counts_per_turn
         self.wanted: Frame = wire.ask(number)
         """The command of the next cycle; at first none, so that nothing changes by connecting."""
-        self.count = 0
-        self.current_A, self.supply_V, self.temperature_degC = 0.0, math.nan, 0.0
         self.mode, self.fault = int(MoteusMode.STOPPED), 0
-        self.is_switch_on = False
         self.at_s = -math.inf
         self.counted_at_s = -math.inf
         """When it was asked for the count: a reply that waited for a host that paused is of before the pause."""
-        self.resets = 0
         self._driven_for = 0  # commands in a row that were of position mode
         self._was_obeying = self._is_ousted = False
         self._milliseconds = 0
@@ -66,12 +63,6 @@ class Moteus:
         self._unknown: frozenset[int] = frozenset()  # of OPTIONAL
         self._text: bytes | None = None  # the last answer of its console
         self._bus = bus
-        bus.nodes[number] = self
-
-    @property
-    def where(self) -> str:
-        """Name in messages: `moteus "elbow" (id 3) on socketcan:can0`."""
-        return f'moteus "{self.name}" (id {self.number}) on {self._bus.name}'
 
     @property
     def is_known(self) -> bool:

@@ -9,11 +9,10 @@ from firmware_iface.errors import (
     BoardRefused,
     BoardReset,
     BoardSilent,
-    MisuseError,
     ProtocolViolation,
     WrongIdentity,
 )
-from firmware_iface.node_bus import NodeBus, SteadyMessages
+from firmware_iface.node_bus import NodeBus, SteadyMessages, UnaskedBoard
 from firmware_iface.odrive import wire
 from firmware_iface.odrive.wire import AxisState, Error, Frame, OdriveCommand, OdriveControlMode
 
@@ -39,46 +38,23 @@ class OdriveBus(NodeBus["OdriveAxis"]):
             axis.take(can_id & 0x1F, payload, now_s)
 
 
-class OdriveAxis:
+class OdriveAxis(UnaskedBoard):
     """Keeps the latest values of an axis and what is wanted of it; times are the host's, on arrival, but for the count's."""
 
-    is_switch_on = False  # CANSimple tells of no input
+    make, numbered, numbers = "ODrive", "node id", wire.NODES
 
     def __init__(self, bus: OdriveBus, node: int, name: str, counts_per_turn: int) -> None:
         """`counts_per_turn`: the position comes as turns, and is made counts of so many a turn."""
-        if node not in wire.NODES:
-            raise MisuseError(f'ODrive "{name}": node ids are 0 to {wire.NODES.stop - 1}, got {node}')
-        self.node, self.name = node, name
-        self.counts_per_turn = counts_per_turn
-        self.count = 0
-        self._counted = SteadyMessages()
-        self.current_A, self.supply_V, self.temperature_degC = 0.0, math.nan, 0.0
+        super().__init__(bus, node, name, _SETTINGS)
+        self.node, self.counts_per_turn = node, counts_per_turn
         self.errors: Error | None = None
         self.state = 0
-        self.resets = 0
-        self._at_s = dict.fromkeys(_SETTINGS, -math.inf)
         self._is_old = False
         self._wanted: AxisState | None = None
         self._control: OdriveControlMode | None = None  # as the axis has it
         self._input: tuple[OdriveControlMode, Frame] = (OdriveControlMode.TORQUE, wire.torque(node, 0.0))
         self._asked_s = -math.inf
         self._bus = bus
-        bus.nodes[node] = self
-
-    @property
-    def where(self) -> str:
-        """Name in messages: `ODrive "elbow" (node 3) on socketcan:can0`."""
-        return f'ODrive "{self.name}" (node {self.node}) on {self._bus.name}'
-
-    @property
-    def counted_at_s(self) -> float:
-        """When it sent the count; -inf: it has none."""
-        return self._counted.at_s
-
-    @property
-    def at_s(self) -> float:
-        """When the oldest of the values came."""
-        return min(self._at_s.values())
 
     @property
     def is_known(self) -> bool:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from firmware_iface.clock import Clock
-from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, ProtocolViolation
+from firmware_iface.errors import BoardReset, BoardSilent, ProtocolViolation
 from firmware_iface.link import FrameLink
-from firmware_iface.node_bus import NodeBus, SteadyMessages
+from firmware_iface.node_bus import NodeBus, UnaskedBoard
 from firmware_iface.vesc import wire
 from firmware_iface.vesc.wire import COUNTS_PER_TURN, Frame, Packet
 
@@ -69,31 +69,23 @@ class VescBus(NodeBus["Vesc"]):
             self.send(wire.ask_fault(numbers[self._turn]))
 
 
-class Vesc:
+class Vesc(UnaskedBoard):
     """Keeps the latest values of a controller and its command; times are the host's, on arrival, but for the count's."""
 
+    make, numbers = "VESC", wire.IDS
+
     def __init__(self, bus: VescBus, number: int, name: str) -> None:
-        if number not in wire.IDS:
-            raise MisuseError(f'VESC "{name}": controller ids are 0 to {wire.IDS.stop - 1}, got {number}')
-        self.number, self.name = number, name
+        super().__init__(bus, number, name, NEEDED)
         self.wanted: Frame | None = None
         """The command of the next cycle; None: it goes on with what it does until its own time-out."""
         self.is_driving = False
         """Whether it gave its motor a voltage at its last status."""
-        self.count = 0
         self.is_counted = True
         """Whether anybody uses its count: without, turns that it loses matter to nobody."""
-        self.current_A = 0.0
-        self.supply_V = math.nan
-        self.temperature_degC = 0.0
-        self.is_switch_on = False
-        self._counted = SteadyMessages()
         self.fault: int | None = None
         self.fault_at_s = -math.inf
         self.settings: wire.Settings | None = None
         """What is stored in it; None: its firmware does not say it so."""
-        self.resets = 0
-        self._at_s = dict.fromkeys(NEEDED, -math.inf)
         self._last_raw: int | None = None
         self._step = 0  # of the count, between the last two status messages
         self._batch = AngleBatch(0, math.inf, 0)
@@ -103,22 +95,6 @@ class Vesc:
         self.tells_faults = True
         """Whether it answers the question for its fault code; without, only what a fault does to the motor is seen."""
         self._bus = bus
-        bus.nodes[number] = self
-
-    @property
-    def where(self) -> str:
-        """Name in messages: `VESC "elbow" (id 3) on socketcan:can0`."""
-        return f'VESC "{self.name}" (id {self.number}) on {self._bus.name}'
-
-    @property
-    def counted_at_s(self) -> float:
-        """When it sent the angle; -inf: it has sent none."""
-        return self._counted.at_s
-
-    @property
-    def at_s(self) -> float:
-        """When the oldest of the values came."""
-        return min(self._at_s.values())
 
     @property
     def is_known(self) -> bool:
