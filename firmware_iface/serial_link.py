@@ -49,7 +49,8 @@ def open_serial(url: str, baud: int, patience: int = _PATIENT_READS) -> ByteLink
     except (serial.SerialException, OSError, ValueError, ImportError) as problem:
         reason = next((part for part in problem.args if isinstance(part, str)), str(problem))
         if isinstance(number := getattr(problem, "errno", None), int):
-            reason = "there is no such port" if number == errno.ENOENT else os.strerror(number)
+            known = {errno.ENOENT: "there is no such port", errno.EAGAIN: "another program has locked it"}
+            reason = known.get(number) or os.strerror(number)
         raise PortMissing(f"serial port {url}: cannot open it: {reason}; {_ports_here()}") from None
     if type(port) is serial.Serial and os.name == "posix":
         # Only real UARTs on USB have this mode; a pty answers with an error, and needs none.
