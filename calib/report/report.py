@@ -379,7 +379,7 @@ FORMAT = "verify/1"
 class Verification:
     """A comparison and its circumstances. `how` and `warnings` are sentences; `is_driven`: the arm moved to the points.
 
-    `used_count`: poses already used by the calibration.
+    `used_count`: of its `pose_count` poses, those that the calibration used already.
     """
 
     nominal: Arm
@@ -391,12 +391,13 @@ class Verification:
     is_driven: bool
     made: Provenance
     used_count: int = 0
+    pose_count: int = 0
     turns: TurnComparison | None = None
 
     @property
     def verifies_nothing(self) -> bool:
         """Whether every pose was used for the calibration."""
-        return self.used_count >= self.comparison.of(ALL).after.count
+        return 0 < self.pose_count <= self.used_count
 
     @property
     def is_worse(self) -> bool:
@@ -411,7 +412,7 @@ class Verification:
         sentences = []
         if self.used_count:
             sentences.append(
-                f"NOT VERIFIED: {self.used_count} of the {entry.after.count} poses were used for the calibration, and an arm fits"
+                f"NOT VERIFIED: {self.used_count} of the {self.pose_count} poses were used for the calibration, and an arm fits"
                 " the points of its own fit: verify at others."
             )
         sentences += [

@@ -95,8 +95,10 @@ def driven(
             f"Ran {len(programme.ways)} paths with each model at {programme.path_speed_m_s:g} m/s; the camera"
             " measured during motion."
         )
-    used = already_used(pair.calibrated.arm, np.concatenate((drive.before.q_rad, drive.after.q_rad)))
-    return _verification(pair, comparison, paths, tuple(how), used, (), is_driven=True)
+    q_rad = np.concatenate((drive.before.q_rad, drive.after.q_rad))
+    used = already_used(pair.calibrated.arm, q_rad)
+    made = _verification(pair, comparison, paths, tuple(how), used, (), is_driven=True)
+    return dataclasses.replace(made, pose_count=len(q_rad))
 
 
 def on_recorded(
@@ -129,7 +131,9 @@ def on_recorded(
     )
     used = already_used(calibrated, points.q_rad, used_file.sha256)
     verified = _verification(pair, comparison, (), how, used, warnings, is_driven=False, more=(used_file,))
-    return dataclasses.replace(verified, turns=compare_turns(nominal, calibrated, points))
+    return dataclasses.replace(
+        verified, pose_count=len(points), turns=compare_turns(nominal, calibrated, points)
+    )
 
 
 def _with_tips(arm: Arm, points: Points) -> Points:

@@ -141,8 +141,9 @@ def test_what_cannot_be_compared_is_said(calibrated: Arm, tmp_path: Path) -> Non
 
 
 def test_a_report_on_used_points_does_not_call_them_unused(tmp_path: Path) -> None:
-    made = verification({"normal": 20.0}, {"normal": 1.0}, used_count=6)
-    assert made.verdict[0].startswith("NOT VERIFIED: 6 of the ")
-    assert made.verifies_nothing is (made.comparison.of("all").after.count == 6)
+    made = verification({"normal": 20.0}, {"normal": 1.0}, used_count=6, pose_count=6)
+    assert made.verdict[0].startswith("NOT VERIFIED: 6 of the 6 poses were used")
+    assert made.verifies_nothing
+    assert not replace(made, pose_count=18).verifies_nothing
     write_verification_report(tmp_path / "report.html", made)
     assert "did not use" not in (tmp_path / "report.html").read_text("utf-8")
