@@ -31,9 +31,8 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import CalibrationError
 from control.files import parsed_json, read_bytes, write_whole
-from control.parent_death import signal_on_death_of
 from control.progress import Advance, silent
-from firmware_iface.interrupts import NUMBERS, held
+from firmware_iface.interrupts import NUMBERS, held, signal_on_death_of
 
 Results = Mapping[str, Array]
 T = TypeVar("T")

@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM)
@@ -86,3 +86,41 @@ def _unraisable(lost: "sys.UnraisableHookArgs") -> None:
         _again(signal.SIGINT)
     else:
         sys.__unraisablehook__(lost)
+
+
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+def signal_on_death_of(parent: int, number: signal.Signals) -> Callable[[], None]:
+    """What the child has to call: it then gets signal `number` when the thread of `parent` that started it ends.
+
+    Elsewhere than on Linux only if the parent is dead already.
+    """
+    import ctypes  # and the library loaded here: neither is safe after a fork, and most programs start no child
+
+    libc = ctypes.CDLL(None) if sys.platform == "linux" else None
+
+    def in_child() -> None:
+        if libc is not None:
+            libc.prctl(_PR_SET_PDEATHSIG, number)
+        if os.getppid() != parent:  # it died before the request
+            os.kill(os.getpid(), number)
+
+    return in_child
+
+
+def ends_with_parent(number: signal.Signals) -> Callable[[], None]:
+    """A `preexec_fn` for a `command`: no signal is ignored, and the child gets signal `number` when this process dies.
+
+    A script's background job starts with SIGINT ignored, nohup's with SIGHUP, and exec inherits that: a child would ignore the
+    signal that should end it. SIGINT and SIGTERM wait until the child hears them.
+    """
+    hear_death = signal_on_death_of(os.getpid(), number)
+
+    def before_exec() -> None:
+        for handled in (*NUMBERS, signal.SIGHUP):
+            signal.signal(handled, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, NUMBERS)
+        hear_death()
+
+    return before_exec

@@ -25,7 +25,7 @@ from control.server.channel import CONTROL_KEY
 from control.server.messages import STOPPING, WATCHING
 from control.server.sockets import ForeignRuntime, require_own_runtime
 from firmware_iface.installation import command
-from procedures.child_process import ends_with_parent
+from firmware_iface.interrupts import ends_with_parent
 
 Message = dict[str, Any]
 POLL_S = 0.05

@@ -16,7 +16,7 @@ import signal, subprocess, sys
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
     signal.signal(number, signal.SIG_IGN)
 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
-from procedures.child_process import ends_with_parent
+from firmware_iface.interrupts import ends_with_parent
 begins = "import signal; from firmware_iface import interrupts; interrupts.end_at_once()"  # as every `command` does
 child = [sys.executable, "-c", begins + "; print('begun', flush=True); signal.pause()"]
 subprocess.Popen(child, preexec_fn=ends_with_parent(signal.{name}), start_new_session=True)
