@@ -261,6 +261,8 @@ def _check_unique_turn(arm: Arm, drive: Drive, kind: BoardKind, path: tuple[str 
         )
         if ratio != 1.0:
             remedy += f"; {key} = {ratio:g} is of gears between that encoder and the joint"
+            if kind.is_absolute:
+                remedy += ", and a servo reads no switch that tells its turn: take a board that does, such as a moteus"
         raise Rejected((*path, "joint_upper_rad"), expected, got, remedy)
     if kind.first_count is None:
         return

@@ -118,6 +118,11 @@ def test_an_odrive_in_current_mode_may_leave_counting_and_homing_to_an_encoder_b
         ("feetech", {"joint_lower_rad": -3.2, "joint_upper_rad": 3.2}, "a range below 6.283 rad"),
         ("dynamixel", {"joint_lower_rad": -math.inf}, "a range below 6.283 rad"),
         (
+            "dynamixel",
+            {"gear_ratio": 5.0},
+            r"below 1\.257 rad.*reads no switch that tells its turn: .* a moteus",
+        ),
+        (
             "feetech",
             {"zero_count": 300},
             r"zero_count of .* 1: .* 0 to 4095, here -0.4602 to 5.821 .*about 2048",
