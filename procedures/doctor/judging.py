@@ -32,6 +32,15 @@ def judge(samples: BoardSamples, arm: Arm) -> Iterator[Finding]:
     for joint, motor in samples.motors.items():
         yield from _reply_timing(f"motor board of joint {joint}", motor, samples)
     yield from _buses(samples, arm)
+    if arm.placeholders:
+        yield Finding(
+            Level.WARN,
+            "arm",
+            "values that nobody has measured",
+            " and ".join(arm.placeholders),
+            "those of your parts",
+            "feed-forward, gains and limits rest on them: write in yours, then take the words out of `placeholders`",
+        )
     for drive in arm.drives:
         channel = samples.encoders.get(drive.encoder_board)
         if channel is not None and channel.counts:

@@ -22,7 +22,7 @@ from firmware_iface.serial_link import PortHere
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable, Scenario
 from procedures.doctor import host
-from procedures.doctor.boards import AnsweringBoards, open_boards, sample
+from procedures.doctor.boards import AnsweringBoards, BoardSamples, open_boards, sample
 from procedures.doctor.finding import Finding, Level, as_text, graded, percentile, verdict, worst
 from procedures.doctor.host import (
     judge_can,
@@ -179,6 +179,13 @@ def test_an_arm_without_boards_says_what_to_add() -> None:
         "add [[encoder_board]] to arm.toml, or give --encoder",
         "add [can] to arm.toml, or give --can-interface and --can-channel",
     ]
+
+
+def test_placeholders_are_a_warning_until_their_words_are_taken_out() -> None:
+    silent = BoardSamples(1.0, 0.002)
+    drafted = replace(RIGHT, placeholders=("masses", "motors"))
+    assert [(f.level, f.measured) for f in judge(silent, drafted)] == [(Level.WARN, "masses and motors")]
+    assert list(judge(silent, RIGHT)) == []
 
 
 @pytest.mark.parametrize(("mode", "warned"), [("position", 0), ("current", 3)])
