@@ -60,9 +60,10 @@ def pose_figures(
             continue
         rows = [k for k, key in enumerate(keys) if key == (group.setup, group.point)]
         some = points.chosen(rows)
-        bent = known_bending(arm, some.q_rad, some.payload_kg)
+        at = Conditions.recorded(arm, some)
+        bent = known_bending(arm, at.q_rad, at.payload_kg)
         wanted = group.commanded_m - (0.0 if bent is None else bent.shift)
-        off = _drawn(predictor, Conditions.recorded(arm, some), wanted, seed)
+        off = _drawn(predictor, at, wanted, seed)
         attained, n = group.attained_m, len(group.attained_m)
         found.append(
             PoseFigures(

@@ -11,6 +11,7 @@ from benchmarks.calibration.trust_coverage import ARM, Session, session
 from benchmarks.gap.static.cases import NOISE_m
 from benchmarks.gap.static.physics import Hidden
 from calib.arm_problem.assembly import Choice, problem_of
+from calib.arm_problem.link_bending import Bending, known_bending
 from calib.arrays import Array, norms
 from calib.design.candidates import workspace_poses
 from calib.points.points import make_points
@@ -29,7 +30,7 @@ from calib.trust.report import pose_figures
 from calib.trust.trust import ELLIPSOID_95, MapRequest, Trust, trust_in, within_95_m
 from control.dynamics.static_pose import RestingPose
 from control.kinematics.kinematics import ForwardKinematics
-from control.model.arm import Effect
+from control.model.arm import Arm, Effect
 from control.motion.waypoints import Waypoints
 from tests.thirds import third_of
 
@@ -216,6 +217,24 @@ def test_iso9283_figures_of_a_programme_lie_in_their_intervals() -> None:
         assert one.repeatability_m.lower < one.measured_repeatability_m < one.repeatability_m.upper
         assert one.accuracy_m.upper - one.accuracy_m.lower < 0.2 * one.accuracy_m.value
         assert one.repeatability_m.upper < 3.0 * one.repeatability_m.lower
+
+
+def test_iso9283_figures_bend_links_at_the_joints_angles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An encoder that turns too little by 20 %, as the file says: the link bends where the joint is, as in every prediction."""
+    q, scale, rng = np.tile(unseen_q()[:2], (3, 1)), 0.2, np.random.default_rng(8)
+    known = Effect("encoder_scale", 2, {"scale": scale}), Effect("link_flexure", 2, {"EI_Nm2": 40.0})
+    encoder = q / (1.0 + np.array([0.0, scale, 0.0]))
+    seen_m = ForwardKinematics(ARM).tips(q) + rng.normal(0.0, NOISE_m, (6, 3))
+    points = make_points(["pose"] * 6, ["P1", "P2"] * 3, [1] * 6, encoder, seen_m)
+    bent_at: list[Array] = []
+
+    def bending(arm: Arm, q_rad: Array, payload_kg: Array) -> Bending | None:
+        bent_at.append(q_rad)
+        return known_bending(arm, q_rad, payload_kg)
+
+    monkeypatch.setattr("calib.trust.report.known_bending", bending)
+    pose_figures(trusted().predictor, dataclasses.replace(ARM, effects=known), points, Path("points.csv"))
+    assert np.concatenate(bent_at) == pytest.approx(q[[0, 2, 4, 1, 3, 5]])
 
 
 def test_95_percent_of_visits_keep_the_distance() -> None:
