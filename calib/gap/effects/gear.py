@@ -163,7 +163,7 @@ def _spring_parameters(arm: Arm, law: Law, covariance: Array) -> Parameters:
 
 RECORDS = (
     EffectRecord(
-        "backlash", role="angle", traits=Traits("direction", is_on_every_joint=True, alternative="gear"),
+        "backlash", role="angle", traits=Traits("direction", is_on_every_joint=True),
         poses=InPoses(
             0.005, _play, "the same poses from both approaches, some where gravity on that joint changes its sign",
             variable="q{j} and load", is_positive=True,
@@ -174,7 +174,7 @@ RECORDS = (
         ),
     ),
     EffectRecord(
-        "joint_compliance", role="angle", traits=Traits("load", is_on_every_joint=True, alternative="gear"),
+        "joint_compliance", role="angle", traits=Traits("load", is_on_every_joint=True),
         poses=InPoses(
             1.0 / 800.0, _compliance, "the same poses with and without a known payload", variable="load", is_positive=True
         ),

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,8 +72,8 @@ def decide(
     weights /= weights.sum()
     keys = [[evidence.terms[k].key for k, _ in one.members] for one in found]
     has = {key: np.zeros(len(found), dtype=bool) for key in dict.fromkeys(itertools.chain(*keys))}
-    for k, own in enumerate(keys):
-        for key in own:
+    for k, (one, own) in enumerate(zip(found, keys, strict=True)):
+        for key in (*own, *_as_laws(evidence, one, set(keys[0]) - set(own))):
             has[key][k] = True
     chance = {key: sum(weights[own].tolist()) for key, own in has.items()}
     groups = []
@@ -141,6 +141,31 @@ def crooked(evidence: Evidence, best: Weighed, key: Key) -> tuple[Block, ...]:
         and block.variable.startswith(begin)
         and move > least
     )
+
+
+def _as_laws(evidence: Evidence, one: Weighed, names: Collection[Key]) -> Iterator[EffectName]:
+    """Names for which a block of a set stands: a function of the law's own variable that bends it no more than real parts do.
+
+    Such a block is that law, as it departs: without this the two divide the probability of one thing.
+    """
+    for number, size in evidence.sizes(one).items() if names else ():
+        block = evidence.terms[number]
+        if not isinstance(block.key, Block) or block.slope_rad is None:
+            continue
+        moved = np.einsum("c,cmn->mn", size, block.slope_rad).ravel()
+        for name in names:
+            law = evidence.terms[evidence.of_key[name][0]]
+            if not isinstance(name, EffectName) or law.slope_rad is None or not law.traits.blocks:
+                continue
+            begin = law.traits.blocks.format(j=name.joint)
+            if block.key.joint != name.acts_on or not block.key.variable.startswith(begin):
+                continue
+            columns = law.slope_rad[: law.laws].reshape(law.laws, -1).T
+            share = np.linalg.lstsq(columns, moved, rcond=None)[0]
+            as_law = columns @ share
+            is_there = not law.is_positive or share[0] > 0.0
+            if is_there and np.linalg.norm(moved - as_law) <= LAW_MOST * np.linalg.norm(as_law):
+                yield name
 
 
 def _moves(evidence: Evidence, best: Weighed) -> dict[Key, float]:

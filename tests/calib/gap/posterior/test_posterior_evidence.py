@@ -1,15 +1,18 @@
 """The evidence of sets: exact beside the integral, a Schur complement beside the whole, no law below nought."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from calib.gap.effects.catalogue import RECORDS
+from calib.gap.effects.motor import SAMPLING
 from calib.gap.finding import EffectName
 from calib.gap.posterior.decide import decide
 from calib.gap.posterior.evidence import Evidence, Gram, Weighed
 from calib.gap.posterior.search import MergingSearch, Search
-from calib.gap.posterior.term import Block, Term, Traits
+from calib.gap.posterior.term import Block, Term
 
 ROWS = 240
 
@@ -113,16 +116,24 @@ def test_a_secant_says_nothing_beyond_its_reach() -> None:
         assert bool(found.members) == speaks, reach
 
 
-def test_a_spring_and_a_play_of_one_joint_are_never_in_one_set() -> None:
+@pytest.mark.parametrize(
+    ("names", "are_one"),
+    [
+        ((EffectName("command_delay"), EffectName(SAMPLING)), True),
+        ((EffectName("joint_compliance", 1), EffectName("backlash", 1)), False),
+    ],
+)
+def test_two_that_are_one_thing_are_never_in_one_set_and_a_gear_may_be_soft_and_loose(
+    names: tuple[EffectName, ...], are_one: bool
+) -> None:
     rng = np.random.default_rng(6)
-    columns = rng.normal(size=(ROWS, 3))
-    y = columns @ np.ones(3) + 0.1 * rng.normal(size=ROWS)
-    names = [EffectName("joint_compliance", 1), EffectName("backlash", 1), EffectName("backlash", 2)]
-    gear = Traits(alternative="gear")
-    evidence = _evidence([_term(name, is_positive=True, traits=gear) for name in names], columns, y)
-    assert {evidence.terms[k].key for k, _ in Search(evidence).run()[0].members} == set(names)
-    for one in MergingSearch(evidence).run():
-        assert not {names[0], names[1]} <= {evidence.terms[k].key for k, _ in one.members}
+    columns = rng.normal(size=(ROWS, 2))
+    y = columns @ np.ones(2) + 0.1 * rng.normal(size=ROWS)
+    terms = [_term(name, is_positive=True, traits=RECORDS[name.effect].traits) for name in names]
+    evidence = _evidence(terms, columns, y)
+    found = [{evidence.terms[k].key for k, _ in one.members} for one in MergingSearch(evidence).run()]
+    assert (set(names) in found) != are_one
+    assert (found[0] == set(names)) != are_one
 
 
 def _weighed_as(evidence: Evidence, logs: dict[int, float]) -> list[Weighed]:
@@ -176,3 +187,23 @@ def test_a_rival_of_a_name_acts_in_its_place_and_not_beside_it() -> None:
     likely = (((0, 2), 0.0), ((2,), -3.7), ((1, 2), -3.9))  # 1 and 3; or 3 alone, or 2 for 1
     found = [Weighed(tuple((k, 1) for k in numbers), 1.0, log) for numbers, log in likely]
     assert decide(evidence, found, {names[0]: names[1:]}).ambiguous == ((names[0], names[1]),)
+
+
+@pytest.mark.parametrize(("bend", "is_named"), [(0.1, True), (0.9, False)])
+def test_a_block_that_bends_a_law_no_more_than_real_parts_do_is_that_law(bend: float, is_named: bool) -> None:
+    """A softness and a smooth function of the same load share the probability of one thing."""
+    rng = np.random.default_rng(9)
+    load = rng.uniform(-1.0, 1.0, ROWS)
+    columns = np.column_stack((load, load, load**2))
+    softness, block = EffectName("joint_compliance", 1), Block(1, "load")
+    y = load + bend * load**2 + 0.01 * rng.normal(size=ROWS)
+    terms = [
+        _term(softness, is_positive=True, traits=RECORDS["joint_compliance"].traits),
+        _term(block, columns=2),
+    ]
+    slopes = columns[:, :1], columns[:, 1:]
+    terms = [replace(one, slope_rad=own.T[:, :, None]) for one, own in zip(terms, slopes, strict=True)]
+    evidence = _evidence(terms, columns, y)
+    decision = decide(evidence, _weighed_as(evidence, {0: 0.0, 1: -2.5}))
+    assert decision.probability[softness] == pytest.approx(1.0 if is_named else 1.0 / (1.0 + np.exp(-2.5)))
+    assert (decision.names == (softness,)) == is_named
