@@ -131,7 +131,7 @@ def _verdict(
             laws[key], departs[key], spread[key] = (
                 one.term.law(own.size).bounded(),
                 one.departure,
-                _of_values(own),
+                covariance_of_values(own),
             )
     left_over = list(other)
     for one in some:
@@ -220,18 +220,22 @@ def _contested(fit: SeriesFit, reporting: Picked) -> Iterator[NamelessShape]:
                     yield NamelessShape(worth, f"{words}, or {key}", number, key)
 
 
-def _of_values(one: Member) -> Array:
-    """Covariance of a law's values from that of all its coefficients."""
+def covariance_of_values(one: Member) -> Array:
+    """Covariance of a law's values from that of all its coefficients, with how far the values are from where these put them.
+
+    A linearisation speaks for its law in part of the range alone, and no value is below nought: at such an end a value stays
+    although its coefficient goes on, and is known no better for it. So the slopes are those inside.
+    """
     assert one.term.law is not None
-    here = np.array(one.term.law(one.size).values)
-    slopes = []
-    step = 1e-3 * max(abs(float(one.size[0])), 1e-6)
-    for k in range(len(one.size)):
-        moved = one.size.copy()
-        moved[k] += step
-        slopes.append((np.array(one.term.law(moved).values) - here) / step)
-    across = np.array(slopes).T
-    return np.asarray(across @ one.covariance @ across.T)
+    inside = one.size.copy()
+    inside[one.term.laws + one.term.departures :] = 0.0
+    if one.term.curve is not None:
+        inside[0] = one.term.curve.start / one.term.curve.size
+    here, step = np.array(one.term.law(inside).values), 1e-3 * max(abs(float(inside[0])), 1e-6)
+    moved = [np.array(one.term.law(inside + step * way).values) - here for way in np.eye(len(inside))]
+    slopes = np.array(moved).T / step
+    beyond = here + slopes @ (one.size - inside) - one.term.law(one.size).bounded().values
+    return np.asarray(slopes @ one.covariance @ slopes.T + np.outer(beyond, beyond))
 
 
 def _worth(fit: SeriesFit, number: int, reporting: Picked) -> float:

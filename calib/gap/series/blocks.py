@@ -20,6 +20,7 @@ from calib.gap.signals.terms import typical
 
 ZERO_rad, PLACE_m, CAMERA_s = 3e-4, 3e-4, 5e-4  # sizes worth a word, as those of forms
 PRESLIDING_rad = (0.001, 0.003, 0.01)
+ACCELERATION = "acceleration"  # of a block: what a rotor does that the file does not know
 
 
 def blocks_of(around: OperatingPoint) -> Iterator[SeriesTerm]:
@@ -53,13 +54,18 @@ def _block(joint: int, variable: str, words: str, response: Response) -> Iterato
     yield SeriesTerm(Block(joint, variable), words, width, response=response)
 
 
+def torque_size(scene: SeriesScene, j: int) -> float:
+    """Root mean square of a block's torque on a joint (0-based) [N m]."""
+    return USUAL * typical(scene.given_Nm, COULOMB, j)
+
+
 def _torques(scene: SeriesScene, joint: int) -> Iterator[SeriesTerm]:
     """Of the current that the motion of a joint needs."""
     number = scene.number("current_A", joint - 1)
     if number is None:
         return
     at, j = scene.whole, joint - 1
-    size = USUAL * typical(scene.given_Nm, COULOMB, j)
+    size = torque_size(scene, j)
     for variable, words, columns in _of_torque(at, j, scene.arm.joint_count):
         if columns.size and np.ptp(columns) > 0.0:
             said = f"the current of joint {joint}, {words}"
@@ -88,7 +94,7 @@ def _of_torque(at: RowConditions, j: int, n: int) -> Iterator[tuple[str, str, Ar
     yield "load", "friction that follows its load one way", driven
     yield "load", "a smooth function of its load", np.vstack([smooth(load, 3), way * smooth(np.abs(load), 3)])
     yield "time", "changing during a run", np.vstack([way, way * smooth(at.t_s, 3), smooth(at.t_s, 3)])
-    yield "acceleration", "in proportion to its acceleration", np.array([a])
+    yield ACCELERATION, "in proportion to its acceleration", np.array([a])
     turned = at.turned_rad[:, j]
     hysteresis = [way * np.exp(-turned / reach) for reach in PRESLIDING_rad]
     yield "turned", "as if friction built up again after each turning", np.array(hysteresis)

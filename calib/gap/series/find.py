@@ -28,7 +28,7 @@ from calib.gap.series.answer import (
     what_is_left,
 )
 from calib.gap.series.file import in_best_forms, laws_of, read_back
-from calib.gap.series.iterations import fitted
+from calib.gap.series.iterations import fitted, unknown_rotors
 from calib.gap.series.outcome import (
     DynamicOutcome,
     doubts,
@@ -83,7 +83,7 @@ def examine(
     finding, before, after, model = _finding(arm, log, recording, rows, known, verdict, parts)
     progress("done", 1.0)
     warnings += [*doubts(before, rows.table), *left_out(scene.kept, rows.table)]
-    warnings += [*verdict.warnings, *grown(finding)]
+    warnings += [*verdict.warnings, *unknown_rotors(fit), *grown(finding)]
     return DynamicOutcome(
         finding,
         tuple(warnings),

@@ -21,6 +21,7 @@ from calib.gap.posterior.constants import (
     SIZE_LEVELS,
     UNTOLD,
     SETTLED_sd,
+    SURE_sd,
 )
 from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.search import Search
@@ -28,8 +29,16 @@ from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.scene import OperatingPoint, SeriesScene
 from calib.gap.residuals.term import SeriesTerm, scaled
 from calib.gap.residuals.whitening import Noise
-from calib.gap.series.blocks import blocks_of
-from calib.gap.series.linear import SeriesFit, SeriesLinear, cross_validated, marginalised, noises_of, weighed
+from calib.gap.series.blocks import ACCELERATION, blocks_of, torque_size
+from calib.gap.series.linear import (
+    SeriesFit,
+    SeriesLinear,
+    cross_validated,
+    marginalised,
+    noises_of,
+    refitted,
+    weighed,
+)
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
 from calib.settling import FITS_MOST, Settling
@@ -264,7 +273,8 @@ def _log(fit: SeriesFit, rows: Picked) -> float:
 # What is never known better: integrated out of every set, so that nothing of it is taken for an effect.
 #
 # Nominal values are right to a part of the smallest size that is worth a name, and parts whose laws the file has depart from
-# them as all real parts do.
+# them as all real parts do. A rotor that the file does not know may take all that its motor gives: else what it takes while the
+# joint accelerates looks like a soft gear, another link or another motor.
 KNOWN_DEPARTURE = DEPARTURES[2]
 NUISANCES = Block(0, "nuisances")
 
@@ -275,6 +285,7 @@ def nuisances(around: OperatingPoint, terms: Sequence[SeriesTerm]) -> Iterator[S
     Of a gear that gives way a little only what the tip shows: what its link does to the currents follows the noise of the
     measured accelerations, which the residual has, too.
     """
+    unknown = _unknown_rotors(around.scene)
     variants: dict[tuple[Key, str], list[SeriesTerm]] = {}
     for one in terms:
         variants.setdefault((one.key, one.words), []).append(one)
@@ -289,10 +300,36 @@ def nuisances(around: OperatingPoint, terms: Sequence[SeriesTerm]) -> Iterator[S
                 or around.scene.cells[cell].joint < 0
             }
             effect = one.key.effect if isinstance(one.key, EffectName) else one.key.variable
-            if own:
+            if own and one.key in unknown:
+                most = float(around.scene.given_Nm[unknown[one.key]])
+                yield _nuisance(one.words, scaled(own, most / torque_size(around.scene, unknown[one.key])), 1)
+            elif own:
                 yield _nuisance(str(one.key), scaled(own, IMMATERIAL / usual(effect)), one.laws)
     for law in around.known:
         yield from _departing(around, law)
+
+
+def unknown_rotors(fit: SeriesFit) -> Iterator[str]:
+    """Said of joints whose motors surely have an inertia that the file does not know."""
+    scene, (size, covariance), place = fit.around.scene, refitted(fit, fit.numbers), 0
+    words = {one.words: one.key.joint for one in fit.linear.terms if one.key in _unknown_rotors(scene)}
+    for one in fit.linear.nuisances:
+        if (joint := words.get(one.words)) and size[place] > SURE_sd * math.sqrt(covariance[place, place]):
+            acceleration = scene.whole.acceleration[:, joint - 1]
+            most = float(scene.given_Nm[joint - 1]) / float(np.sqrt(np.mean(acceleration**2)))
+            value = most * float(size[place]) / scene.arm.drives[joint - 1].gear_ratio ** 2
+            # to a factor of two: of the accelerations that it is told by, coarse encoders leave the slow part
+            yield (
+                f"drive {joint}: arm.toml knows no rotor_inertia_kg_m2, and the motor takes more torque while it accelerates, as"
+                f" of some {value:.2g} kg m2: it is in no name, and stays in the gap until arm.toml has it"
+            )
+        place += one.count
+
+
+def _unknown_rotors(scene: SeriesScene) -> dict[Key, int]:
+    """Blocks that stand for rotors which the file does not know, with their joint (0-based)."""
+    drives = scene.arm.drives
+    return {Block(one.joint, ACCELERATION): one.joint - 1 for one in drives if not one.rotor_inertia_kg_m2}
 
 
 def _departing(around: OperatingPoint, law: Law) -> Iterator[SeriesTerm]:

@@ -260,13 +260,18 @@ def _bent_too_far(
     return found
 
 
+def refitted(fit: SeriesFit, numbers: Sequence[int]) -> tuple[Array, Array]:
+    """Coefficients of nuisances and terms of the best set, and their covariance."""
+    at, scales = fit.linear.at(numbers), dict(fit.best.members)
+    sd = np.concatenate([np.ones(fit.linear.first), *(fit.evidence.scales[k][0][scales[k]] for k in numbers)])
+    seen, pull = (part / fit.best.kappa**2 for part in (fit.gram.tip[np.ix_(at, at)], fit.gram.pull[at]))
+    covariance = sd[:, None] * np.linalg.inv(np.eye(len(sd)) + sd[:, None] * seen * sd) * sd
+    return covariance @ pull, covariance
+
+
 def left(fit: SeriesFit, numbers: Sequence[int], drop: Collection[int] = ()) -> Array:
     """What terms of the best set leave of all rows (rows,), refitted beside nuisances, without those of `drop`."""
-    linear, scales = fit.linear, dict(fit.best.members)
-    at = linear.at(numbers)
-    sd = np.concatenate([np.ones(linear.first), *(fit.evidence.scales[k][0][scales[k]] for k in numbers)])
-    seen, pull = (part / fit.best.kappa**2 for part in (fit.gram.tip[np.ix_(at, at)], fit.gram.pull[at]))
-    size = sd * np.linalg.solve(np.eye(len(sd)) + sd[:, None] * seen * sd, sd * pull)
+    linear, (size, _) = fit.linear, refitted(fit, numbers)
     kept = [np.full(linear.terms[k].count, k not in drop) for k in numbers]
     size[: linear.first] = np.clip(size[: linear.first], -NUISANCE_MOST, NUISANCE_MOST)
     size *= np.concatenate([np.ones(linear.first), *kept])

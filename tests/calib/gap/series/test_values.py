@@ -1,0 +1,72 @@
+"""What is written of a law: values with intervals that hold, and what no file says is left open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.gap.dynamic.cases import Asked, made
+from benchmarks.gap.dynamic.score import arm_of
+from benchmarks.gap.dynamic.score import log_of as log_of_case
+from calib.gap.effects.gear import SPRING
+from calib.gap.finding import EffectName
+from calib.gap.residuals.term import Curve, SeriesTerm
+from calib.gap.series.answer import covariance_of_values
+from calib.gap.series.find import examine, find
+from calib.gap.series.validation import Member
+from calib.gap.signals.terms import Law
+from tests.calib.gap.series.prescribed import LONG, log_of
+
+pytestmark = pytest.mark.usefixtures("without_motion")
+
+SPRING_2 = EffectName("joint_compliance", 2)
+UNIT_rad_Nm, MOST_rad_Nm = 1e-3, 4e-3
+
+
+def soft(size: float, sd: float) -> Member:
+    """A softness in thousandths that its linearisation follows up to 4."""
+
+    def law(c: np.ndarray) -> Law:
+        return Law(SPRING_2, SPRING, (float(np.clip(c[0] * UNIT_rad_Nm, 0.0, MOST_rad_Nm)), 0.0, 0.0))
+
+    term = SeriesTerm(SPRING_2, law=law, curve=Curve(1, 2e-3, 2.4e-3, UNIT_rad_Nm))
+    return Member(0, term, np.array([size, 0.0]), np.diag([sd**2, 0.0]))
+
+
+def test_a_value_within_its_range_is_known_as_well_as_its_coefficient() -> None:
+    found = covariance_of_values(soft(3.0, 0.2))
+    assert np.sqrt(found[0, 0]) == pytest.approx(0.2 * UNIT_rad_Nm)
+
+
+def test_a_value_at_the_end_of_its_range_is_known_no_better_for_that() -> None:
+    """The coefficient says 9, the law stays at 4: between them nothing tells."""
+    found = covariance_of_values(soft(9.0, 0.2))
+    assert np.sqrt(found[0, 0]) == pytest.approx(np.hypot(0.2, 5.0) * UNIT_rad_Nm)
+
+
+def test_a_rotor_that_the_file_does_not_know_is_said_and_taken_for_no_other_effect() -> None:
+    drives = tuple(replace(one, rotor_inertia_kg_m2=0.0) for one in LONG.drives)
+    laws = ("link_inertia", "joint_compliance", "torque_constant")
+    found = examine(replace(LONG, drives=drives), log_of(LONG), candidates=laws)
+    assert found.finding.effects == ()
+    said = [text for text in found.warnings if "knows no rotor_inertia_kg_m2" in text]
+    assert len(said) == len(LONG.drives)
+    for text, drive in zip(said, LONG.drives, strict=True):
+        value = float(text.split(" some ")[1].split(" kg m2")[0])
+        assert value == pytest.approx(drive.rotor_inertia_kg_m2, rel=0.2)
+
+
+@pytest.mark.nightly
+def test_a_gear_that_is_soft_and_loose_is_named_as_both() -> None:
+    (case,) = made([Asked(500_001, "joint_compliance+backlash", 2)])
+    found = find(arm_of(case.arm_toml), log_of_case(case))
+    assert {one.name for one in found.effects} == {SPRING_2, EffectName("backlash", 2)}
+    for one, hidden in zip(
+        sorted(found.effects, key=lambda one: -len(one.name.effect)), case.truth, strict=True
+    ):
+        for key, true in hidden["parameters"].items():
+            value, sd = one.parameters[key]
+            assert abs(value - true) < 1.96 * sd < 0.3 * true
+    assert found.gap_after < 1.1
