@@ -51,7 +51,9 @@ MEAN_OF_NORM = math.sqrt(
     8.0 / math.pi
 )  # mean length of a normal vector of three coordinates, standard deviation 1
 SAME_POSTURE_rad = 0.02  # repeats in one posture show only noise; in several, model errors too
-REPEATS_FREEDOM = 9  # degrees of freedom required for a noise from repeats
+# Degrees of freedom that a noise from repeats needs, here and in `gap`: it is then known to 24 %; and how to get there.
+REPEATS_FREEDOM = 9
+TO_MEASURE_NOISE = "record three points two or three times each"
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,5 +329,5 @@ def _next(grade: Grade, found: Identification, floor: NoiseFloor | None, setups:
             " if it can deviate that much."
         )
     if grade == "noise not known":
-        sentences.append("Record three points two or three times each to measure the noise.")
+        sentences.append(f"{TO_MEASURE_NOISE.capitalize()} to measure the noise.")
     return sentences

@@ -34,7 +34,7 @@ from calib.gap.poses.outcome import StaticGap, drawn_laws
 from calib.gap.poses.recordings import Split
 from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
 from calib.gap.poses.state import Around
-from calib.gap.posterior.constants import GEOMETRY_PAYS, LAW_MOST, UNMEASURED, SURE_sd
+from calib.gap.posterior.constants import LAW_MOST, UNMEASURED, SURE_sd
 from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
@@ -88,8 +88,8 @@ def answered(
         _named(around, decision, last, name, estimates[name], gap)
         for name, gap in zip(order, gaps[1 : len(order) + 1], strict=True)
     ]
-    freed = parts.known.sum() * (_square(nominal, floor, parts.known) - _square(lefts[0], floor, parts.known))
-    if 3 * freed > GEOMETRY_PAYS:
+    as_given, refitted = (_square(left, floor, parts.known) for left in (nominal, lefts[0]))
+    if pays(as_given, refitted, 3 * int(parts.known.sum()), files[0].found.rank):
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
     finding = _finding(looked, around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]), source)
     corrected = {one.joint for one in last.arm.maps}
@@ -184,6 +184,16 @@ def _named_alone(around: Around, best: Weighed, names: Sequence[EffectName]) -> 
 
 def _square(left: Left, floor: Floor, rows: Mask) -> float:
     return left.times(floor.tip_m, floor.turn_rad, rows) ** 2
+
+
+def pays(nominal: float, fitted: float, rows: int, parameters: int) -> bool:
+    """Whether a fit surely gains more than its parameters do by chance; both leave mean squares, in variances of the floor.
+
+    p parameters gain a chi-square of p, p +- sqrt(2 p), in the noise that the fit leaves: a floor that is hardly known may lie
+    below that, and then all fits gain.
+    """
+    noise = max(1.0, fitted * rows / max(rows - parameters, 1))
+    return rows * (nominal - fitted) / noise > parameters + SURE_sd * math.sqrt(2.0 * parameters)
 
 
 def _finding(

@@ -19,6 +19,7 @@ from calib.gap.poses.recordings import EVERY, RECORDINGS_LEAST, recordings, spli
 from calib.gap.posterior.constants import INFLATED, UNMEASURED
 from calib.identify.identification import Identification
 from calib.points.points import Points
+from calib.validation.verdict import TO_MEASURE_NOISE
 from control.model.arm import Arm
 
 FEW_POSES = 24
@@ -28,8 +29,8 @@ UNBEARABLE = 5.0  # times what a drive holds at its current limit
 MILLI = 10.0  # times the limit
 
 UNKNOWN_TURNS = (
-    "the measured orientations (qw to qz) are checked and not used, as their noise is not known: repeat a dozen poses, or give"
-    " [camera] orientation_noise_rad in arm.toml"
+    "the measured orientations (qw to qz) are checked and not used, as their noise is not known:"
+    f" {TO_MEASURE_NOISE}, or give [camera] orientation_noise_rad in arm.toml"
 )
 
 
@@ -209,7 +210,7 @@ def about_fit(arm: Arm, found: Identification, floor: Floor, noise_m: float) -> 
         )
     yield from about_settling(found)
     if floor.doubt >= UNMEASURED:
-        yield f"the noise is {floor.source}: repeat a dozen poses, or give [camera] position_noise_m"
+        yield f"the noise is {floor.source}: {TO_MEASURE_NOISE}, or give [camera] position_noise_m"
     if times > INFLATED:
         yield (
             f"everything that was found leaves {times:.1f} times the noise floor ({floor.source}): names are weighed against that"

@@ -17,7 +17,7 @@ from calib.gap.effects.record import PoseScene
 from calib.gap.finding import EffectName
 from calib.gap.poses.answer import Looked, answered
 from calib.gap.poses.cautions import about_data, about_orientations, about_outliers, cleaned, require_posed
-from calib.gap.poses.floor import REPEATS_LEAST, FINEST_m, Floor, middle, noise_floor, outlying
+from calib.gap.poses.floor import FINEST_m, Floor, middle, noise_floor, outlying
 from calib.gap.poses.linear import Fit, Linear
 from calib.gap.poses.nameless import SKEWED
 from calib.gap.poses.outcome import StaticGap
@@ -29,6 +29,7 @@ from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key, Term
 from calib.points.points import Points
 from calib.settling import FITS_MOST, Settling
+from calib.validation.verdict import TO_MEASURE_NOISE
 from control.model.arm import Arm
 from control.progress import Advance, silent
 
@@ -129,14 +130,14 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
     freedom = 3 * int(parts.known.sum()) - linear.base.shape[1] - len(gram.pull)
     if freedom < FREEDOM_LEAST:
         raise UnusablePointsError(
-            "the noise of these points is not known: repeat a dozen of them, or give [camera] position_noise_m in arm.toml"
+            f"the noise of these points is not known: {TO_MEASURE_NOISE}, or give [camera] position_noise_m in arm.toml"
         )
     size = np.linalg.solve(np.eye(len(gram.pull)) + gram.tip, gram.pull)
     left = gram.left - 2.0 * size @ gram.pull + size @ gram.tip @ size
     return Floor(
         max(scale * math.sqrt(max(left, 0.0) / freedom), FINEST_m),
-        f"what the best explanation leaves: there are fewer than {REPEATS_LEAST} pairs of repeats in one posture and no camera's"
-        " noise, so that an effect beyond the list would pass for noise",
+        "what the best explanation leaves: there are too few repeats in one posture and no camera's noise, so that an effect"
+        " beyond the list would pass for noise",
         UNMEASURED,
     )
 

@@ -13,13 +13,13 @@ from calib.arrays import Array, Mask
 from calib.gap.finding import EffectName
 from calib.gap.poses.linear import Left, Linear, Measured
 from calib.gap.poses.recordings import in_turn
-from calib.gap.posterior.constants import AGREE, FAR, OUTLIERS_MOST
+from calib.gap.posterior.constants import AGREE, FAR, OUTLIERS_MOST, CHECKED_sd
 from calib.gap.posterior.term import Term
 from calib.points.points import Points, matrices_of
+from calib.validation.verdict import REPEATS_FREEDOM
 from control.model.arm import Arm
 
 SAME_POSE_rad = 0.03
-REPEATS_LEAST = 12  # pairs below which a scatter is worth less than the data sheet
 QUARTILE = 1.212533  # of chi-square with three degrees of freedom
 QUARTILE_CHANCE = (
     3.0 * 0.745
@@ -85,7 +85,7 @@ def _of_turns(arm: Arm, points: Points, turn_rad: Array, pairs: Sequence[tuple[i
     """Of orientations [rad]: their repeats, else the points' covariances or the data sheet; NaN where nothing tells it."""
     first, second = (turn_rad[[pair[k] for pair in pairs]] for k in (0, 1))
     apart = (first - second)[np.isfinite(first - second).all(axis=1)] if pairs else np.zeros((0, 3))
-    if len(apart) >= REPEATS_LEAST and (scatter := _scatter_m(apart)) > FINEST_rad:
+    if 3 * len(apart) >= REPEATS_FREEDOM and (scatter := _scatter_m(apart)) > FINEST_rad:
         return scatter
     stated = points.covariance[np.isfinite(points.covariance[:, 6:]).all(axis=1), 6:]
     if len(stated):
@@ -96,7 +96,7 @@ def _of_turns(arm: Arm, points: Points, turn_rad: Array, pairs: Sequence[tuple[i
 
 def _of_tips(arm: Arm, points: Points, residual_m: Array, pairs: Sequence[tuple[int, int]]) -> Floor:
     sheet_m = arm.camera.position_noise_m if arm.camera is not None else 0.0
-    if len(pairs) < REPEATS_LEAST:
+    if 3 * len(pairs) < REPEATS_FREEDOM:
         if sheet_m > 0.0:
             return Floor(sheet_m, "the camera's data sheet in arm.toml; there are too few repeats")
         return Floor(math.nan, "nothing: too few repeats, and no camera noise in arm.toml")
@@ -120,12 +120,12 @@ def _is_same_pose(points: Points, a: int, b: int) -> bool:
 
 
 def _with_sheet(scatter_m: float, pairs_count: int, sheet_m: float) -> Floor:
-    """The repeats' scatter; where the data sheet agrees with it, both, since some dozen pairs know it to 5 % only."""
+    """The repeats' scatter; where the data sheet agrees with it, as well as so many pairs know it, both."""
     said, doubt = (
         f"{pairs_count} repeats",
         1.0 / math.sqrt(6.0 * pairs_count),
     )  # of a root of 3 squares a pair
-    if not abs(scatter_m - sheet_m) <= AGREE * sheet_m:
+    if not abs(scatter_m - sheet_m) <= max(AGREE, CHECKED_sd * doubt) * sheet_m:
         return Floor(scatter_m, said, doubt)
     weight = pairs_count / (pairs_count + SHEET_WORTH)
     both = math.sqrt(weight * scatter_m**2 + (1.0 - weight) * sheet_m**2)

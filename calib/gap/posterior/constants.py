@@ -55,8 +55,6 @@ FLOOR_DOUBT: Final = 0.03
 WOUND_SHARE: Final = 0.5
 # Of its size level: how large a law must be for departures from it to be its own, and no law of another kind.
 LAW_LEAST: Final = 0.3
-# Chi-square beyond its count that a refitted geometry must gain before the nominal one is called wrong.
-GEOMETRY_PAYS: Final = 40.0
 # A law that departs more than two standard deviations of the roughest part is another law.
 LAW_MOST: Final = 2.0 * max(DEPARTURES)
 # Standard deviations of all rows together, by which a step of a linearisation moves them at most when values have settled: half

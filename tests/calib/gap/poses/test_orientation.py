@@ -16,6 +16,7 @@ from calib.gap.poses.floor import Floor, noise_floor
 from calib.gap.poses.linear import Fit, Left, by_joints
 from calib.gap.posterior.term import Block, Term, on_joint
 from calib.gap.words import in_words
+from calib.validation.verdict import REPEATS_FREEDOM
 from control.model.arm import Arm, Camera
 
 TURN_NOISE_rad = 3e-4
@@ -75,10 +76,10 @@ def test_a_bent_link_turns_what_it_carries_as_a_row_of_hinges_does() -> None:
     np.testing.assert_allclose(found.turn / 100.0, turn, atol=0.02 * np.abs(turn).max())
 
 
-def _floor(arm: Arm, is_repeated: bool) -> Floor:
+def _floor(arm: Arm, is_repeated: bool, pairs_count: int = 32) -> Floor:
     _, points = designed(3102, (), LITTLE)
     if is_repeated:
-        same = np.repeat(np.arange(32), 2)
+        same = np.repeat(np.arange(pairs_count), 2)
         points = points.chosen(same)
     noise = np.random.default_rng(1).normal(0.0, 1.0, (2, len(points), 3))
     return noise_floor(arm, points, Left(NOISE_m * noise[0], TURN_NOISE_rad * noise[1]))
@@ -93,3 +94,11 @@ def test_the_noise_of_orientations_is_that_of_repeats_else_of_the_data_sheet_els
     _, points = designed(3102, (), LITTLE)
     assert list(about_orientations(points, unknown)) == [UNKNOWN_TURNS]
     assert not list(about_orientations(points, _floor(SIX, is_repeated=False)))
+
+
+def test_a_noise_needs_three_pairs_of_repeats_as_in_calibrate_and_says_how_well_it_is_known() -> None:
+    blind = dataclasses.replace(SIX, camera=None)
+    assert np.isnan(_floor(blind, is_repeated=True, pairs_count=2).tip_m)
+    known = _floor(blind, is_repeated=True, pairs_count=3)
+    assert known.tip_m == pytest.approx(NOISE_m, rel=3.0 * known.doubt)
+    assert known.doubt == pytest.approx(1.0 / np.sqrt(2.0 * REPEATS_FREEDOM))

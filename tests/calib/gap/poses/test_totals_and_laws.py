@@ -11,6 +11,7 @@ from benchmarks.gap.static.rough_cases import case as rough_case
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
 from calib.gap.finding import EffectName, gap_content, with_given_numbers
+from calib.gap.poses.answer import pays
 from calib.gap.poses.find import find
 from calib.gap.poses.linear import along_joint
 from calib.gap.poses.outcome import StaticGap
@@ -192,3 +193,10 @@ def test_a_tip_near_the_axis_tells_no_turn() -> None:
     lever_m = np.array([[0.5, 0.0, 0.0], [0.0, 0.2, 0.0], [0.05, 0.0, 0.0], [0.0, 0.0, 0.0]])
     turn_rad = along_joint(lever_m, 1e-3 * lever_m + [0.0, 0.0, 1e-4])
     np.testing.assert_allclose(turn_rad, [1e-3, 1e-3, np.nan, np.nan])
+
+
+def test_a_refitted_geometry_pays_only_beyond_the_noise_that_it_leaves() -> None:
+    """20 parameters gain 60 variances of the floor: more than 20 +- 6 by chance, unless the noise is twice the floor's."""
+    assert pays(1.2, 1.0, 300, 20)
+    assert not pays(2.2, 2.0, 300, 20)
+    assert not pays(1.1, 1.0, 300, 20)
