@@ -37,11 +37,11 @@ class EffectName:
     given_joint: int | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
-        """As `backlash on joint 2`."""
-        place = place_of(self.effect)
+        """As `backlash on joint 2`; of a belt, whose file has no joint, the one that it moves."""
+        place, joint = place_of(self.effect), self.acts_on
         if self.given_joint is not None:
             return f"{self.effect} on {place} {self.given_joint} ({place} {self.joint} of the new arm.toml)"
-        return self.effect if self.joint is None else f"{self.effect} on {place} {self.joint}"
+        return self.effect if joint is None else f"{self.effect} on {place} {joint}"
 
     @property
     def acts_on(self) -> int | None:

@@ -27,5 +27,5 @@ def test_the_examples_do_what_the_page_says(tmp_path: Path, monkeypatch: pytest.
     assert np.abs(names["following_error_rad"][names["moving"]]).max() < 5e-3
     assert names["result"].is_good
     assert names["comparison"].after.mean_m < 0.1 * names["comparison"].before.mean_m
-    assert "belt_coupling" in names["gap"].named
+    assert "belt_coupling on joint 3" in names["gap"].named
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibrated", "gap", "log"]
