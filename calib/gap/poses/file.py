@@ -114,7 +114,15 @@ class File:
             return without
         rest = tuple(one for one in bare.effects if (one.effect, one.joint) not in maps)
         shared = dataclasses.replace(bare, effects=rest, maps=tuple(maps.values()))
-        return file(*identify(with_totals(shared, values), {}, False), without)
+        others = tuple(
+            one
+            for one in made.effects
+            if one.effect == FRAME or EffectName(one.effect, one.joint) not in beside
+        )
+        # what was identified beside the laws fits maps that do the same; begun anew, beside maps, it may end elsewhere
+        as_laws = file(found, dataclasses.replace(made, effects=others, maps=shared.maps), without)
+        anew = file(*identify(with_totals(shared, values), {}, False), without)
+        return min(as_laws, anew, key=lambda one: one.fit.left().sizes(rows)["tip_m"])
 
     def has(self, name: EffectName) -> bool:
         """Whether the file has the effect: a width or a softness below nought is none."""

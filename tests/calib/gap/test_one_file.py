@@ -301,3 +301,13 @@ def test_what_calibrate_says_of_before_is_the_given_arm_also_where_loads_are_eva
     first = problem_of(arm, points, plan.choice)
     nothing = np.zeros(len(found.x))
     assert problem.residuals(nothing) == pytest.approx(first.residuals(nothing), abs=1e-12)
+
+
+@pytest.mark.nightly
+def test_a_map_of_what_a_set_shares_leaves_as_little_as_the_law_would() -> None:
+    """Scale or eccentricity of joint 1, beside two soft gears and a bending link; tool and frame are not known."""
+    one = list(simulated(610_000, 8))[7]
+    found = find(one.arm, one.points).finding
+    assert found.ambiguous
+    assert found.maps is not None
+    assert found.gap_after < 1.1 * found.gap_explained
