@@ -37,8 +37,8 @@ class Gap:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences about the measurements, and about contradictions between poses and time series."""
-        return (*self.outcome.warnings, *self.outcome.agreement)
+        """Sentences about the measurements, and about sizes that poses and time series cannot share."""
+        return self.outcome.warnings
 
     def save(self, folder: str | Path) -> Arm:
         """Write gap.json, arm.toml and report.html; return the model with the named effects.

@@ -12,10 +12,9 @@ from pathlib import Path
 
 from calib.arm_problem.parallel_axes import numbers_before
 from calib.errors import CalibrationError
-from calib.gap.both import brought_together
+from calib.gap.both import brought_together, changed_between
 from calib.gap.effects.catalogue import needing_drives
 from calib.gap.finding import (
-    EffectName,
     GapFinding,
     MeasuredMaps,
     Unknown,
@@ -76,7 +75,7 @@ class Recordings:
 
 @dataclass(frozen=True, slots=True)
 class GapOutcome:
-    """The finding of both levels together, each level's own, and what was said about how they agree.
+    """The finding of both levels together, each level's own, and sentences about the data and the fits.
 
     `maps`, and the arm with everything named and them, where maps were asked for.
     """
@@ -84,7 +83,6 @@ class GapOutcome:
     finding: GapFinding
     static: StaticGap | None
     dynamic: DynamicOutcome | None
-    agreement: tuple[str, ...]
     warnings: tuple[str, ...]
     maps: MapsFound | None = None
     mapped: Arm | None = None
@@ -139,28 +137,40 @@ def find_gap(
     `without`, or where there are neither points nor a log.
     """
     require_effects(without)
-    told = [f"{arm.name}: its maps are not used; they are measured anew"] if arm.maps else []
+    if points is None and log is None:
+        raise CalibrationError("gap: expected static poses, time series, or both; got neither")
+    said = [f"{arm.name}: its maps are not used; they are measured anew"] if arm.maps else []
     arm = given = dataclasses.replace(arm, maps=())
-    split = POSES_SHARE if points is not None and log is not None else None
+    upto = 0.0 if points is None else 1.0 if log is None else POSES_SHARE
+    doubts: tuple[str, ...] = ()
     static = dynamic = None
     if points is not None:
-        upto = split or 1.0
-        static = find(arm, points, lambda what, done: advance(what, upto * done), without)
+        static = find(given, points, lambda what, done: advance(what, upto * done), without)
+        arm = static.arm
     if log is not None:
-        base = split or 0.0
         tried = [name for name in EFFECTS if name not in without] if without else None
-        arm, shaped = (arm, arm) if static is None else (static.arm, static.fitted_arm)
-        dynamic = examine(shaped, log, lambda what, done: advance(what, base + (1.0 - base) * done), tried)
-    if static is None and dynamic is None:
-        raise CalibrationError("gap: expected static poses, time series, or both; got neither")
-    finding, agreement = brought_together(
+        dynamic = examine(
+            arm if static is None else static.fitted_arm,
+            log,
+            lambda what, done: advance(what, upto + (1.0 - upto) * done),
+            tried,
+            None if static is None else static.told,
+        )
+    if points is not None and static is not None and dynamic is not None:
+        # what the runs tell settles what the poses left open; then what one file of both leaves of the runs
+        static = find(given, points, silent, without, told=dynamic.told)
+        finding = brought_together(static.finding, as_totals(arm, dynamic.finding))
+        doubts = changed_between(finding, static.told, dynamic.told)
+        dynamic = dynamic.with_file(_updated(arm, finding, static))
+    finding = brought_together(
         None if static is None else static.finding,
         None if dynamic is None else as_totals(arm, dynamic.finding),
     )
-    warnings = told + [sentence for one in (static, dynamic) if one is not None for sentence in one.warnings]
+    levels = [one for one in (static, dynamic) if one is not None]
+    warnings = (*doubts, *said, *(sentence for one in levels for sentence in one.warnings))
     if log is not None:
         finding = dataclasses.replace(finding, effects=(*finding.effects, *gears_by_leads(given, log)))
-    found = GapOutcome(consistent(finding), static, dynamic, agreement, tuple(warnings))
+    found = GapOutcome(consistent(finding), static, dynamic, warnings)
     before = {} if static is None else numbers_before(given, static.arm)
     return _with_given_numbers(found, before) if before else found
 
@@ -173,8 +183,8 @@ def _with_given_numbers(found: GapOutcome, before: Mapping[int, int]) -> GapOutc
         static = dataclasses.replace(static, finding=finding, stages=stages)
     if dynamic is not None:
         dynamic = dataclasses.replace(dynamic, finding=with_given_numbers(dynamic.finding, before))
-    said = with_given_numbers((found.finding, found.agreement, found.warnings), before)
-    return GapOutcome(said[0], static, dynamic, said[1], said[2])
+    said = with_given_numbers((found.finding, found.warnings), before)
+    return GapOutcome(said[0], static, dynamic, said[1])
 
 
 def find_gap_in(
@@ -208,7 +218,7 @@ def find_gap_in(
 
 def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
     """With maps of what the arm leaves that has everything named."""
-    model, maps = _updated(arm, found), MapsFound((), ())
+    model, maps = _updated(arm, found.finding, found.static), MapsFound((), ())
     if found.static is not None:
         model, angles = angle_maps(model, found.static)
         maps += angles
@@ -223,17 +233,11 @@ def _mapped(arm: Arm, found: GapOutcome) -> GapOutcome:
     )
 
 
-def _updated(arm: Arm, found: GapOutcome) -> Arm:
-    """The arm with what is named: its own drives, and its own effects where the other recordings took a name back."""
-    if found.static is None:
-        return updated_arm(with_geometry(arm, found.finding), found.finding)
-    taken_back = {one.name for one in found.static.finding.effects} - {
-        one.name for one in found.finding.effects
-    }
-    file = found.static.file
-    kept = [one for one in file.effects if EffectName(one.effect, one.joint) not in taken_back]
-    own = [one for one in found.static.arm.effects if EffectName(one.effect, one.joint) in taken_back]
-    return updated_arm(dataclasses.replace(file, drives=arm.drives, effects=(*kept, *own)), found.finding)
+def _updated(arm: Arm, finding: GapFinding, static: StaticGap | None) -> Arm:
+    """The arm with what is named, as identified at the poses if there are any."""
+    if static is None:
+        return updated_arm(with_geometry(arm, finding), finding)
+    return updated_arm(dataclasses.replace(static.file, drives=arm.drives), finding)
 
 
 def require_effects(names: Collection[str]) -> None:
@@ -264,9 +268,11 @@ def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) 
     made = Calibration(source, hashes, date, "gap workflow", program)
     out.mkdir(parents=True, exist_ok=True)
     write_gap_json(out / "gap.json", outcome.finding)
-    model = dataclasses.replace(outcome.mapped or _updated(arm, outcome), calibration=made)
+    model = dataclasses.replace(
+        outcome.mapped or _updated(arm, outcome.finding, outcome.static), calibration=made
+    )
     save_arm(model, out / "arm.toml")
-    notes = (*outcome.agreement, *outcome.warnings)
+    notes = outcome.warnings
     report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program, outcome.maps)
     write_whole(out / "report.html", _page(report))
     return model

@@ -373,7 +373,7 @@ def _parts(circle: Circle, made: Provenance) -> Iterator[Section | str]:
     )
     yield paths_section(circle.paths)
     outcome = circle.outcome
-    notes = (*outcome.agreement, *outcome.warnings)
+    notes = outcome.warnings
     report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, made.date, made.program)
     yield from gap_parts(report)
 

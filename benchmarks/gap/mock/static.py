@@ -22,10 +22,20 @@ STEP_S, RATE_Hz = 1e-3, 250.0  # sufficient for slow motions
 MARGIN = 0.12  # of a joint's range, kept at both ends
 
 
-def static_case(arm: Arm, hidden: Sequence[EffectEntry], seed: int, is_crooked: bool = True) -> Points:
-    """Some 180 poses of an arm with these effects; `is_crooked`: its geometry is off by millimetres and milliradians."""
+def static_case(
+    arm: Arm,
+    hidden: Sequence[EffectEntry],
+    seed: int,
+    is_crooked: bool = True,
+    has_unknown_friction: bool = True,
+) -> Points:
+    """Some 180 poses of an arm with these effects; `is_crooked`: its geometry is off by millimetres and milliradians.
+
+    `has_unknown_friction`: beyond that of its file.
+    """
     rng = np.random.default_rng(seed)
-    entries = [*_frictions(arm, rng), *hidden, *([_geometry(arm, rng)] if is_crooked else [])]
+    friction = _frictions(arm, rng) if has_unknown_friction else []
+    entries = [*friction, *hidden, *([geometry_of(arm, rng)] if is_crooked else [])]
     visits = _visits(arm, rng)
     rig = MockRig(
         arm, effects_with(arm, entries), visits[0][2].tolist(), integral=False, step_s=STEP_S, rate_Hz=RATE_Hz
@@ -82,7 +92,8 @@ def _frictions(arm: Arm, rng: np.random.Generator) -> list[EffectEntry]:
     return found
 
 
-def _geometry(arm: Arm, rng: np.random.Generator) -> EffectEntry:
+def geometry_of(arm: Arm, rng: np.random.Generator) -> EffectEntry:
+    """How an arm's links are off its file."""
     sizes = {"d_m": GEOMETRY_m, "theta_rad": GEOMETRY_rad, "L_m": GEOMETRY_m, "alpha_rad": GEOMETRY_rad}
     values = {
         f"link{i + 1}_{key}": float(rng.uniform(-size, size))

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.arm_problem.joint_effects import LAWS
 from calib.arrays import Array
 from calib.gap.effects import encoder, gear, links, loads, motor
 from calib.gap.effects.columns import known_law, unlisted
@@ -25,6 +26,14 @@ RECORDS: Final[dict[str, EffectRecord]] = {
     one.effect: one
     for one in (*encoder.RECORDS, *gear.RECORDS, *links.RECORDS, *loads.RECORDS, *motor.RECORDS)
 }
+
+
+# What both poses and time series may show of an arm, by one set of linear unknowns; what warms up does so anew in each session.
+SHARED: Final = tuple(
+    name
+    for name, one in RECORDS.items()
+    if one.poses is not None and one.series is not None and name in LAWS and not EFFECTS[name].alike
+)
 
 
 def poses_of(effect: str) -> InPoses | None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arm_problem.parameters import dh_names
 from calib.arrays import Mask
-from calib.gap.effects.catalogue import is_load
+from calib.gap.effects.catalogue import SHARED, is_load
 from calib.gap.effects.links import FRAME
 from calib.gap.effects.record import load_of
 from calib.gap.finding import (
@@ -38,6 +38,7 @@ from calib.gap.posterior.constants import LAW_MOST, UNMEASURED, SURE_sd
 from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
+from calib.gap.posterior.told import Told
 from calib.points.points import Points
 from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
@@ -46,7 +47,7 @@ from control.model.effects import linear_values
 @dataclass(frozen=True, slots=True)
 class Looked:
     """What the posterior looks at: the arm, without and with only the loads of the effects that are looked for, the poses and
-    their split, the geometry fitted alone, the noise floor, and the outliers (m,).
+    their split, the geometry fitted alone, the noise floor, the outliers (m,), and what other recordings tell.
     """
 
     arm: Arm
@@ -57,6 +58,7 @@ class Looked:
     fit: Fit
     floor: Floor
     out: Mask
+    told: Told | None = None
 
     def refloored(self, left: Left) -> Looked:
         """With the noise as repeats show it beside what a model leaves: a joint that drifts parts repeats, too."""
@@ -69,7 +71,13 @@ def answered(
 ) -> StaticGap:
     """The finding of a decision, with what its report draws."""
     best, points, parts = decision.best, looked.points, looked.parts
-    decision, estimates, reasons = _borne_out(looked, around, decision)
+
+    def told(withdrawn: Collection[Key] = ()) -> Told:
+        return Told.by(around.evidence, best, SHARED, looked.told, withdrawn)
+
+    others = looked.told
+    firmer = [] if others is None else [name for name in decision.names if others.knows_better(name, told())]
+    decision, estimates, reasons = _borne_out(looked, around, decision, firmer)
     left = around.fitted(best)[1]
     floor = looked.refloored(left).floor
     if floor.doubt >= UNMEASURED:
@@ -78,7 +86,7 @@ def answered(
     order = _ordered(around, best, changed)
     beside = _open_members(around, decision)
     decision, files, reasons = _files(
-        looked, decision, {name: estimates[name] for name in order}, beside, floor, reasons
+        looked, decision, {name: estimates[name] for name in order}, beside, firmer, reasons
     )
     order = [name for name in order if name in decision.names]
     last, nominal = files[-1], placed(looked.arm, points, parts.known).left()
@@ -111,7 +119,7 @@ def answered(
     return StaticGap(
         looked.arm, last.arm, finding, points, parts, floor,
         (("nominal", nominal.tip_m), ("link geometry", lefts[0].tip_m), *grown), last.fit.problem, last.fit.x, warnings,
-        looked.out, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m),
+        looked.out, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m), told(reasons),
     )  # fmt: skip
 
 
@@ -120,15 +128,15 @@ def _files(
     decision: Decision,
     found: Mapping[EffectName, Estimated],
     beside: Mapping[EffectName, Parameters],
-    floor: Floor,
+    firmer: Collection[EffectName],
     reasons: Mapping[EffectName, str],
 ) -> tuple[Decision, list[File], Mapping[EffectName, str]]:
     """The file with the geometry alone, then with one name more at a time, last with the maps of what sets share, if these help
-    poses that nobody fitted; without names that it cannot hold.
+    poses that nobody fitted; without names that it cannot hold. `firmer`: names whose values other recordings know better.
     """
     named = {name: {} if _is_nothing(own) else own.parameters for name, own in found.items()}
     arm, points, rows, keys = looked.arm, looked.points, looked.parts.known, list(named)
-    last = File.of(arm, points, rows, named, beside)
+    last = File.of(arm, points, rows, named, beside, firmer)
     impossible = [name for name in keys if named[name] and not last.has(name)]
     if impossible:
         why = {name: f"{name} was identified with impossible values" for name in impossible}
@@ -137,14 +145,14 @@ def _files(
             decision, names=names, remainders=(*decision.remainders, *((name,) for name in why))
         )
         kept = {name: own for name, own in found.items() if name not in why}
-        return _files(looked, decision, kept, beside, floor, {**reasons, **why})
+        return _files(looked, decision, kept, beside, firmer, {**reasons, **why})
     if last.unshared is not None:
         with_maps, without = (
-            _square(one.fit.left(), floor, looked.parts.report) for one in (last, last.unshared)
+            _square(one.fit.left(), looked.floor, looked.parts.report) for one in (last, last.unshared)
         )
         last = last if with_maps < without else last.unshared
     files = [
-        File.of(arm, points, rows, {key: named[key] for key in keys[:count]}, {}, False)
+        File.of(arm, points, rows, {key: named[key] for key in keys[:count]}, {}, firmer, False)
         for count in range(len(keys) + bool(last.arm.maps))
     ]
     return decision, [*files, last], reasons
@@ -221,7 +229,7 @@ def _finding(
 
 
 def _borne_out(
-    looked: Looked, around: Around, decision: Decision
+    looked: Looked, around: Around, decision: Decision, firmer: Collection[EffectName]
 ) -> tuple[Decision, Mapping[EffectName, Estimated], Mapping[EffectName, str]]:
     """Without names that the data do not bear out, which become remainders, each with its reason; without blocks that no
     pose that was left out shows.
@@ -231,10 +239,11 @@ def _borne_out(
     kept = [group for group in decision.remainders if _shows_elsewhere(around, best, group)]
     nameless = [k for k, _ in best.members if any(around.terms[k].key in group for group in kept)]
     there = [*decision.names, *(name for names in decision.ambiguous for name in names)]
+    known = {*firmer, *(name for name in estimates if _known(looked.arm, name) is not None)}
     reasons = {
         name: why
         for name, own in estimates.items()
-        if (why := _why_not(around, best, name, own, _known(looked.arm, name) is not None, nameless, there))
+        if (why := _why_not(around, best, name, own, name in known, nameless, there))
     }
     names = tuple(name for name in decision.names if name not in reasons)
     remainders = (*kept, *((name,) for name in reasons))
@@ -245,7 +254,9 @@ def _why_not(
     around: Around, best: Weighed, name: EffectName, own: Estimated, is_known: bool, nameless: Sequence[int],
     names: Sequence[EffectName],
 ) -> str:  # fmt: skip
-    """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing."""
+    """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing; that,
+    and what other recordings know better, is not for these poses to bear out.
+    """
     if _is_nothing(own):
         return (
             ""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,11 +60,13 @@ class File:
         rows: Mask,
         named: Mapping[EffectName, Parameters],
         beside: Mapping[EffectName, Parameters],
+        firmer: Collection[EffectName] = (),
         is_last: bool = True,
     ) -> File:
         """`arm` with what is named in place of its own, all identified at the poses of a mask (m,).
 
-        `named`: first estimates, which stay where poses do not show the effect (loads); without parameters it is taken out.
+        `named`: first estimates, which stay where poses do not show the effect (loads), and where other recordings know it better
+        (`firmer`); without parameters it is taken out.
         `beside`: what acts, but has no name, as one of an ambiguous set: it is identified with the names, which else took its
         part. The members of a set agree about the correction where poses were recorded, else the poses told them apart: for that
         range it stands in the file, as a map; what no map can do stays out. Then, with all that kept, the rest of the arm
@@ -80,7 +82,9 @@ class File:
             begun: Arm, own: Mapping[EffectName, Parameters], is_free: bool
         ) -> tuple[Identification, Arm]:
             sought = [
-                name for name in own if is_free and (own[name] or name in beside) and name.effect in LAWS
+                name
+                for name in own
+                if is_free and (own[name] or name in beside) and name.effect in LAWS and name not in firmer
             ]
             # what poses do not determine stays as the given arm has it, as `calibrate` leaves it
             stated = [name for name in own if own[name] and (name not in sought or name.effect == DRIFT)]

@@ -27,6 +27,7 @@ from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED, SETTLED_sd
 from calib.gap.posterior.decide import Decision, decide, nameable
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key, Term
+from calib.gap.posterior.told import Told
 from calib.points.points import Points
 from calib.settling import FITS_MOST, Settling
 from calib.validation.verdict import TO_MEASURE_NOISE
@@ -42,22 +43,24 @@ def find(
     advance: Advance = silent,
     without: Collection[str] = (),
     source: str = "points.csv",
+    told: Told | None = None,
 ) -> StaticGap:
-    """Name what is missing in the model of `arm` at these poses; `without` leaves effects out of the list.
+    """Name what is missing in the model of `arm` at these poses; `without` leaves effects out of the list, `told` is what other
+    recordings of the arm tell of its effects.
 
     UnusablePointsError for points that tell nothing.
     """
     advance("reading the poses", 0.0)
     warnings = [*require_posed(arm, points), *about_data(arm, points)]
     advance("fitting the geometry", 0.05)
-    looked = _prepared(arm, cleaned(points), without)
+    looked = _prepared(arm, cleaned(points), without, told)
     looked, around, decision = _searched(looked, without, advance)
     skewed = _skewed(arm, decision)
     for joint in skewed:
         arm = with_tilt_behind(arm, joint)
     if skewed:  # geometry that DH rows do not hold: everything beside it is looked at anew
         warnings.append(_tilted(arm, skewed))
-        looked, around, decision = _searched(_prepared(arm, cleaned(points), without), without, advance)
+        looked, around, decision = _searched(_prepared(arm, cleaned(points), without, told), without, advance)
     advance("reporting", 0.85)
     warnings += [*about_orientations(points, looked.floor), *about_outliers(points, looked.out)]
     return answered(looked, around, decision, tuple(warnings), source)
@@ -78,7 +81,7 @@ def _tilted(arm: Arm, joints: Sequence[int]) -> str:
     )
 
 
-def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
+def _prepared(arm: Arm, points: Points, without: Collection[str], told: Told | None) -> Looked:
     """The geometry alone fitted, outliers left out, the noise found."""
     own = [one for one in arm.effects if are_total_in_poses(one.effect) and one.effect not in without]
     loads = [one for one in own if is_load(one.effect)]
@@ -103,7 +106,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str]) -> Looked:
     if not math.isfinite(floor.tip_m):
         richest = _from_the_richest(Linear.around(fit, 0.0, laws), parts, left.tip_m)
         floor = replace(richest, turn_rad=floor.turn_rad)
-    return Looked(arm, bare_arm, loaded, points, parts, fit, floor, out)
+    return Looked(arm, bare_arm, loaded, points, parts, fit, floor, out, told)
 
 
 def _laws(scene: PoseScene, without: Collection[str]) -> list[list[Term]]:
@@ -155,7 +158,7 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
         noise = looked.floor.tip_m, max(looked.floor.doubt, FLOOR_DOUBT)
         return Around.of(
             state, looked.bare_arm, looked.points, looked.parts.known, noise, without, blocks,
-            looked.floor.lever_m, keys,
+            looked.floor.lever_m, keys, looked.told,
         )  # fmt: skip
 
     def settled(state: State, keys: Collection[Key]) -> State:

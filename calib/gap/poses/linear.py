@@ -223,6 +223,11 @@ class Linear:
         root = np.tile(np.eye(3), (len(measured.pose), 1, 1)) if weight is None else weight
         return cls(base, precision, y, columns.reshape(len(columns), -1).T, root, places, measured)
 
+    @property
+    def columns_of_terms(self) -> list[npt.NDArray[np.intp]]:
+        """The places of each term's columns."""
+        return [np.arange(place.start, place.stop) for place in self.places]
+
     def projected(self, poses: Mask, noise_m: float, held: Array | None = None) -> Gram:
         """What evidence needs, from some poses (m,).
 

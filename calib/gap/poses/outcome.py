@@ -19,6 +19,7 @@ from calib.gap.poses.recordings import Split
 from calib.gap.poses.state import Around
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Term
+from calib.gap.posterior.told import Told
 from calib.points.points import Points
 from control.model.arm import Arm
 
@@ -29,7 +30,8 @@ class StaticGap:
 
     `arm`: as its file has it, with the fixed rows that axes which are not quite parallel ask for; `file`: that of the new file.
     `problem` at its unknowns `x` places that at the poses, `warnings` are sentences about the data and the fit, `left_out` (m,)
-    marks poses that no model explains, `load_Nm` (m, n) are gravity's torques (None for an arm without masses).
+    marks poses that no model explains, `load_Nm` (m, n) are gravity's torques (None for an arm without masses), `told` is what
+    these poses tell of the arm's effects.
     """
 
     arm: Arm
@@ -45,6 +47,7 @@ class StaticGap:
     left_out: Mask
     load_Nm: Array | None
     laws: tuple[DrawnLaw, ...]
+    told: Told
 
     @property
     def fitted_arm(self) -> Arm:

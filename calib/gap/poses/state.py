@@ -21,6 +21,7 @@ from calib.gap.poses.linear import Fit, Left, Linear, by_joints
 from calib.gap.poses.nameless import blocks_of
 from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.term import Block, Key, Term
+from calib.gap.posterior.told import Told
 from calib.points.points import Points
 from control.model.arm import Arm
 from control.model.effects import EFFECTS
@@ -104,10 +105,12 @@ class Around:
         blocks: Sequence[Term] = (),
         lever_m: float = 0.0,
         keys: Collection[Key] | None = None,
+        told: Told | None = None,
     ) -> Around:
         """`arm`: without the effects that are looked for; `noise`: floor [m] and its doubt; `blocks`: of a look before.
 
-        `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used. `keys`: only these terms.
+        `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used. `keys`: only these terms. `told`: by
+        other recordings of the arm.
         """
         scene = PoseScene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
         effects: Collection[str] = EFFECTS.keys()
@@ -120,6 +123,8 @@ class Around:
         linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight, state.follows)
         held = holding_currents(state.fit, arm, points, state.turn_rad, terms)
         gram = linear.projected(rows, noise[0], None if held is None else held.seen(rows))
+        if told is not None:
+            gram = told.beside(gram, terms, linear.columns_of_terms)
         return cls(state, arm, points, rows, noise[0], linear, Evidence(gram, terms, noise[1]))
 
     @property

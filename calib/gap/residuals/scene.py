@@ -12,6 +12,7 @@ from scipy import sparse
 
 from calib.arrays import Array
 from calib.gap.posterior.term import Key
+from calib.gap.posterior.told import Told
 from calib.gap.residuals.rows import ChannelRows, ResidualRows, since_turn
 from calib.gap.residuals.whitening import RowOrder
 from calib.gap.signals.body import Load, sorted_terms
@@ -193,10 +194,11 @@ class SeriesScene:
 
     `rows` have what was measured, `columns` the same without its noise: of these everything is made that rows may follow.
     `given_Nm` (n,): what the motors can give, by what they gave: limits and supplies of a file say nothing about the data.
+    `told`: what other recordings tell of changes beside what is known.
     """
 
-    def __init__(self, rows: ResidualRows, known: Sequence[Law]) -> None:
-        self.rows = rows
+    def __init__(self, rows: ResidualRows, known: Sequence[Law], told: Told | None = None) -> None:
+        self.rows, self.told = rows, told
         self.cells = rows.table.cells
         self.given_Nm = _given_Nm(rows.physics)
         self.arm, self.recording = rows.physics.arm, rows.recording

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.catalogue import known_laws, role_of
+from calib.gap.effects.catalogue import SHARED, known_laws, role_of
 from calib.gap.effects.links import FRAME
 from calib.gap.effects.motor import ORDERS
 from calib.gap.finding import GEOMETRY, EffectName, GapFinding, OpenQuestion, Unknown
 from calib.gap.log import Log
 from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.posterior.constants import REMAINS
+from calib.gap.posterior.told import Told
 from calib.gap.residuals.rows import ResidualRows, without_motion
 from calib.gap.residuals.scene import SeriesScene
 from calib.gap.series.answer import (
@@ -29,6 +30,7 @@ from calib.gap.series.answer import (
 )
 from calib.gap.series.file import in_best_forms, laws_of, read_back
 from calib.gap.series.iterations import fitted, unknown_rotors
+from calib.gap.series.linear import SeriesFit
 from calib.gap.series.outcome import (
     DynamicOutcome,
     doubts,
@@ -42,7 +44,7 @@ from calib.gap.series.outcome import (
 )
 from calib.gap.series.plausible import plausible
 from calib.gap.series.split import RowSplit, split
-from calib.gap.series.validation import validated
+from calib.gap.series.validation import members, validated
 from calib.gap.signals.motion import motion_gaps
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import EvenRun, RunSet, prepare
@@ -65,37 +67,41 @@ def find(
 
 
 def examine(
-    arm: Arm, log: Log, advance: Advance | None = None, candidates: Collection[str] | None = None
+    arm: Arm,
+    log: Log,
+    advance: Advance | None = None,
+    candidates: Collection[str] | None = None,
+    told: Told | None = None,
 ) -> DynamicOutcome:
-    """`find`, with what a report shows beside the finding."""
+    """`find`, with what a report shows beside the finding; `told`: what other recordings of the arm tell of its effects."""
     progress = _rising(advance or quiet)
     progress("reading the runs", 0.0)
     recording = plausible(arm, prepare(arm, log))
     rows, known = _rows(Physics(arm, recording), recording, known_laws(arm))
     warnings = [*recording.warnings, *without_motion(rows.table)]
     warnings += map(str, ripples(recording, rows.physics.gear_ratios))
-    parts, scene = split(recording, rows.table), SeriesScene(rows, known)
+    parts, scene = split(recording, rows.table), SeriesScene(rows, known, told and told.beyond(arm))
     fit = fitted(scene, known, parts, candidates, progress)
     progress("the gap on runs used for nothing else", 0.95)
     parts = parts.only(scene.kept)
     fit, harming = validated(fit, parts.reporting)
     verdict = judged(fit, parts, harming)
-    finding, before, after, model = _finding(arm, log, recording, rows, known, verdict, parts)
     progress("done", 1.0)
-    warnings += [*doubts(before, rows.table), *left_out(scene.kept, rows.table)]
-    warnings += [*verdict.warnings, *unknown_rotors(fit), *grown(finding)]
-    return DynamicOutcome(
-        finding,
-        tuple(warnings),
-        rows.table,
-        before,
-        after,
-        parts,
-        tuple(run.name for run in recording.runs),
-        rows.physics,
-        model,
-        drawn_laws(verdict.fit, [one.name for one in finding.effects]),
-    )
+    warnings += [*left_out(scene.kept, rows.table), *unknown_rotors(fit)]
+    told = _told(fit, verdict, arm)
+    return _Examined(arm, log, rows, known, verdict, parts, told, tuple(warnings)).outcome(None)
+
+
+def _told(fit: SeriesFit, verdict: SeriesVerdict, arm: Arm) -> Told:
+    """What these runs alone tell, of totals; departures that look like a law itself leave its size so much less sure."""
+    open_ = {name for names in verdict.ambiguous for name in names}
+    withdrawn = fit.names - verdict.laws.keys() - open_
+    own = Told.by(fit.evidence, fit.best, SHARED, fit.around.scene.told, withdrawn)
+    for one in members(fit):
+        if isinstance(one.term.key, EffectName) and one.term.key in own.places:
+            laws = slice(0, one.term.laws)
+            own = own.widened(one.term.key, one.alike[laws, laws] * one.term.size**2)
+    return own.beyond(arm, -1.0)
 
 
 def _rows(physics: Physics, recording: RunSet, known: Sequence[Law]) -> tuple[ResidualRows, tuple[Law, ...]]:
@@ -105,60 +111,91 @@ def _rows(physics: Physics, recording: RunSet, known: Sequence[Law]) -> tuple[Re
     return (rows if model == tuple(known) else ResidualRows(physics, model)), model
 
 
-def _finding(
-    arm: Arm,
-    log: Log,
-    recording: RunSet,
-    rows: ResidualRows,
-    known: Sequence[Law],
-    verdict: SeriesVerdict,
-    parts: RowSplit,
-) -> tuple[GapFinding, Array, Array, tuple[Law, ...]]:
-    """What was decided, with the gap that the file leaves on the runs that were used for nothing else; what the arm and the file
-    leave of all rows, and the file's laws with what is taken off as the sensors' own.
-    """
-    reporting, table = parts.reporting, rows.table
-    before = rows.residual(known)
-    found = GapFinding(
-        arm=arm.name,
-        data=log.sources,
-        noise_floor=floors_si(table, arm),
-        gap_before=gap(before, table, reporting),
-        gap_after=math.nan,
-        before_si=in_si(before, table, reporting, arm),
-        after_si={},
-        effects=named_effects(verdict),
-        ambiguous=verdict.ambiguous,
-        unknown=verdict.unknown,
-        nameable=nameable_effects(verdict.fit),
-        next_experiment=next_experiment(recording, verdict.ambiguous, verdict.unknown),
-        remainder=verdict.remainder,
-        open_questions=open_questions(recording, verdict),
-        gap_explained=gap(
-            what_is_left(verdict.fit, verdict.kept) if verdict.kept else before, table, reporting
-        ),
-    )
-    told = laws_of(rows, read_back(updated_arm(arm, as_totals(arm, found))), parts.deciding)
-    told |= {name: law for name, law in verdict.laws.items() if name.effect in IN_KINEMATICS}
-    laws, staged = {law.name: law for law in known}, []
-    sensors = [one.law(size) for one, size in verdict.corrected if one.law is not None]
-    sensed = seen_by_sensors(verdict, len(before))
-    after = rows.residual([*laws.values(), *sensors]) + sensed if verdict.corrected else before
-    for one in found.effects:
-        laws.pop(one.name, None)
-        laws |= {name: law for name, law in told.items() if name == one.name}
-        after = rows.residual([*laws.values(), *sensors]) + sensed
-        staged.append(dataclasses.replace(one, gap_after=gap(after, table, reporting)))
-    moved = motion_gaps(rows.physics, known, tuple(laws.values()), parts.report_runs)
-    found = dataclasses.replace(
-        found,
-        noise_floor={**found.noise_floor, **in_rad(moved, "floor_rad")},
-        gap_after=gap(after, table, reporting),
-        before_si={**found.before_si, **in_rad(moved, "before_rad")},
-        after_si={**in_si(after, table, reporting, arm), **in_rad(moved, "after_rad")},
-        effects=tuple(staged),
-    )
-    return found, before, after, (*laws.values(), *sensors)
+@dataclass(frozen=True, slots=True)
+class _Examined:
+    """A log that was looked at, from which its outcome follows for any arm.toml: `known` is what the given one has."""
+
+    arm: Arm
+    log: Log
+    rows: ResidualRows
+    known: tuple[Law, ...]
+    verdict: SeriesVerdict
+    parts: RowSplit
+    told: Told
+    warnings: tuple[str, ...]
+
+    def outcome(self, file: Arm | None) -> DynamicOutcome:
+        """With the gap that a file leaves on the runs that were used for nothing else; by default that of the log's own names."""
+        rows, verdict, recording = self.rows, self.verdict, self.rows.recording
+        before = rows.residual(self.known)
+        found = self._found(before)
+        own = read_back(updated_arm(self.arm, as_totals(self.arm, found))) if file is None else file
+        told = laws_of(rows, own, self.parts.deciding)
+        told |= {name: law for name, law in verdict.laws.items() if name.effect in IN_KINEMATICS}
+        sensors = tuple(one.law(size) for one, size in verdict.corrected if one.law is not None)
+        sensed = seen_by_sensors(verdict, len(before))
+
+        def left_by(laws: Mapping[EffectName, Law]) -> Array:
+            return rows.residual([*laws.values(), *sensors]) + sensed
+
+        # the given laws, with one name after the other as the file has it
+        laws, staged = {law.name: law for law in self.known}, []
+        for one in found.effects:
+            laws.pop(one.name, None)
+            laws |= {name: law for name, law in told.items() if name == one.name}
+            staged.append(
+                dataclasses.replace(one, gap_after=gap(left_by(laws), rows.table, self.parts.reporting))
+            )
+        laws = laws if file is None else told
+        after = left_by(laws)
+        moved = motion_gaps(rows.physics, self.known, tuple(laws.values()), self.parts.report_runs)
+        finding = dataclasses.replace(
+            found,
+            noise_floor={**found.noise_floor, **in_rad(moved, "floor_rad")},
+            gap_after=gap(after, rows.table, self.parts.reporting),
+            before_si={**found.before_si, **in_rad(moved, "before_rad")},
+            after_si={
+                **in_si(after, rows.table, self.parts.reporting, self.arm),
+                **in_rad(moved, "after_rad"),
+            },
+            effects=tuple(staged),
+        )
+        return DynamicOutcome(
+            finding,
+            (*self.warnings, *doubts(before, rows.table), *verdict.warnings, *grown(finding)),
+            rows.table,
+            before,
+            after,
+            self.parts,
+            tuple(run.name for run in recording.runs),
+            rows.physics,
+            (*laws.values(), *sensors),
+            drawn_laws(verdict.fit, [one.name for one in finding.effects]),
+            self.told,
+            self.outcome,
+        )
+
+    def _found(self, before: Array) -> GapFinding:
+        """What was decided, without the gap that a file leaves."""
+        verdict, table, reporting = self.verdict, self.rows.table, self.parts.reporting
+        explained = what_is_left(verdict.fit, verdict.kept) if verdict.kept else before
+        return GapFinding(
+            arm=self.arm.name,
+            data=self.log.sources,
+            noise_floor=floors_si(table, self.arm),
+            gap_before=gap(before, table, reporting),
+            gap_after=math.nan,
+            before_si=in_si(before, table, reporting, self.arm),
+            after_si={},
+            effects=named_effects(verdict),
+            ambiguous=verdict.ambiguous,
+            unknown=verdict.unknown,
+            nameable=nameable_effects(verdict.fit),
+            next_experiment=next_experiment(self.rows.recording, verdict.ambiguous, verdict.unknown),
+            remainder=verdict.remainder,
+            open_questions=open_questions(self.rows.recording, verdict),
+            gap_explained=gap(explained, table, reporting),
+        )
 
 
 def _rising(advance: Advance) -> Advance:

@@ -176,9 +176,9 @@ def _refitted(fit: SeriesFit, around: OperatingPoint, split: RowSplit) -> dict[K
     linear = SeriesLinear.around(around, [*terms, *blocks])
     gram = linear.gram(fit.noises, scene.picked(split.deciding & scene.kept))
     sd = np.concatenate([_usual(one) for one in linear.terms])
-    inner = np.eye(len(sd)) + sd[:, None] * gram.tip * sd
+    inner = np.eye(len(sd)) + sd[:, None] * (gram.tip + gram.current) * sd
     covariance = sd[:, None] * np.linalg.inv(inner) * sd
-    size, first = covariance @ gram.pull, 0
+    size, first = covariance @ (gram.pull + gram.current_pull), 0
     moved = dict(laws)
     for one in terms:
         place = slice(first, first + one.count)

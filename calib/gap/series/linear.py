@@ -83,7 +83,9 @@ class SeriesLinear:
         return np.concatenate([np.arange(self.first), *(self.places[number] for number in numbers)])
 
     def gram(self, noises: Sequence[Noise], rows: Picked) -> Gram:
-        """What evidence needs, from the picked thin rows, each cell whitened by its own noise; nuisances are in it."""
+        """What evidence needs, from the picked thin rows, each cell whitened by its own noise; nuisances are in it, and what
+        other recordings tell.
+        """
         total = self.first + sum(one.count for one in self.terms)
         seen, pull, left, count = np.zeros((total, total)), np.zeros(total), 0.0, 0
         for k, thin in enumerate(self.scene.thin):
@@ -96,7 +98,9 @@ class SeriesLinear:
             pull[at] += inner[1:, 0]
             left += float(inner[0, 0])
             count += int(picked.sum())
-        return Gram(seen, pull, np.zeros(seen.shape), np.zeros(total), left, float(count))
+        found = Gram(seen, pull, np.zeros(seen.shape), np.zeros(total), left, float(count))
+        told = self.scene.told
+        return found if told is None else told.beside(found, self.terms, self.places)
 
     def thin_columns(self, places: Places) -> Array:
         """What some columns do to all thin rows, (thin rows, c)."""
@@ -133,7 +137,8 @@ def marginalised(gram: Gram, first: int) -> Gram:
     seen = gram.tip[first:, first:] - inner[:-1, :-1]
     pull = gram.pull[first:] - inner[:-1, -1]
     left = gram.left - float(inner[-1, -1])
-    return Gram(seen, pull, np.zeros(seen.shape), np.zeros(len(pull)), left, gram.freedom)
+    # what is told of other columns tells nothing of these
+    return Gram(seen, pull, gram.current[first:, first:], gram.current_pull[first:], left, gram.freedom)
 
 
 def only(gram: Gram, at: Places) -> Gram:
@@ -264,7 +269,9 @@ def refitted(fit: SeriesFit, numbers: Sequence[int]) -> tuple[Array, Array]:
     """Coefficients of nuisances and terms of the best set, and their covariance."""
     at, scales = fit.linear.at(numbers), dict(fit.best.members)
     sd = np.concatenate([np.ones(fit.linear.first), *(fit.evidence.scales[k][0][scales[k]] for k in numbers)])
-    seen, pull = (part / fit.best.kappa**2 for part in (fit.gram.tip[np.ix_(at, at)], fit.gram.pull[at]))
+    across, noise = np.ix_(at, at), fit.best.kappa**2
+    seen = fit.gram.tip[across] / noise + fit.gram.current[across]
+    pull = fit.gram.pull[at] / noise + fit.gram.current_pull[at]
     covariance = sd[:, None] * np.linalg.inv(np.eye(len(sd)) + sd[:, None] * seen * sd) * sd
     return covariance @ pull, covariance
 

@@ -11,6 +11,7 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import series_of
 from calib.gap.finding import DrawnLaw, EffectName, GapFinding
 from calib.gap.posterior.constants import SILENT_MOST
+from calib.gap.posterior.told import Told
 from calib.gap.residuals.rows import ChannelRows, RowTable
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.linear import SeriesFit, left
@@ -28,7 +29,8 @@ FAR_OFF = 20.0  # floors
 @dataclass(frozen=True, slots=True)
 class DynamicOutcome:
     """The finding, and what a report draws: residual rows over the floor before and after, what each row is,
-    which rows report, and sentences about the log; `model`: all that is known and named, as `physics` takes it.
+    which rows report, and sentences about the log; `model`: all that is known and named, as `physics` takes it;
+    `told`: what the runs tell of the arm's effects; `with_file`: the same with the gap that another arm.toml leaves.
     """
 
     finding: GapFinding
@@ -40,7 +42,9 @@ class DynamicOutcome:
     run_names: tuple[str, ...]
     physics: Physics
     model: tuple[Law, ...]
-    laws: tuple[DrawnLaw, ...] = ()
+    laws: tuple[DrawnLaw, ...]
+    told: Told
+    with_file: Callable[[Arm], DynamicOutcome]
 
 
 def gap(residual: Array, table: RowTable, picked: Picked) -> float:

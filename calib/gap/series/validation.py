@@ -23,12 +23,15 @@ from calib.gap.series.split import Picked
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A term of the best set by number, with its coefficients and their covariance."""
+    """A term of the best set by number, with its coefficients and their covariance; `alike`: the part of it that departures bring
+    which look like the law itself.
+    """
 
     number: int
     term: SeriesTerm
     size: Array
     covariance: Array
+    alike: Array
 
     @property
     def is_sure(self) -> bool:
@@ -77,7 +80,8 @@ def members(fit: SeriesFit) -> Iterator[Member]:
         departs = share @ (sd[:, term.laws] / sd[:, 0]) ** 2 if term.departures else 0.0
         if term.curve is not None:
             mean, covariance = term.curve.held(mean, np.asarray(covariance))
-        yield Member(number, term, mean, np.asarray(covariance) + departs * _alike(fit, term, mean))
+        alike = departs * _alike(fit, term, mean)
+        yield Member(number, term, mean, np.asarray(covariance) + alike, alike)
 
 
 def _alike(fit: SeriesFit, term: SeriesTerm, size: Array) -> Array:

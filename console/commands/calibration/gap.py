@@ -81,7 +81,7 @@ def _look(
 
 
 def _say(given: argparse.Namespace, outcome: GapOutcome, out: Path, has_points: bool) -> None:
-    warn((*outcome.warnings, *outcome.agreement))
+    warn(outcome.warnings)
     files = {"report": out / "report.html", "model": out / "arm.toml"}
     answer(given, gap_content(outcome.finding), "\n".join(in_words(outcome.finding)), files)
     if has_points and not given.json:

@@ -66,7 +66,7 @@ def test_a_picture_that_fails_loses_no_result(tmp_path: Path, monkeypatch: pytes
         raise ValueError("Axis limits cannot be NaN or Inf")
 
     monkeypatch.setattr(report, "dynamic_sections", broken)
-    outcome = GapOutcome(FOUND, None, SimpleNamespace(finding=FOUND), (), ())  # type: ignore[arg-type]
+    outcome = GapOutcome(FOUND, None, SimpleNamespace(finding=FOUND), ())  # type: ignore[arg-type]
     write_gap(outcome, load_arm("right"), Recordings(None, None, (), (), ()), tmp_path / "out")
     assert (tmp_path / "out" / "gap.json").exists()
     assert (tmp_path / "out" / "arm.toml").exists()

@@ -273,21 +273,17 @@ def test_runs_that_go_one_way_report_and_decide_both_ways() -> None:
     assert {k % 2 for k in np.unique(Table.run[parts.deciding]).tolist()} == {0, 1}
 
 
-def test_a_name_that_other_recordings_take_back_is_not_in_the_file_and_no_drive_is_invented() -> None:
-    arm, played = load_arm("right"), EffectName("backlash", 1)
+def test_the_file_of_poses_has_what_the_runs_name_besides_and_no_drive_is_invented() -> None:
+    arm, dragged = load_arm("right"), EffectName("coulomb_friction", 2)
     searched = dataclasses.replace(
-        arm, effects=(Effect("backlash", 1, {"width_rad": 0.005}), Effect("encoder_scale", 2, {"scale": 0.004})),
+        arm,
+        effects=(Effect("backlash", 1, {"width_rad": 0.005}),),
         drives=tuple(dataclasses.replace(drive, gear_ratio=1.0) for drive in arm.drives),
-    )  # fmt: skip
-    scaled = SimpleNamespace(
-        name=EffectName("encoder_scale", 2), parameters={"scale": (0.004, 1e-4)}, is_nothing=False
     )
-    static = SimpleNamespace(
-        arm=arm, file=searched, finding=SimpleNamespace(effects=(SimpleNamespace(name=played), scaled))
-    )
-    outcome = SimpleNamespace(static=static, finding=SimpleNamespace(effects=(scaled,), maps=None))
-    written = _updated(arm, cast(Any, outcome))
-    assert [(one.effect, one.joint) for one in written.effects] == [("encoder_scale", 2)]
+    drag = SimpleNamespace(name=dragged, parameters={"torque_Nm": (0.4, 0.01)}, is_nothing=False)
+    finding = SimpleNamespace(effects=(drag,), maps=None)
+    written = _updated(arm, cast(Any, finding), cast(Any, SimpleNamespace(file=searched)))
+    assert [(one.effect, one.joint) for one in written.effects] == [("backlash", 1), ("coulomb_friction", 2)]
     assert written.drives == arm.drives
 
 

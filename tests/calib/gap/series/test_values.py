@@ -32,7 +32,7 @@ def soft(size: float, sd: float) -> Member:
         return Law(SPRING_2, SPRING, (float(np.clip(c[0] * UNIT_rad_Nm, 0.0, MOST_rad_Nm)), 0.0, 0.0))
 
     term = SeriesTerm(SPRING_2, law=law, curve=Curve(1, 2e-3, 2.4e-3, UNIT_rad_Nm))
-    return Member(0, term, np.array([size, 0.0]), np.diag([sd**2, 0.0]))
+    return Member(0, term, np.array([size, 0.0]), np.diag([sd**2, 0.0]), np.zeros((2, 2)))
 
 
 def test_a_value_within_its_range_is_known_as_well_as_its_coefficient() -> None:
