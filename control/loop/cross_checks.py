@@ -397,30 +397,46 @@ class LimitSwitch:
 
 
 class MetSwitch:
-    """Which way is barred by an active limit switch: the one in which its joint met it, whatever arm.toml says of its side.
+    """Which way an active limit switch bars: that in which its joint met it, whatever arm.toml says of its side.
 
-    So a switch that is wired to the other end stops its joint, too, and lets it back out. One that was active from the start
-    is taken at its word. Where it was left it may chatter: it is met there in the same direction.
+    So a switch that is wired to the other end stops its joint, too, and lets it back out, and stays known as such while the
+    runtime lives. That takes a joint that went this way for longer than the switch's place is uncertain. One that met it just
+    after it had turned round may have gone either way: both are barred until its drives were off. A switch that was active from
+    the start is taken at its word. Where it was left it may chatter: it is met there in the same direction.
     """
 
-    __slots__ = ("_at_rad", "_was_active", "barred", "switch")
+    __slots__ = ("_at_rad", "_from_rad", "_was_active", "_way", "is_doubtful", "is_elsewhere", "switch")
 
     def __init__(self, switch: LimitSwitch) -> None:
         self.switch = switch
+        self.is_elsewhere = False  # at the other end
         self.forget()
 
     def forget(self) -> None:
         """Nobody looked: the joint was moved otherwise, or has another zero."""
-        self.barred, self._was_active, self._at_rad = self.switch.side, True, math.nan
+        self.is_doubtful, self._was_active, self._at_rad = False, True, math.nan
+        self._way, self._from_rad = 0.0, math.nan
 
     def follow(self, is_active: bool, q_rad: float, speed_set_rad_s: float) -> None:
         """Take a cycle's level."""
+        if speed_set_rad_s * self._way <= 0.0 and speed_set_rad_s != 0.0:  # it turns round
+            self._way, self._from_rad = math.copysign(1.0, speed_set_rad_s), q_rad
         if is_active:
             is_met = not self._was_active and not abs(q_rad - self._at_rad) <= self.switch.edge_rad
             if is_met and speed_set_rad_s != 0.0:
-                self.barred = math.copysign(1.0, speed_set_rad_s)
+                is_elsewhere = self._way != self.switch.side
+                if (q_rad - self._from_rad) * self._way > self.switch.edge_rad:
+                    self.is_elsewhere, self.is_doubtful = is_elsewhere, False
+                else:
+                    self.is_doubtful = is_elsewhere is not self.is_elsewhere
             self._at_rad = q_rad
         self._was_active = is_active
+
+    def bars(self, speed_rad_s: float) -> bool:
+        """Whether a joint may not move this way while it is active."""
+        if self.is_doubtful:
+            return speed_rad_s != 0.0
+        return speed_rad_s * self.switch.side * (-1.0 if self.is_elsewhere else 1.0) > 0.0
 
 
 class LimitSwitchWatch:
@@ -460,12 +476,16 @@ class LimitSwitchWatch:
                     faults.append(_of_limit(switch, "whose board does not say whether it is active"))
                 continue
             met.follow(is_active, q_rad[switch.joint], speed_rad_s)
-            is_at_its_end = met.barred == switch.side
-            is_sought = is_homing and switch.is_home and is_at_its_end
-            if is_active and speed_rad_s * met.barred > 0.0 and not is_sought:
-                says = "which is active" if is_at_its_end else "which seems to be wired to the other end"
-                faults.append(_of_limit(switch, says))
+            is_sought = is_homing and switch.is_home and not met.is_elsewhere and not met.is_doubtful
+            if is_active and met.bars(speed_rad_s) and not is_sought:
+                faults.append(_of_limit(switch, _says(met)))
         return faults
+
+
+def _says(met: MetSwitch) -> str:
+    if met.is_doubtful:
+        return "met as it turned round: which way leads out is not known; switch the drives off and on, then jog it out"
+    return "which seems to be wired to the other end" if met.is_elsewhere else "which is active"
 
 
 def _of_limit(switch: LimitSwitch, says: str) -> Fault:

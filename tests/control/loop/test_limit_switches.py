@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from control.hardware.words import ZERO_SET
+from control.loop.cross_checks import LimitSwitch, MetSwitch
 from control.model.arm import Arm, Home, LimitSwitches
 from control.model.arm_checks import check_arm
 from control.model.end_effector import Digital
@@ -73,7 +75,7 @@ def test_a_broken_wire_is_a_switch_that_is_active() -> None:
 
 
 @pytest.mark.parametrize("homed", [True, False])
-def test_a_switch_that_is_wired_to_the_other_end_stops_the_joint_and_lets_it_back_out(homed: bool) -> None:
+def test_a_switch_that_is_wired_to_the_other_end_stops_the_joint_also_after_off(homed: bool) -> None:
     swapped = LimitSwitches(lower="high", upper="low")
     with open_cell(near_it(homed), with_switches(), believed=with_switches(swapped)) as cell:
         cell.client.enable()
@@ -89,10 +91,62 @@ def test_a_switch_that_is_wired_to_the_other_end_stops_the_joint_and_lets_it_bac
             assert cell.faults == [("limit_switch", "joint 3")]
             assert cell.rig.joint_rad()[2] < AT_rad + MARGIN_rad
         cell.client.acknowledge()
+        cell.client.off()  # it sinks on into the switch, whose place is known all the same
+        cell.client.enable()
+        before_rad = cell.rig.joint_rad()[2]
+        jog(cell, 0.2)
+        assert cell.faults == [("limit_switch", "joint 3")]
+        assert cell.rig.joint_rad()[2] < before_rad + MARGIN_rad
+
+
+def test_a_switch_that_is_wired_to_the_other_end_lets_the_joint_back_out() -> None:
+    swapped = LimitSwitches(lower="high", upper="low")
+    with open_cell(near_it(True), with_switches(), believed=with_switches(swapped)) as cell:
+        cell.client.enable()
+        jog(cell, 0.2)
+        cell.client.acknowledge()
         cell.client.enable()
         jog(cell, -0.2)
         assert cell.faults == []
         assert cell.rig.joint_rad()[2] < AT_rad - 0.05
+
+
+SWITCH = LimitSwitch(2, "joint 3", "high", 1.0, True, False, edge_rad=0.01)
+
+
+def followed(
+    met: MetSwitch, q_rad: Iterable[float], speed_rad_s: float, is_active: bool = False
+) -> MetSwitch:
+    for q in q_rad:
+        met.follow(is_active, q, speed_rad_s)
+    return met
+
+
+def test_a_switch_that_is_met_just_as_the_joint_turns_round_bars_both_ways_until_the_drives_were_off() -> (
+    None
+):
+    """A level comes late, and a joint lags: it met the switch on its way up, and its set-point goes down by then."""
+    met = followed(MetSwitch(SWITCH), np.linspace(0.4, 0.601, 50), 0.2)
+    followed(met, [0.602], -0.2)
+    followed(met, [0.602, 0.601], -0.2, is_active=True)
+    assert met.bars(0.2)
+    assert met.bars(-0.2)
+    met.forget()
+    followed(met, [0.601, 0.600], -0.2, is_active=True)
+    assert met.bars(0.2)
+    assert not met.bars(-0.2)
+
+
+def test_a_switch_that_was_met_at_the_other_end_is_known_there_until_it_is_met_at_its_own() -> None:
+    met = followed(MetSwitch(SWITCH), np.linspace(0.0, -0.5, 50), -0.2)
+    followed(met, [-0.5, -0.501], -0.2, is_active=True)
+    met.forget()
+    assert met.bars(-0.2)
+    assert not met.bars(0.2)
+    followed(met, np.linspace(-0.5, 0.6, 50), 0.2)
+    followed(met, [0.6], 0.2, is_active=True)
+    assert met.bars(0.2)
+    assert not met.bars(-0.2)
 
 
 def test_a_switch_that_chatters_lets_the_joint_out_all_the_same() -> None:
