@@ -20,8 +20,6 @@ REAL_BUSES = (
     "ARMWRIGHT_CAN_FD",
 )  # not settings of the product: they name hardware to test with
 
-MEMORY = "/dev/shm"
-
 
 def pytest_configure(config: pytest.Config) -> None:
     """Nothing of the user's is seen or touched, while tests are collected, by fixtures of modules and by child processes either.
@@ -33,7 +31,6 @@ def pytest_configure(config: pytest.Config) -> None:
         for name in [*os.environ]:
             if name.startswith(("ARMWRIGHT_", "XDG_")) and name not in REAL_BUSES:
                 del os.environ[name]
-        _stay_in_memory()
         folder = tempfile.TemporaryDirectory(prefix="armwright-tests-", ignore_cleanup_errors=True)
         config.add_cleanup(folder.cleanup)
         cache = Path(folder.name, "cache")
@@ -43,21 +40,6 @@ def pytest_configure(config: pytest.Config) -> None:
             "HYPOTHESIS_STORAGE_DIRECTORY": str(config.rootpath / config.getini("cache_dir") / "hypothesis"),
         }
     _settle_hypothesis(at_night=not config.option.markexpr)
-
-
-def _stay_in_memory() -> None:
-    """Temporary folders are in memory where there is room, unless TMPDIR says where.
-
-    On a disk, the folders of a test and each file that is written whole take some ten milliseconds of waiting.
-    """
-    try:
-        memory = os.statvfs(MEMORY)
-    except OSError:
-        return
-    is_roomy = memory.f_bavail * memory.f_frsize > 2**30  # pytest removes the folder of each test that passed
-    may_execute = not memory.f_flag & os.ST_NOEXEC  # the firmware in C is compiled there
-    if is_roomy and may_execute and os.access(MEMORY, os.W_OK | os.X_OK):
-        tempfile.tempdir = os.environ.setdefault("TMPDIR", MEMORY)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
