@@ -86,7 +86,7 @@ class Flank:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class GearFit:
     """A set of effects fitted by least squares: coefficients, their covariance for independent samples, what is left (m,).
 
     What is left is in standard deviations of each pair.
@@ -223,7 +223,7 @@ def _last_third(run: Array) -> np.ndarray:
     return kept
 
 
-def _best(pairs: Pairs, effects: tuple[str, ...], rows: np.ndarray) -> Fit:
+def _best(pairs: Pairs, effects: tuple[str, ...], rows: np.ndarray) -> GearFit:
     """The fit with the likeliest flanks."""
     largest_Nm = float(np.abs(pairs.torque_Nm).max())
     flanks = [Flank(share * largest_Nm, u) for share in FRICTIONS for u in UNCERTAIN]
@@ -261,7 +261,7 @@ def _sd_rad(pairs: Pairs, effects: tuple[str, ...], flank: Flank, found: Array) 
     )
 
 
-def _fit(pairs: Pairs, effects: tuple[str, ...], flank: Flank, rows: np.ndarray) -> Fit:
+def _fit(pairs: Pairs, effects: tuple[str, ...], flank: Flank, rows: np.ndarray) -> GearFit:
     whole, sd_rad = _columns(pairs, effects, flank), pairs.sd_rad
     for _ in range(PASSES):
         columns, lead = whole[rows] / sd_rad[rows, None], pairs.lead_rad[rows] / sd_rad[rows]
@@ -269,10 +269,10 @@ def _fit(pairs: Pairs, effects: tuple[str, ...], flank: Flank, rows: np.ndarray)
         left, used_rad = lead - columns @ found, sd_rad[rows]
         sd_rad = _sd_rad(pairs, effects, flank, found)
     covariance = np.linalg.pinv(columns.T @ columns) * np.mean(left**2)
-    return Fit(effects, flank, found, covariance, left, float(np.mean(2.0 * np.log(used_rad))))
+    return GearFit(effects, flank, found, covariance, left, float(np.mean(2.0 * np.log(used_rad))))
 
 
-def _predicted_rad(pairs: Pairs, fit: Fit, kept: np.ndarray) -> float:
+def _predicted_rad(pairs: Pairs, fit: GearFit, kept: np.ndarray) -> float:
     """Root mean square of what a fit leaves of pairs that it did not use, about their means where no offset is known."""
     laws = len(fit.effects) + 1  # and the counts' moments
     left = pairs.lead_rad - _columns(pairs, fit.effects, fit.flank)[:, :laws] @ fit.found[:laws]
