@@ -207,7 +207,8 @@ class SessionScreen(Screen[None]):
         if self._process is not None and self._process.returncode is None:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._process.wait(), NEAR_ENDING_S)
-        self._say(f"session {self._folder}: `c` resumes it")
+        is_over = self._process is None or self._process.returncode is not None
+        self._say(f"session {self._folder}: {'' if is_over else 'still ending; then '}`c` resumes it")
 
 
 # Rows of the session's screen: the board with its cavities, and each record with its residuals.

@@ -31,6 +31,8 @@ LIMIT_S = 300.0  # a busy machine is slow, a broken console never gets there
 PATIENT_CLIENT = f"""
 import runpy, sys
 from control.server.channel import SocketChannel
+from firmware_iface.interrupts import end_at_once
+end_at_once()
 SocketChannel.__init__.__defaults__ = ({LIMIT_S}, *SocketChannel.__init__.__defaults__[1:])
 del sys.argv[0]
 runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
