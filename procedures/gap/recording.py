@@ -20,12 +20,14 @@ from calib.points.writer import PointsWriter, replace_file
 from calib.session.take import SessionSettings
 from control.model.arm import Arm
 from control.progress import Advance
+from control.recording.record import LEAD_FIELD
 from control.tables import SAMPLES_MOST, opened_rows
-from procedures.gap.timing import Aligned, Raw, aligned, clocks_of
+from procedures.gap.timing import Aligned, Raw, aligned, clocks_of, lead_rad_of
 from procedures.tour import Bench, How, Rows, Stop, note_plan, tour
 
 TIP = ("x_m", "y_m", "z_m")
 GROUPS = {"q{}_rad": "q_rad", "q{}_set_rad": "q_set_rad", "i{}_A": "current_A", "u{}_V": "voltage_V"}
+LEADS = LEAD_FIELD[0]  # of joints with an encoder on the motor, too
 
 
 class RunFile:
@@ -43,7 +45,9 @@ class RunFile:
         Where a board sets its motor's voltage itself, what the runtime told it beside position or current is none.
         """
         joints = range(1, arm.joint_count + 1)
-        names = ["t_s", *_joint_names(arm.joint_count), *(f"counted{j}_s" for j in joints), *TIP]
+        recorded = rows.dtype.names or ()
+        leads = [name for name in map(LEADS.format, joints) if name in recorded]
+        names = ["t_s", *_joint_names(arm.joint_count), *(f"counted{j}_s" for j in joints), *TIP, *leads]
         hidden = {f"u{drive.joint}_V" for drive in arm.drives if drive.pid.mode != "voltage"}
         table = np.column_stack(
             [
@@ -75,6 +79,9 @@ class RunFile:
         def group(form: str) -> npt.NDArray[np.float64]:
             return np.column_stack([column[form.format(j)] for j in range(1, joint_count + 1)])
 
+        none = np.full(len(table), np.nan)
+        leads = [column.get(LEADS.format(j), none) for j in range(1, joint_count + 1)]
+
         return Raw(
             column["t_s"],
             group("q{}_rad"),
@@ -84,6 +91,7 @@ class RunFile:
             group("counted{}_s"),
             np.column_stack([column[name] for name in TIP]),
             float(column["payload_kg"][0]),
+            np.column_stack(leads),
         )
 
 
@@ -128,10 +136,13 @@ def log_text(joint_count: int, runs: Sequence[tuple[str, Aligned | LoggedRun, fl
         for name, is_there in zip(_joint_names(joint_count), np.repeat(has, joint_count), strict=True)
         if is_there
     ]
-    lines = [",".join(["run", "t_s", *names, *TIP, "payload_kg"])]
+    leads = [lead_rad_of(run, joint_count) for _, run, _ in runs]
+    has_lead = np.any([np.isfinite(lead_rad).any(axis=0) for lead_rad in leads], axis=0)
+    names_of_leads = [LEADS.format(j + 1) for j in np.flatnonzero(has_lead)]
+    lines = [",".join(["run", "t_s", *names, *TIP, *names_of_leads, "payload_kg"])]
     for at, (name, run, payload_kg) in enumerate(runs):
         there = [group[at] for group, is_there in zip(groups, has, strict=True) if is_there]
-        table = np.column_stack((run.t_s, *there, run.tip_m))
+        table = np.column_stack((run.t_s, *there, run.tip_m, leads[at][:, has_lead]))
         end = f"{payload_kg:g}"
         lines += [",".join([name, *(_cell(x) for x in row), end]) for row in table.tolist()]
     return "\n".join(lines) + "\n"

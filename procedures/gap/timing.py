@@ -22,6 +22,7 @@ from calib.capture.alignment import JointMotion, after_leaps, begins_s
 from calib.gap.log import Log, LoggedRun
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
+from control.recording.record import LEAD_FIELD
 
 MEAN_s = 1e-3  # over which a board averages a current, before the command that it answers
 SMOOTH = 4  # cycles: width of the filter applied to all channels
@@ -37,7 +38,7 @@ class Raw:
     """A run as recorded, m cycles of n joints.
 
     t_s (m,); q, set-points, current, voltage (m, n); counted_s (m, n): when each angle was latched, by its board's clock; tip_m
-    (m, 3), NaN without frame.
+    (m, 3), NaN without frame; lead_rad (m, n): how far each motor is ahead of its joint, NaN where no pair of counts came.
     """
 
     t_s: Array
@@ -48,6 +49,7 @@ class Raw:
     counted_s: Array
     tip_m: Array
     payload_kg: float
+    lead_rad: Array
 
     @property
     def period_s(self) -> float:
@@ -65,6 +67,7 @@ class Aligned:
     current_A: Array
     voltage_V: Array
     tip_m: Array
+    lead_rad: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +126,16 @@ def aligned(arm: Arm, raw: Raw, clocks: Clocks) -> Aligned:
     mean_s = np.where(_is_newest(arm), 0.0, MEAN_s)
     current = _currents(arm, raw) + 0.5 * mean_s * _current_slope_A_s(arm, q, raw.period_s)
     tip = _tips(arm, raw, clocks, at)
-    return Aligned(at - at[0], q, raw.q_set_rad[1:-1], current, raw.voltage_V[1:-1], tip)
+    return Aligned(at - at[0], q, raw.q_set_rad[1:-1], current, raw.voltage_V[1:-1], tip, raw.lead_rad[1:-1])
+
+
+def lead_rad_of(run: Aligned | LoggedRun, joint_count: int) -> Array:
+    """How far each motor is ahead of its joint (m, n), NaN where no pair of counts came."""
+    if isinstance(run, Aligned):
+        return run.lead_rad
+    none = ("",) * len(run)
+    columns = [run.extra.get(LEAD_FIELD[0].format(j), none) for j in range(1, joint_count + 1)]
+    return np.column_stack([_numbers(column) for column in columns])
 
 
 def _is_newest(arm: Arm) -> Mask:
@@ -389,7 +401,15 @@ def _raw(run: LoggedRun, begin_s: float, joint_count: int) -> Raw | None:
         return None
     kept = run.rows(slice(first, None))
     return Raw(
-        t_s, kept.q_rad, kept.q_set_rad, kept.current_A, kept.voltage_V, counted_s, kept.tip_m, kept.payload
+        t_s,
+        kept.q_rad,
+        kept.q_set_rad,
+        kept.current_A,
+        kept.voltage_V,
+        counted_s,
+        kept.tip_m,
+        kept.payload,
+        lead_rad_of(kept, joint_count),
     )
 
 

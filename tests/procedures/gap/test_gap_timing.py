@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.gap.log import read_log
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import load_arm
-from procedures.gap.recording import RunFile, write_log
-from procedures.gap.timing import MEAN_s, Raw, aligned, clocks_of
+from procedures.gap.recording import RunFile, log_text, write_log
+from procedures.gap.timing import MEAN_s, Raw, aligned, clocks_of, lead_rad_of
 from procedures.on_boards import on_boards
 
 ARM = load_arm("right")
@@ -62,7 +63,11 @@ def run(
         frames = np.arange(4, len(t), 5)
         seen = ForwardKinematics(ARM).tips(angle(t[frames] - CAMERA_s))
         tip[frames] = seen + noise * draw.normal(0.0, 1.4e-4, seen.shape) + 0.004  # a frame that is displaced
-    return Raw(t, q, angle(t), current, voltage, np.repeat(counted[:, None], 3, axis=1), tip, 0.0)
+    lead = np.full((len(t), 3), np.nan)
+    lead[::20, 1] = 1e-3 * np.sin(
+        t[::20]
+    )  # joint 2 has an encoder on the motor, too, which is asked now and then
+    return Raw(t, q, angle(t), current, voltage, np.repeat(counted[:, None], 3, axis=1), tip, 0.0, lead)
 
 
 RUNS = [run(start) for start in (40.0, 60.0, 95.0)]
@@ -129,16 +134,43 @@ def test_a_run_of_another_runtime_is_put_on_a_clock_of_its_own(tmp_path: Path) -
     assert logs["2",] == logs["1", "2"] != []
 
 
-def write_run(folder: Path, name: str, one: Raw, lost: str | None = None) -> None:
+def write_run(folder: Path, name: str, one: Raw, lost: str | None = None, has_leads: bool = True) -> None:
     n = 3
     table = {f"{form}{j + 1}{unit}": values[:, j] for j in range(n) for form, unit, values in (
         ("q", "_rad", one.q_rad), ("q", "_set_rad", one.q_set_rad), ("i", "_A", one.current_A), ("u", "_V", one.voltage_V),
         ("counted", "_s", one.counted_s))}  # fmt: skip
-    table |= {"t_s": one.t_s, **{name: one.tip_m[:, k] for k, name in enumerate(("x_m", "y_m", "z_m"))}}
+    table |= {
+        "lead2_rad": one.lead_rad[:, 1],
+        "t_s": one.t_s,
+        **{name: one.tip_m[:, k] for k, name in enumerate(("x_m", "y_m", "z_m"))},
+    }
+    table = {column: values for column, values in table.items() if has_leads or column != "lead2_rad"}
     rows = np.zeros(400, dtype=[(column, np.float64) for column in table])
     for column, values in table.items():
         rows[column] = math.nan if column == lost else values[:400]
     RunFile.write(RunFile.of(folder, name), rows, ARM, 0.0)
+
+
+def test_leads_between_two_encoders_are_in_the_log_and_stay_in_one_that_gets_tips(tmp_path: Path) -> None:
+    write_run(tmp_path, "1", RUNS[0])
+    write_log(tmp_path, ARM, ["1"])
+    log, warnings = read_log(tmp_path / "log.csv", 3)
+    assert warnings == ()
+    (recorded,) = log.runs
+    assert set(recorded.extra) == {"lead2_rad"}
+    lead_rad = lead_rad_of(recorded, 3)
+    there = np.isfinite(lead_rad[:, 1])
+    assert lead_rad[there, 1] == pytest.approx(1e-3 * np.sin(40.0 + PERIOD_s + recorded.t_s[there]), rel=1e-6)
+    assert there.sum() == 19  # of 400 rows
+    copied = tmp_path / "copied.csv"
+    copied.write_text(log_text(3, [("1", recorded, 0.0)]))
+    (again,) = read_log(copied, 3)[0].runs
+    assert again.extra == recorded.extra
+
+
+def test_a_run_of_before_leads_were_recorded_is_read(tmp_path: Path) -> None:
+    write_run(tmp_path, "1", RUNS[0], has_leads=False)
+    assert np.isnan(RunFile.read(RunFile.of(tmp_path, "1"), 3).lead_rad).all()
 
 
 @pytest.mark.parametrize("kind", ["dynamixel", "mixed"])
