@@ -240,10 +240,11 @@ def main() -> None:
     """Print a table of every arm and play: mean and largest error over all seeds, and how often each effect was named."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=1, help="arms of each sort")
+    parser.add_argument("--arms", nargs="+", choices=tuple(PLAYS), default=tuple(PLAYS))
     parser.add_argument("--webcam", action="store_true", help="with rendered pictures, of an SO-101")
     add_options(parser)
     given = parser.parse_args()
-    sorts = [(name, play_deg) for name, plays in PLAYS.items() for play_deg in plays]
+    sorts = [(name, play_deg) for name in given.arms for play_deg in PLAYS[name]]
     task = afternoon_of
     if given.webcam:
         sorts, task = [sort for sort in sorts if sort[0] == "so101"], webcam_afternoon_of
