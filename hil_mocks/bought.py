@@ -18,7 +18,18 @@ from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, Output
 from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
-from hil_mocks.devices.roboclaw import DRIVER_FAULT, E_STOP, FULL, OVER_HEATED, RoboClawLineMock, RoboClawMock
+from hil_mocks.devices.roboclaw import (
+    DRIVER_FAULT,
+    E_STOP,
+    FORWARD_PIN,
+    FULL,
+    OVER_HEATED,
+    PIN_MODES,
+    REVERSE_PIN,
+    SWITCH_PIN,
+    RoboClawLineMock,
+    RoboClawMock,
+)
 from hil_mocks.devices.vesc import VescMock, VescSetup
 from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import OWN_INPUT, JointWiring, limit_switches
@@ -317,6 +328,9 @@ class Servos:
         return lambda: encoder_rad(j) * turns_per_rad + zero_turns
 
 
+LIMIT_PINS = {True: SWITCH_PIN | FORWARD_PIN, False: SWITCH_PIN | REVERSE_PIN}
+
+
 class RoboClaws:
     """All RoboClaw lines of an arm. Joints 0-based; serial lines in the order of `ports`."""
 
@@ -328,6 +342,15 @@ class RoboClaws:
         self._joints = {board.name: self._channels_of(arm, board.name) for board in drawn}
         self._mocks = [RoboClawMock(board.address, self._reader(board.name)) for board in drawn]
         self._of_mock = [self._joints[board.name] for board in drawn]
+        self._limits = {j: _own_limits(drive) for j, drive in enumerate(arm.drives) if _own_limits(drive)}
+        for mock, joints in zip(self._mocks, self._of_mock, strict=True):
+            for channel, j in joints.items():
+                for _, side, _ in self._limits.get(j, ()):
+                    mode = LIMIT_PINS[side * arm.drives[j].motor_direction > 0.0]
+                    pins = bytearray(mock.saved[PIN_MODES])
+                    pins[1 + channel] = mode
+                    mock.saved[PIN_MODES] = bytes(pins)
+            mock.power_up()
         self.lines = [
             RoboClawLineMock(
                 [mock for mock, board in zip(self._mocks, drawn, strict=True) if board.port == port],
@@ -358,7 +381,12 @@ class RoboClaws:
             for channel, joint in joints.items():
                 measured[channel], limited[channel] = seen.currents_A[joint], seen.is_clamped[joint]
                 supply = seen.supply_V[joint]
-                mock.are_switches_on[channel] = self._wiring[joint].is_at_switch(seen.joint_rad[joint])
+                limits = self._limits.get(joint)
+                mock.are_switches_on[channel] = (
+                    any((seen.joint_rad[joint] - at_rad) * side >= 0.0 for at_rad, side, _ in limits)
+                    if limits
+                    else self._wiring[joint].is_at_switch(seen.joint_rad[joint])
+                )
             mock.tick(now_s, measured, supply, limited)
             for channel, joint in joints.items():
                 volts = mock.duty[channel] / FULL * supply

@@ -325,11 +325,13 @@ def _check_limit_switches(arm: Arm) -> None:
         for end in ("lower", "upper"):
             path, name = ("drive", i, "limit_switches", end), getattr(switches, end, "")
             is_own = name == OWN_INPUT
-            if name and name not in inputs and not (is_own and arm.kind_of(drive).has_limit_inputs):
+            has_own = bool(drive.board) and drive.encoder_board < 0 and arm.kind_of(drive).has_limit_inputs
+            if name and name not in inputs and not (is_own and has_own):
                 known = ", ".join(inputs) or "none"
                 own = ", ".join(kind for kind, offers in KINDS.items() if offers.has_limit_inputs)
                 expected = (
-                    f'the name of a [[digital]] that is an input ({known}); "{OWN_INPUT}" is for: {own}'
+                    f'the name of a [[digital]] that is an input ({known}); "{OWN_INPUT}" is for: {own}; other boards:'
+                    " let the switch open the emergency stop"
                 )
                 raise Rejected(path, expected, f'"{name}"')
             named += [(path, name)] if name and not is_own else []
@@ -340,7 +342,24 @@ def _check_limit_switches(arm: Arm) -> None:
             if home is not None and home.switch == end and (home.index_rad - home.switch_rad) * side < 0.0:
                 expected = f"an index beyond switch_rad = {home.switch_rad:g}, where the {end} limit switch is active"
                 raise Rejected(("drive", i, "home", "index_rad"), expected, f"{home.index_rad:g}")
+        _check_own_inputs(arm, i, drive)
     _check_unique(named, "a switch of its own for every end")
+
+
+def _check_own_inputs(arm: Arm, i: int, drive: Drive) -> None:
+    """A board has so many inputs for the switches of a motor."""
+    if (switches := drive.limit_switches) is None:
+        return
+    ends = [end for end in ("lower", "upper") if getattr(switches, end) == OWN_INPUT]
+    has_home = drive.home is not None and drive.home.switch == "own"
+    kind = arm.kind_of(drive)
+    if ends and len(ends) + has_home > kind.switch_inputs:
+        raise Rejected(
+            ("drive", i, "limit_switches", ends[-1]),
+            f"one switch of joint {drive.joint} at its board, which has one input for it: give the other end to a [[digital]]"
+            f' or the emergency stop, and home on the limit switch (`switch = "{ends[0]}"` in [drive.home])',
+            " and ".join([*(f"the {end} end" for end in ends), *(["a home switch"] if has_home else [])]),
+        )
 
 
 def _check_gripper(arm: Arm, gripper: Gripper, nodes: dict[int, str]) -> None:

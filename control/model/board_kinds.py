@@ -55,6 +55,7 @@ class BoardKind:
     sent_bits_s: float = 0.0  # of what it sends unasked, at the rates that its page asks for
     has_switch: bool = True  # reads a home switch, where it does not know the joint's angle
     has_limit_inputs: bool = False  # says of limit switches at its own inputs
+    switch_inputs: int = 1  # of each motor, for home and limit switches
 
 
 REFERENCE: Final = BoardKind(
@@ -83,6 +84,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             usual_rate_Hz=100.0,
             limits_current=True,
             highest_supply_V=34.0,
+            has_limit_inputs=True,
         ),
         "cia402": BoardKind(
             line="can",
@@ -97,6 +99,7 @@ KINDS: Final[Mapping[str, BoardKind]] = MappingProxyType(
             cycle_bits=125 + 75 + 2 * 135,  # its PDOs of 7, 2, 8 and 8 bytes
             shared_bits=55,  # SYNC
             has_limit_inputs=True,
+            switch_inputs=3,
         ),
         "dynamixel": BoardKind(
             line="serial",

@@ -153,10 +153,20 @@ class RoboClaw:
 
     def require_home_switch(self, channel: int) -> None:
         """WrongIdentity unless S4, of channel 1, or S5, of channel 2, tells of a home switch."""
-        if self.identity is not None and (mode := self.identity.pin_modes[channel]) not in wire.HOME_PINS:
+        self._require_pin(channel, "Home (User)", wire.HOME_PINS)
+
+    def require_limit_switch(self, channel: int, is_forward: bool) -> None:
+        """WrongIdentity unless S4, of channel 1, or S5, of channel 2, tells of a limit switch at this end of the motor's way."""
+        if is_forward:
+            self._require_pin(channel, "Limit (Fwd)", (wire.LIMIT_FORWARD, wire.LIMIT_BOTH))
+        else:
+            self._require_pin(channel, "Limit (Rev)", (wire.LIMIT_REVERSE, wire.LIMIT_BOTH))
+
+    def _require_pin(self, channel: int, called: str, modes: tuple[int, ...]) -> None:
+        if self.identity is not None and (mode := self.identity.pin_modes[channel]) not in modes:
             raise WrongIdentity(
-                f'{self.where}: expected S{3 + channel} as "Home (User)" ({wire.HOME_PINS[0]:#04x}) for the switch of channel'
-                f" {channel}, its mode is {mode:#04x}; set it in the vendor's Motion Studio"
+                f'{self.where}: expected S{3 + channel} as "{called}" ({modes[0]:#04x}) for the switch of channel {channel}, its'
+                f" mode is {mode:#04x}; set it in the vendor's Motion Studio"
             )
 
     def set_up(self, timeout_s: float, current_limits_A: tuple[float, float]) -> None:

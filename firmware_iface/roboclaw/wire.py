@@ -29,6 +29,10 @@ HOME_PINS: Final = (
     0x62,
     0x04,
 )  # modes of S4 and S5, as command 74 has them: "Home (User)"; in earlier manuals, "home"
+# "Limit (Fwd)", "Limit (Rev)", "Limit (Both)": the board itself stops a motor that drives forward, backward or either way
+# into it.
+LIMIT_FORWARD, LIMIT_REVERSE = 0x12, 0x22
+LIMIT_BOTH: Final = LIMIT_FORWARD | LIMIT_REVERSE
 _CRC = struct.Struct(">H")
 
 

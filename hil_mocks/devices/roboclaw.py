@@ -55,6 +55,10 @@ TIMEOUT, VOLTAGES, VELOCITY_GAINS, POSITION_GAINS, DEFAULT_SPEEDS, RATES, CURREN
     81,
     135,
 )
+# Bits of a mode of S4 and S5, by the table of command 74: a switch that stops its motor going forward, and in reverse. Of those
+# with HOME_PIN the manual says besides that the count becomes 0 (docs/roboclaw.md).
+SWITCH_PIN, FORWARD_PIN, REVERSE_PIN, HOME_PIN = 0x02, 0x10, 0x20, 0x40
+PIN_MODES = 75
 DELIVERED = {
     **{read: bytes(sum(writes.values())) for read, writes in SETTINGS.items()},
     **{read: bytes((rows,)) + bytes(rows * size) for read, (_, rows, size) in LISTS.items()},
@@ -62,7 +66,7 @@ DELIVERED = {
     VELOCITY_GAINS: struct.pack(">4I", 0x10000, 0x8000, 0x4000, 44_000),
     VELOCITY_GAINS + 1: struct.pack(">4I", 0x10000, 0x8000, 0x4000, 44_000),
     VOLTAGES: struct.pack(">HHB", 60, 340, 0),  # in 0.1 V
-    75: bytes((0, 0x62, 0x62, 0, 0)),  # S3; S4 and S5 as home switches; CTRL1, CTRL2
+    PIN_MODES: bytes((0, 0x62, 0x62, 0, 0)),  # S3; S4 and S5 as home switches; CTRL1, CTRL2
     RATES: struct.pack(">4I", *[655_359] * 4),  # of the duties: rise and fall
     CURRENT_LIMITS: struct.pack(">II", 6000, 0),  # in 10 mA
     CURRENT_LIMITS + 1: struct.pack(">II", 6000, 0),
@@ -280,6 +284,15 @@ class RoboClawMock:
                 self._set_speeds[channel] = self._integrals[channel] = 0.0
             else:
                 self.duty[channel] = self._controlled(channel, movement, step_s)
+            if self._is_barred(channel):
+                self.duty[channel] = 0.0
+
+    def _is_barred(self, channel: int) -> bool:
+        """Whether it drives into its limit switch."""
+        mode = self.settings[PIN_MODES][1 + channel]
+        way = FORWARD_PIN if self.duty[channel] > 0.0 else REVERSE_PIN
+        is_limit = bool(mode & SWITCH_PIN) and not mode & HOME_PIN
+        return self.are_switches_on[channel] and is_limit and bool(mode & way)
 
     def _ramp(self, channel: int, wanted: int, own_rate: int, step_s: float) -> None:
         """The duty goes to the wanted one."""

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 
 from control.errors import ArmError
 from control.hardware.connect import with_links
+from control.hardware.interface import NamedPins
 from control.hardware.reference_encoders import start_stream
+from control.hardware.words import HOME_SWITCH
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.model.joint_map import Unwrapper
@@ -23,11 +25,12 @@ from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.closing import Closing
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import LinkError, MisuseError, connect_all
-from firmware_iface.motor.board import MotorBoard, MotorBus
+from firmware_iface.motor.board import DigitalPins, MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorParameter
 from firmware_iface.serial_link import open_serial
 from procedures.bringup.workbench import (
+    HOMED_ON,
     BringupOperator,
     Channel,
     DriveLimits,
@@ -35,6 +38,8 @@ from procedures.bringup.workbench import (
     Sample,
     Stopped,
     Workbench,
+    channel_of,
+    limits_of,
 )
 from procedures.link_options import link_options
 
@@ -43,6 +48,7 @@ if TYPE_CHECKING:
 
 
 PERIOD_S = 0.004
+ASKED_EVERY_S = 0.02  # levels of limit switches
 CURRENT_MARGIN = 1.3  # of the limit that the board enforces; more means that it does not
 CURRENT_MARGIN_A = 0.2  # noise of the current measurement
 SETTLING_CYCLES = 3  # until the speeds have settled
@@ -72,6 +78,8 @@ class ReferenceBench(Closing):
         except BaseException:
             self.close()
             raise
+        self._pins = self._switch_pins(arm)
+        self._asked_at_s = -math.inf
         self._driven: MotorBoard | None = None
         self._limits = DriveLimits(0.0, 0.0)
         self._origin: dict[Channel, int] = {}
@@ -103,6 +111,26 @@ class ReferenceBench(Closing):
         for encoder in encoders:
             start_stream(encoder, PERIOD_S)
         return tuple(encoders), motors, bus
+
+    def _switch_pins(self, arm: Arm) -> NamedPins | None:
+        """The inputs of limit switches; None where there are none."""
+        switches = [drive.limit_switches for drive in arm.drives if drive.limit_switches]
+        named = {name for switch in switches for name in (switch.lower, switch.upper)}
+        found = [pin for pin in arm.digital if pin.name in named and pin.board in self.motors]
+        boards = {pin.board: DigitalPins(self._bus, self.motors[pin.board]) for pin in found}
+        for node, pins in boards.items():
+            pins.require(1 + max(pin.pin for pin in found if pin.board == node))
+        return NamedPins(found, boards) if found else None
+
+    def _levels(self) -> dict[str, bool | None]:
+        """Levels of the limit switches, which are asked for now and then."""
+        if self._pins is None:
+            return {}
+        now_s = self.clock.now_s()
+        if now_s - self._asked_at_s >= ASKED_EVERY_S:
+            self._asked_at_s = now_s
+            self._pins.command({})
+        return self._pins.levels(now_s)
 
     def prepare(self) -> None:
         """Nothing: boards that do not drive short their windings."""
@@ -217,7 +245,12 @@ class ReferenceBench(Closing):
         is_limited = motor is not None and motor.reply is not None and motor.reply.is_limited
         time_s = self.encoders[0].board_time_s
         self.before = self.latest
-        self.latest = Sample(time_s, counts, flags, dict(self._speeds), volts, current_A, is_limited)
+        levels = self._levels()
+        limits = {drive.joint: limits_of(drive, levels) for drive in self._arm.drives}
+        for drive in self._arm.drives:
+            if drive.home is not None and limits[drive.joint] & HOMED_ON.get(drive.home.switch, 0):
+                flags[channel_of(drive)] |= HOME_SWITCH
+        self.latest = Sample(time_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits)
         return self.latest
 
     def _follow_speed(self, at: Channel, step: int, span_s: float) -> None:

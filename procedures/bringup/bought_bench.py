@@ -13,13 +13,27 @@ from typing import Final, Literal
 from control.errors import ArmError
 from control.hardware.connect import connect
 from control.hardware.interface import OutputMode
-from control.hardware.words import OPERATION_ENABLED, STATE_MASK, Wanted
+from control.hardware.words import (
+    HOME_SWITCH,
+    OPERATION_ENABLED,
+    STATE_MASK,
+    Wanted,
+)
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.closing import Closing
 from firmware_iface.errors import LinkError, MisuseError
-from procedures.bringup.workbench import BringupOperator, Channel, DriveLimits, SafetyTrip, Sample, Stopped
+from procedures.bringup.workbench import (
+    HOMED_ON,
+    BringupOperator,
+    Channel,
+    DriveLimits,
+    SafetyTrip,
+    Sample,
+    Stopped,
+    limits_of,
+)
 
 ENABLE_S = 1.0
 SETTLE_S = 0.05  # after enabling, and until values have come
@@ -184,8 +198,12 @@ class BoughtBench(Closing):
         sign = 1.0 if joint is None else float(self._arm.drives[joint].motor_direction)
         current_A = 0.0 if joint is None else sign * feedback.current_A[joint]
         flags = {(0, k): flags for k, flags in enumerate(feedback.channel_flags)}
+        limits = {drive.joint: limits_of(drive, {}, flags[0, k]) for k, drive in enumerate(self._arm.drives)}
+        for k, drive in enumerate(self._arm.drives):
+            if drive.home is not None and limits[drive.joint] & HOMED_ON.get(drive.home.switch, 0):
+                flags[0, k] |= HOME_SWITCH
         now_s = self.clock.now_s() if joint is None else feedback.counted_at_s[joint]
-        return Sample(now_s, counts, flags, dict(self._speeds), volts, current_A, is_limited)
+        return Sample(now_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits)
 
     def _follow_speed(self, at: Channel, count: int, counted_at_s: float) -> None:
         if at not in self._last:

@@ -373,6 +373,11 @@ def _warn_of_far_index(result: Diagnosis, turn_rad: float, behind_rad: float) ->
         )
 
 
+def _ends(found: JointMeasurements) -> str:
+    names = {"LIMIT SWITCHES" if has_limit else "END STOPS" for has_limit in found.has_limit}
+    return " and ".join(sorted(names))
+
+
 def place_limits(result: Diagnosis, found: JointMeasurements, offset_rad: float, scale: float) -> None:
     """Place the limits in front of the stops."""
     if math.isnan(offset_rad):
@@ -390,12 +395,12 @@ def place_limits(result: Diagnosis, found: JointMeasurements, offset_rad: float,
     stops = " and ".join(f"{math.degrees(stop):.1f} deg" for stop in measured if not math.isnan(stop))
     if not lower < upper:
         result.problems.append(
-            f"{name}: END STOPS at {stops} leave no range: it did not come from one to the other: free the joint and run"
+            f"{name}: {_ends(found)} at {stops} leave no range: it did not come from one to the other: free the joint and run"
             " again"
         )
         return
     result.changes.append(
-        f"{name}: END STOPS are at {stops}: joint_lower_rad = {lower:g}, joint_upper_rad = {upper:g} (draft"
+        f"{name}: {_ends(found)} are at {stops}: joint_lower_rad = {lower:g}, joint_upper_rad = {upper:g} (draft"
         f" {drive.joint_lower_rad:g} and {drive.joint_upper_rad:g})"
     )
     if math.isfinite(drive.joint_upper_rad - drive.joint_lower_rad) and upper - lower < SHORT_RANGE * (

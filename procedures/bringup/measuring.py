@@ -15,7 +15,7 @@ from enum import Enum
 from itertools import pairwise
 from statistics import fmean, median
 
-from control.hardware.words import HOME_SWITCH, QUADRATURE_ERROR, SIGNAL_LOST
+from control.hardware.words import HOME_SWITCH, LOWER_LIMIT, QUADRATURE_ERROR, SIGNAL_LOST
 from control.model.arm import Drive
 from control.model.joint_map import JointMap
 from procedures.bringup.wiring import Caution
@@ -36,6 +36,7 @@ class MotionEnd(Enum):
     REACHED = "reached"
     STALLED = "stalled"
     SEEN = "seen"
+    LIMIT = "limit switch"
 
 
 @dataclass(slots=True)
@@ -72,6 +73,7 @@ class JointDriver:
         self._motor_sign, self._encoder_sign = motor_sign, encoder_sign
         self._caution = caution
         self._weight_V = 0.0  # the integral of a joint that turns
+        self._barred = math.nan  # the direction in which an active limit switch was met; 0 while none is
         self._per_count = abs(JointMap(drive).radians_per_count)
         self._zero_count = bench.observe(0.02).counts[channel]
 
@@ -136,14 +138,29 @@ class JointDriver:
                 run.limited.append(sample.is_limited)
                 if (row[1] - start_rad) * sign >= abs(distance_rad):
                     break
+                is_barred = self._is_barred(sample, sign)
                 if until(run, sample):
                     run.end = MotionEnd.SEEN
+                    break
+                if is_barred:
+                    run.end = MotionEnd.LIMIT
                     break
                 if has_stalled(run.rows, abs(speed_rad_s)):
                     run.end = MotionEnd.STALLED
                     break
-            self._hold()
+            self._hold(sign)
         return run
+
+    def _is_barred(self, sample: Sample, sign: float) -> bool:
+        """Whether it moves further into a limit switch: as it met it, or, from the start, to the end that the draft names."""
+        active = sample.limits.get(self.drive.joint, 0)
+        if not active:
+            self._barred = 0.0
+        elif math.isnan(self._barred):
+            self._barred = -1.0 if active & LOWER_LIMIT else 1.0
+        elif not self._barred:
+            self._barred = sign
+        return self._barred == sign
 
     def _row(self, sample: Sample) -> tuple[float, float, float, float, float]:
         return (
@@ -154,11 +171,11 @@ class JointDriver:
             self._motor_sign * sample.current_A,
         )
 
-    def _hold(self) -> None:
-        """Command what carries the weight until the joint is at rest; monitoring continues."""
+    def _hold(self, sign: float) -> None:
+        """Command what carries the weight until the joint is at rest; it may still run into a switch."""
         end_s = self.bench.clock.now_s() + REST_S
         while self.bench.clock.now_s() < end_s:
-            self.bench.cycle(self._motor_sign * self._weight_V)
+            self._is_barred(self.bench.cycle(self._motor_sign * self._weight_V), sign)
 
     def go_to(self, angle_rad: float, speed_rad_s: float) -> DrivenMotion:
         """Move to an angle from the first pose."""
@@ -247,7 +264,9 @@ class JointMeasurements:
     readings: list[tuple[float, float]] = field(default_factory=list)
     """(angle by counts with the draft's scale, the operator's reading)."""
     stops_rad: list[list[float]] = field(default_factory=lambda: [[], []])
-    """Angles at the lower and the upper stop, one per touch."""
+    """Angles at the lower and the upper stop, one per touch; or where its limit switch stopped the joint."""
+    has_limit: list[bool] = field(default_factory=lambda: [False, False])
+    """Whether a limit switch ends the way before the stop does."""
     edges: list[tuple[float, int, bool]] = field(default_factory=list)
     """Angles where the home switch changed, the direction of motion, and whether the switch is active after it."""
     is_home_active: list[bool] = field(default_factory=list)
@@ -284,7 +303,10 @@ def measure(
             measure_index_spacing(driver, found)
         _friction(driver, found)
         if with_stops:
-            _allow(operator, joint, "creeps to both end stops; its whole range must be clear", None)
+            ends = (
+                "end stops" if driver.drive.limit_switches is None else "ends, until a limit switch or a stop"
+            )
+            _allow(operator, joint, f"creeps to both {ends}; its whole range must be clear", None)
             _stops(driver, operator, joint, found, speed_rad_s)
     finally:
         operator.let_go()
@@ -410,14 +432,17 @@ def _stops(
     longest_rad = 1.3 * range_rad + 0.3 if math.isfinite(range_rad) else 2.2 * math.pi
     for at, direction in enumerate((-1.0, 1.0)):
         run = _creep(driver, found, direction * longest_rad, speed_rad_s)
+        if run.end is MotionEnd.LIMIT:  # once: its level is looked at now and then, so touches differ
+            found.has_limit[at] = True
+            found.stops_rad[at].append(run.rows[-1][1] / driver.scale)
+            _creep(driver, found, -direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
+            _read(driver, operator, joint, found)
         if run.end is MotionEnd.STALLED:
             found.stops_rad[at].append(driver.where_rad() / driver.scale)
             for _ in range(TOUCHES - 1):
                 _creep(driver, found, -direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
-                if (
-                    _creep(driver, found, 2.0 * direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s).end
-                    is MotionEnd.STALLED
-                ):
+                again = _creep(driver, found, 2.0 * direction * BACK_OFF_RAD, TOUCH_SPEED_rad_s)
+                if again.end is MotionEnd.STALLED:
                     found.stops_rad[at].append(driver.where_rad() / driver.scale)
             _creep(driver, found, -direction * 0.02, TOUCH_SPEED_rad_s)  # the joint is read free of the stop
             _read(driver, operator, joint, found)

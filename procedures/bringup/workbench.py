@@ -9,14 +9,16 @@ import select
 import sys
 import termios
 import tty
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self
 
 from control.errors import ArmError
+from control.hardware.words import LOWER_LIMIT, UPPER_LIMIT
 from control.model.arm import Drive
+from control.model.drive import OWN_INPUT
 from firmware_iface.clock import Clock
 
 if TYPE_CHECKING:
@@ -258,6 +260,8 @@ class Sample:
     current_A: float
     is_limited: bool
     """The board reduced the voltage to one of its limits."""
+    limits: Mapping[int, int] = field(default_factory=dict)
+    """Active limit switches, LOWER_LIMIT and UPPER_LIMIT, by the draft's joint."""
 
 
 class Workbench(Protocol):
@@ -305,6 +309,22 @@ class Workbench(Protocol):
     def serials(self) -> dict[int, int]:
         """Serial numbers of reference motor boards, by node."""
         ...
+
+
+HOMED_ON = {"lower": LOWER_LIMIT, "upper": UPPER_LIMIT}
+"""The limit switch that is the home switch, by `switch` of [drive.home]."""
+
+
+def limits_of(drive: Drive, levels: Mapping[str, bool | None], own_flags: int = 0) -> int:
+    """LOWER_LIMIT and UPPER_LIMIT where a joint's switches are active; a board that does not say counts as an active one."""
+    if (switches := drive.limit_switches) is None:
+        return 0
+    found = 0
+    for pin, flag in ((switches.lower, LOWER_LIMIT), (switches.upper, UPPER_LIMIT)):
+        level = bool(own_flags & flag) if pin == OWN_INPUT else levels.get(pin)
+        if pin and (level is None or level is (switches.active == "high")):
+            found |= flag
+    return found
 
 
 def node_of(drive: Drive) -> int:

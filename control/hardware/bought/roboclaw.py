@@ -16,6 +16,7 @@ from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,
     HOME_SWITCH,
+    LOWER_LIMIT,
     OPERATION_ENABLED,
     OVER_CURRENT,
     OVER_TEMPERATURE,
@@ -23,11 +24,13 @@ from control.hardware.words import (
     SUPPLY_HIGH,
     SUPPLY_LOW,
     SWITCH_ON_DISABLED,
+    UPPER_LIMIT,
     WARNING,
     ZERO_SET,
     Wanted,
 )
 from control.model.arm import Arm, Board, Drive
+from control.model.drive import OWN_INPUT
 from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, MisuseError
 from firmware_iface.link import ByteLink
@@ -77,6 +80,8 @@ class RoboClawEncoders(AskedEncoders):
         self.joints = tuple(drives)
         self._board = board
         self._channels = {joint: drive.board_channel - 1 for joint, drive in drives.items()}
+        flags = {0.0: HOME_SWITCH, -1.0: LOWER_LIMIT, 1.0: UPPER_LIMIT}
+        self._switch_flags = {joint: flags[_limit_side(drive)] for joint, drive in drives.items()}
         self._are_zeros_set = dict.fromkeys(drives, False)
         self._latched: dict[int, int] = {}
         self._resets = 0
@@ -94,7 +99,9 @@ class RoboClawEncoders(AskedEncoders):
             feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
             feedback.count_late_s[joint] = board.count_late_s
             flags = ZERO_SET if self._are_zeros_set[joint] else 0
-            feedback.channel_flags[joint] = flags | (HOME_SWITCH if status & _SWITCH[channel] else 0)
+            feedback.channel_flags[joint] = flags | (
+                self._switch_flags[joint] if status & _SWITCH[channel] else 0
+            )
 
     def fresh_count(self, joint: int) -> int:
         """The count now. BoardSilent if there is no answer."""
@@ -127,6 +134,9 @@ class RoboClawDrives:
         self._drives = tuple(
             (joint, drive.board_channel - 1, float(drive.motor_direction)) for joint, drive in drives.items()
         )
+        self._limit_sides = [0.0] * CHANNELS
+        for drive in drives.values():
+            self._limit_sides[drive.board_channel - 1] = _limit_side(drive)
         self._current_limits_A = _by_channel(drives)
         self._timeout_s = timeout_s
         self._shout = shout
@@ -173,6 +183,8 @@ class RoboClawDrives:
         for joint, channel, sign in self._drives:
             is_driven = self._is_enabled and modes[joint] is OutputMode.VOLTAGE
             volts = output[joint] if is_driven else 0.0
+            if volts * self._limit_sides[channel] > 0.0 and (board.status or 0) & _SWITCH[channel]:
+                volts = 0.0  # the board itself drives no further into its limit switch, and brakes
             board.duty[channel] = _duty(sign * volts, board.supply_V)
             feedback.sent_V[joint] = volts if is_driven else math.nan
 
@@ -217,6 +229,13 @@ class RoboClawDrives:
 def _faults(status: RoboclawStatus, channel: int) -> int:
     """The loop's fault bits of one motor."""
     return sum(bit for errors, bit in (*_SHARED, *_OWN[channel]) if status & errors)
+
+
+def _limit_side(drive: Drive) -> float:
+    """At which end the board's input for this motor has a limit switch: -1, 1; 0: at none."""
+    if (switches := drive.limit_switches) is None:
+        return 0.0
+    return float((switches.upper == OWN_INPUT) - (switches.lower == OWN_INPUT))
 
 
 def _duty(volts: float, supply_V: float | None) -> int:
@@ -278,7 +297,9 @@ def _open_board(arm: Arm, described: Board, line: PacketLine, opened: Opened) ->
     counted = {joint: drive for joint, drive in driven.items() if drive.encoder_board < 0}
     for drive in counted.values():
         board.require_quadrature(drive.board_channel)
-        if drive.home is not None:
+        if side := _limit_side(drive):
+            board.require_limit_switch(drive.board_channel, side * drive.motor_direction > 0.0)
+        elif drive.home is not None and drive.home.switch == "own":
             board.require_home_switch(drive.board_channel)
     if counted:
         line.keep_asking(board.counts_question)

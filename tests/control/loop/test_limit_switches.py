@@ -17,6 +17,7 @@ from control.model.arm_checks import check_arm
 from control.model.end_effector import Digital
 from control.model.reader import Rejected
 from control.safety.table import Mode
+from firmware_iface.errors import ArmwrightError
 from hil_mocks.scenario import Scenario
 from procedures.on_boards import on_boards
 from tests.cell import Cell, holding_cell, open_cell, scenario, with_drive
@@ -223,7 +224,7 @@ def test_homing_seeks_a_limit_switch_where_a_joint_has_no_other() -> None:
         (
             LimitSwitches(lower="nowhere"),
             None,
-            r'an input .low, high.; "drive" is for: cia402, got "nowhere"',
+            r'an input .low, high.; "drive" is for: roboclaw, cia402; .*, got "nowhere"',
         ),
         (LimitSwitches(lower="low", upper="low"), None, "low a second time"),
         (LimitSwitches(lower="low"), Home(0.1, 0.11, switch="upper"), "a limit switch for homing"),
@@ -267,7 +268,87 @@ def test_a_drive_of_cia_402_says_of_switches_at_its_own_inputs(direction: Litera
         assert cell.runtime.parts.measurement.q_rad[0] == pytest.approx(cell.rig.joint_rad()[0], abs=5e-3)
 
 
-def test_limit_switches_at_boards_that_do_not_say_of_them_are_refused() -> None:
-    arm = on_boards(arm_of_four("motor"), "roboclaw")
-    with pytest.raises(Rejected, match=r'\[\[digital\]\] that is an input \(none\); "drive" is for: cia402'):
-        check_arm(with_drive(arm, 3, limit_switches=LimitSwitches(lower="drive")))
+def on_roboclaws(joint: int, direction: Literal[1, -1], end: Literal["lower", "upper"], at_rad: float) -> Arm:
+    """The arm with a limit switch at S4 or S5 of this joint's motor, on which it homes."""
+    arm = on_boards(replace(arm_of_four("motor"), effects=FRICTION), "roboclaw")
+    switches = LimitSwitches(**{end: "drive", f"{end}_rad": at_rad})  # type: ignore[arg-type]
+    home = Home(at_rad, at_rad, speed_rad_s=0.1, switch=end)
+    arm = with_drive(
+        arm, joint, encoder_direction=direction, motor_direction=direction, limit_switches=switches, home=home
+    )
+    check_arm(arm)
+    return arm
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize(("joint", "start_rad"), [(1, AT_rad - 0.05), (2, AT_rad - 0.1)])
+def test_a_roboclaw_says_of_the_switch_at_its_s4_or_s5(
+    joint: int, start_rad: float, direction: Literal[1, -1]
+) -> None:
+    """Status bits of command 90; the board drives no further into it by itself. Joint 2 leans on its switch with its weight."""
+    arm = on_roboclaws(joint, direction, "upper", AT_rad)
+    start = scenario(tuple(start_rad if j == joint else 0.0 for j in (1, 2, 3, 4)))
+
+    def jog_on(speed_rad_s: float) -> float:
+        for _ in range(20):
+            if cell.mode is not Mode.FAULT:
+                speeds = [speed_rad_s if j == joint else 0.0 for j in (1, 2, 3, 4)]
+                cell.client.ask("jog", joint_speed_rad_s=speeds)
+            cell.run(0.1)
+        return cell.rig.joint_rad()[joint - 1]
+
+    with open_cell(start, arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        cell.client.enable()
+        for _ in range(2):
+            at_rad = jog_on(0.2)
+            assert cell.faults == [("limit_switch", f"joint {joint}")]
+            assert AT_rad <= at_rad < AT_rad + 2.0 * MARGIN_rad
+            cell.client.acknowledge()
+            cell.client.enable()
+        assert jog_on(-0.2) < AT_rad - 0.05
+        assert cell.faults == []
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_roboclaw_homes_on_its_limit_switch(direction: Literal[1, -1]) -> None:
+    arm = on_roboclaws(1, direction, "lower", -0.5)
+    start = scenario((-0.4, 0.0, 0.0, 0.0), homed=False)
+    with open_cell(start, arm, period_s=1.0 / arm.usual_rate_Hz) as cell:
+        cell.client.enable()
+        cell.channel.request({"do": "home"})
+        cell.until(lambda: bool(cell.runtime.hardware.feedback.channel_flags[0] & ZERO_SET), 40.0)
+        assert cell.faults == []
+        assert cell.runtime.parts.measurement.q_rad[0] == pytest.approx(cell.rig.joint_rad()[0], abs=5e-3)
+
+
+def test_a_roboclaw_whose_pin_stops_the_motor_the_other_way_is_refused() -> None:
+    wired, believed = on_roboclaws(1, 1, "lower", -0.5), on_roboclaws(1, 1, "upper", AT_rad)
+    said = r'S4 as "Limit \(Fwd\)" \(0x12\).*its mode is 0x22'
+    with (
+        pytest.raises(ArmwrightError, match=said),
+        open_cell(scenario((0.0,) * 4), wired, believed=believed, period_s=0.01),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "said"),
+    [
+        (
+            "vesc",
+            {"lower": "drive"},
+            r'\[\[digital\]\] that is an input .* "drive" is for: roboclaw, cia402; other boards: let',
+        ),
+        (
+            "roboclaw",
+            {"lower": "drive", "upper": "drive"},
+            "has one input for it: .* got the lower end and the upper end",
+        ),
+    ],
+)
+def test_limit_switches_that_a_board_does_not_say_of_are_refused_with_what_to_take_instead(
+    kind: str, keys: dict[str, str], said: str
+) -> None:
+    arm = on_boards(arm_of_four("motor"), kind)
+    with pytest.raises(Rejected, match=said):
+        check_arm(with_drive(arm, 3, limit_switches=LimitSwitches(**keys)))  # type: ignore[arg-type]

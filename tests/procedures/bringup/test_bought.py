@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
 from console.main import main
 from control.errors import ArmError
-from control.model.arm import Arm
+from control.model.arm import Arm, Home, LimitSwitches
+from control.model.arm_checks import check_arm
 from control.model.description import load_arm
+from control.model.end_effector import Digital
 from hil_mocks.rig import SteppedRig
 from hil_mocks.scenario import FaultTable
 from procedures.bringup.bench import open_bench
@@ -34,11 +37,16 @@ LAST = BringupOptions((3,), None, 0.6, True)
 
 
 def brought(
-    tmp_path: Path, draft: Arm, options: BringupOptions, *faults: FaultTable, real: Arm | None = None
+    tmp_path: Path,
+    draft: Arm,
+    options: BringupOptions,
+    *faults: FaultTable,
+    real: Arm | None = None,
+    operator_kind: type[MockOperator] = MockOperator,
 ) -> tuple[BringupOutcome, Arm]:
     """What was found, and the new arm."""
     with SteppedRig(real or draft, scenario(None, homed=False, base="demo", fault=faults)) as rig:
-        arm, operator = wired_to(draft, rig), MockOperator(rig, is_silent=True)
+        arm, operator = wired_to(draft, rig), operator_kind(rig, is_silent=True)
         journal = Journal(tmp_path / "journal.json", draft)
         currents_A = {drive.joint: caution_of(arm, drive, options).current_A for drive in arm.drives}
         with open_bench(arm, rig.clock, operator, currents_A) as bench:
@@ -116,3 +124,46 @@ def test_a_bench_leaves_boards_that_hold_as_they_are_until_the_operator_allows_a
             assert rig.joint_rad() == pytest.approx(before_rad, abs=still_rad)
         rig.clock.wait_until_s(rig.clock.now_s() + 0.3)
         assert rig.joint_rad() == pytest.approx(before_rad, abs=still_rad)
+
+
+class Watching(MockOperator):
+    """Sees where joint 3 is in each cycle."""
+
+    seen_rad: ClassVar[list[float]] = []
+
+    def wants_stop(self) -> bool:
+        self.seen_rad.append(self._rig.joint_rad()[2])
+        return super().wants_stop()
+
+
+@pytest.mark.parametrize("kind", ["reference", "cia402", "roboclaw"])
+def test_a_joint_turns_back_at_its_limit_switches_and_keeps_in_front_of_them(
+    tmp_path: Path, kind: str
+) -> None:
+    """Two at pins of a reference board or at a drive of CiA 402; a RoboClaw has an input for one, on which the joint homes."""
+    lower_rad, upper_rad, stop_rad = 0.55, 0.95, 0.4  # the range ends 0.05 rad before the stops
+    if kind == "reference":
+        pins = tuple(Digital(name, 3, pin, "input") for pin, name in enumerate(("low", "high")))
+        draft = replace(short(half_rad=0.3), digital=pins)
+        switches = LimitSwitches("low", "high", lower_rad, upper_rad)
+    else:
+        draft = on_boards(short(half_rad=0.3), kind)
+        switches = LimitSwitches("drive" if kind == "cia402" else "", "drive", lower_rad, upper_rad)
+    draft = with_drive(draft, 3, limit_switches=switches)
+    if kind == "roboclaw":
+        draft = with_drive(draft, 3, home=Home(upper_rad, upper_rad, speed_rad_s=0.1, switch="upper"))
+    check_arm(draft)
+    Watching.seen_rad.clear()
+    outcome, arm = brought(tmp_path, draft, BringupOptions((3,), None, 0.3, True), operator_kind=Watching)
+    assert outcome.problems == []
+    assert max(Watching.seen_rad) < upper_rad + 0.02
+    if kind == "cia402":  # without a limit of its current it is not sent to its ends
+        assert min(Watching.seen_rad) > lower_rad - 0.02
+        return
+    is_alone = kind == "roboclaw"
+    assert min(Watching.seen_rad) == pytest.approx(stop_rad if is_alone else lower_rad, abs=0.02)
+    named = "END STOPS and LIMIT SWITCHES" if is_alone else "LIMIT SWITCHES"
+    assert f"joint 3: {named} are at" in said_of(outcome)
+    found = arm.drives[2]
+    assert found.joint_upper_rad == pytest.approx(upper_rad - 0.02, abs=0.01)
+    assert found.joint_lower_rad == pytest.approx(0.45 if is_alone else lower_rad + 0.02, abs=0.01)
