@@ -76,13 +76,16 @@ def _in_poses(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
             others = [1.0 - np.exp(-elapsed / (constant * f)) for f in (OTHER_TIMES, 1.0 / OTHER_TIMES)]
             departs = like(law, [other - law * (other @ law) / (law @ law) for other in others])
             term = record.on_joint(scene, j + 1, law, departs)
-            yield dataclasses.replace(term, variant=constant, parameters=_final(constant))
+            parameters = _final(constant, float("nan"))
+            yield dataclasses.replace(term, variant=constant, parameters=parameters, between=_final)
 
 
-def _final(constant_s: float) -> ToParameters:
+def _final(constant_s: float, sd: float) -> ToParameters:
+    """`sd`: of the constant's logarithm."""
+
     def made(value: Array, covariance: Array) -> Parameters:
         final = float(value[0]), float(np.sqrt(covariance[0, 0]))
-        return {"final_rad": final, "time_constant_s": (constant_s, float("nan"))}
+        return {"final_rad": final, "time_constant_s": (constant_s, sd * constant_s)}
 
     return made
 

@@ -243,7 +243,8 @@ def estimated(evidence: Evidence, found: Weighed, key: Key) -> Estimated:
         "v,vc,vd->cd", share, apart, apart
     )
     best = terms[int(np.argmax(share))]
-    named = best.parameters(mean, covariance) if best.parameters is not None else {}
+    made = best.parameters if best.between is None else best.between(*_likeliest(evidence, found, rest, key))
+    named = made(mean, covariance) if made is not None else {}
     summed = dict.fromkeys(numbers, 0.0)
     for number, weight in zip(numbers, share.tolist(), strict=True):
         summed[number] += weight
@@ -266,6 +267,32 @@ def _ways(
     ]
     top = max(log for _, _, log in ways)
     return [(number, scale, log - top) for number, scale, log in ways if log > top - MARGIN]
+
+
+def _likeliest(
+    evidence: Evidence, found: Weighed, rest: Sequence[tuple[int, int]], key: Key
+) -> tuple[float, float]:
+    """The likeliest variant between those that were tried, and the standard deviation of its logarithm: of the parabola of log
+    evidence through the best one and its neighbours. At an end of what was tried it is that end, however sure.
+    """
+    numbers = sorted(evidence.of_key[key], key=lambda number: evidence.terms[number].variant)
+    logs = np.array(
+        [
+            np.logaddexp.reduce(
+                [
+                    evidence.value([*rest, (number, scale)], found.kappa)
+                    for scale in range(len(evidence.weights[number]))
+                ]
+            )
+            for number in numbers
+        ]
+    )
+    k, variants = int(np.argmax(logs)), [evidence.terms[number].variant for number in numbers]
+    if not 0 < k < len(numbers) - 1:
+        return variants[k], math.nan
+    before, top, after = logs[k - 1 : k + 2].tolist()
+    step, bend = 0.5 * math.log(variants[k + 1] / variants[k - 1]), 2.0 * top - before - after
+    return variants[k] * math.exp(0.5 * (after - before) / bend * step), step / math.sqrt(bend)
 
 
 def is_exact(evidence: Evidence, number: int, scale: int) -> bool:

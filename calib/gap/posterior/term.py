@@ -32,6 +32,7 @@ class Block:
 
 
 Key = EffectName | Block
+ToParameters = Callable[[Array, Array], Parameters]  # of coefficients (c,) and their covariance (c, c)
 SMOOTH = 5  # degree of a smooth function of one variable
 
 
@@ -58,7 +59,8 @@ class Term:
     the base frame) besides what the joints do, of holding torques `slope_Nm` (c, m, n); None where nothing moves. `size` is the
     usual coefficient of the law; departure and nuisance columns are scaled to it already. `variant`: what sets this one apart,
     `least` and `most` what a positive coefficient lies between, in usual sizes, `doubt_rad` (m,) the
-    variance of the joint's angle per squared coefficient where the flank is uncertain.
+    variance of the joint's angle per squared coefficient where the flank is uncertain. `between`: parameters of a variant between
+    those that are tried in even steps of its logarithm, and the logarithm's standard deviation.
     """
 
     key: Key
@@ -74,7 +76,8 @@ class Term:
     is_positive: bool = False
     least: float = 0.0
     most: float = math.inf
-    parameters: Callable[[Array, Array], Parameters] | None = None
+    parameters: ToParameters | None = None
+    between: Callable[[float, float], ToParameters] | None = None
     variable: str = ""
     doubt: Array | None = None
     traits: Traits = NO_TRAITS
@@ -145,9 +148,6 @@ def smooth(values: Array, degree: int = SMOOTH) -> Array:
     low, high = float(values.min()), float(values.max())
     unit = (2.0 * values - low - high) / max(high - low, 1e-12)
     return np.asarray(np.polynomial.legendre.legvander(unit, degree)[:, 1:].T)
-
-
-ToParameters = Callable[[Array, Array], Parameters]  # of coefficients (c,) and their covariance (c, c)
 
 
 def values_of(effect: str, values: Sequence[float]) -> dict[str, float]:

@@ -37,6 +37,13 @@ def test_a_play_and_a_drift_are_named_together_and_the_gap_closes() -> None:
     assert found.finding.unknown is None
 
 
+def test_the_time_constant_of_a_drift_lies_between_those_that_are_tried() -> None:
+    found = find(ARM, case(36, (Hidden("thermal_drift", 2, 0.006, 1150.0),)))  # 948 s and 1393 s are tried
+    time_s, sd_s = value(found, "thermal_drift", "time_constant_s")
+    assert time_s == pytest.approx(1150.0, rel=0.05)
+    assert 0.0 < sd_s < 0.5 * time_s
+
+
 def test_nothing_hidden_is_named_nothing_and_nothing_is_left() -> None:
     found = find(ARM, case(32))
     assert names(found) == set()
