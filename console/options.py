@@ -121,12 +121,6 @@ CELL = option(
 )
 SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")
 OUT = option("--out", metavar="DIR", required=True, help="folder for the results; created if missing")
-OUT_OR_NEXT = option(
-    "--out",
-    metavar="DIR",
-    required=True,
-    help="folder for the results; created if missing; with something in it, the next free one: DIR-2",
-)
 
 
 def out_unless(flag: str) -> Option:

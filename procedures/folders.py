@@ -8,7 +8,10 @@ from control.errors import ArmError
 
 
 def free_folder(wanted: Path) -> Path:
-    """`wanted`, or the first of `wanted-2`, `wanted-3`, ... that is not used. ArmError for a file."""
+    """`wanted`, or the first of `wanted-2`, `wanted-3`, ... that is not used. ArmError for a file.
+
+    For places that nobody named, and demos; a folder that somebody named is never another one.
+    """
     folder, number = wanted, 1
     if wanted.exists() and not wanted.is_dir():
         raise ArmError(f"--out {wanted}: expected a folder, new or old, got a file: choose another place")
@@ -29,6 +32,13 @@ def require_writable(folder: Path, option: str = "--out") -> None:
         raise ArmError(
             f"{option} {folder}: cannot write there ({error.strerror}): {remedy} another place"
         ) from error
+
+
+def require_empty(folder: Path) -> None:
+    """ArmError if something is in `folder`, or it is not writable."""
+    if folder.is_dir() and any(folder.iterdir()):
+        raise ArmError(f"--out {folder}: is not empty, and nothing is overwritten: choose another folder")
+    require_writable(folder)
 
 
 def require_new(folder: Path, results: Sequence[str]) -> None:

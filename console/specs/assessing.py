@@ -7,7 +7,6 @@ from console.options import (
     FREE_ZERO,
     JSON,
     OUT,
-    OUT_OR_NEXT,
     SOCKET,
     WIRE_AT,
     CommandSpec,
@@ -31,7 +30,7 @@ ASSESSING = (
                 metavar="A",
                 help="the nominal arm (default: the one named in the calibrated arm.toml)",
             ),
-            OUT_OR_NEXT,
+            OUT,
             JSON,
             option(
                 "--points",

@@ -20,7 +20,7 @@ from control.model import table as tables
 from control.model.arm import Arm
 from control.model.description import load_arm
 from control.server.client import ArmClient
-from procedures.folders import free_folder, require_writable
+from procedures.folders import require_empty
 from procedures.ports import camera_said
 from procedures.verify.procedure import SurveyPair, driven, on_recorded, write
 from procedures.verify.survey import (
@@ -51,19 +51,19 @@ def run(given: argparse.Namespace) -> int:
     """Verify; exit status 1 if the calibrated arm is significantly worse, all points are its own, or the arm could not go on."""
     calibrated = load_arm(given.arm)
     pair = ModelPair(Model(nominal_of(calibrated, given.against)), Model(calibrated))
-    require_writable(Path(given.out))
+    out = Path(given.out)
+    require_empty(out)
     if given.points is not None:
         pair = _framed(pair, given)
         recorded = on_recorded(
             pair, Path(given.points), given.free_zero, wires_at(given.wire_at or []), given.as_given
         )
-        return _finish(given, recorded, free_folder(Path(given.out)))
+        return _finish(given, recorded, out)
     if given.free_zero or given.wire_at:
         raise ArmError("--wire-at and --free-zero are for lengths: give them with --points")
     if given.free or given.fix:
         raise ArmError("--free and --fix say where recorded tips were measured: give them with --points")
     programme = _programme(given, calibrated)
-    out = free_folder(Path(given.out))
     drive = SurveyPair.planned(pair, programme, out)
     with ExitStack() as stack:
         bench = _mock(given, pair, out, stack) if given.mock else _real(given, pair)

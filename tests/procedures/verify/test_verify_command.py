@@ -157,7 +157,9 @@ def test_an_arm_that_is_worse_ends_with_status_1(
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_results_go_to_a_folder_of_their_own(calibrated: Path, measured: Path, tmp_path: Path) -> None:
+def test_a_folder_with_something_in_it_is_left_alone(
+    calibrated: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.html").write_text("first")
     arguments = [
@@ -169,9 +171,10 @@ def test_results_go_to_a_folder_of_their_own(calibrated: Path, measured: Path, t
         "--out",
         str(tmp_path / "out"),
     ]
-    assert main(arguments) == 0
+    assert main(arguments) == 2
+    assert "out: is not empty, and nothing is overwritten: choose another folder" in capsys.readouterr().err
     assert (tmp_path / "out" / "report.html").read_text() == "first"
-    assert (tmp_path / "out-2" / "verify.json").is_file()
+    assert not (tmp_path / "out-2").exists()
 
 
 def test_the_wrong_input_is_named_and_nothing_is_written(
