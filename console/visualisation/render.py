@@ -33,14 +33,16 @@ def prefer_headless_gl() -> None:
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 
-def painter_of(shown: Arm | Cell, warn: Callable[[str], None]) -> Painter:
+def painter_of(shown: Arm | Cell, warn: Callable[[str], None], is_still: bool) -> Painter:
     """The available painter: MuJoCo's renderer, else lines by matplotlib after a call of `warn` with the reason.
+
+    `is_still`: one picture, which is framed to the arm; pictures of a motion have the frame of all that the arm reaches.
 
     ArmError without MuJoCo's renderer for several arms.
     """
     prefer_headless_gl()
     try:
-        return MujocoPainter(shown)
+        return MujocoPainter(shown, is_still)
     except Exception as error:  # OpenGL platforms raise different errors, including missing libraries
         reason = str(error).strip().splitlines()
         if isinstance(shown, Cell):
@@ -58,7 +60,7 @@ def painter_of(shown: Arm | Cell, warn: Callable[[str], None]) -> Painter:
 class MujocoPainter:
     """Renders with MuJoCo to memory."""
 
-    def __init__(self, shown: Arm | Cell) -> None:
+    def __init__(self, shown: Arm | Cell, is_still: bool) -> None:
         import mujoco
 
         from console.visualisation.scene import scene_of
@@ -66,10 +68,13 @@ class MujocoPainter:
         self._scene = scene_of(shown)
         width, height = SIZE_pixels
         self._renderer = mujoco.Renderer(self._scene.model, height, width)
-        self._camera = self._scene.camera()
+        self._camera, self._is_still = self._scene.camera(), is_still
 
     def __call__(self, snapshot: Snapshot, traces: Traces) -> Image:
         self._scene.pose(snapshot.joint_rad, snapshot.joint_set_rad)
+        if self._is_still:
+            self._scene.look_at_arms(traces)
+            self._camera = self._scene.camera()
         self._renderer.update_scene(self._scene.data, self._camera)
         self._scene.add_traces(self._renderer.scene, traces)
         image: Image = self._renderer.render().copy()

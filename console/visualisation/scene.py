@@ -53,7 +53,13 @@ def view_of(domes: Sequence[tuple[Sequence[float], float]]) -> Viewpoint:
     """The nearest view that holds all domes: the half balls (centre, radius) [m] in which arms reach."""
     polar, around = np.meshgrid(np.linspace(0.0, math.pi / 2.0, 13), np.linspace(0.0, 2.0 * math.pi, 49))
     dome = np.stack((np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), axis=-1)
-    points = np.concatenate([np.array(centre) + radius * dome.reshape(-1, 3) for centre, radius in domes])
+    return nearest_view(
+        np.concatenate([np.array(centre) + radius * dome.reshape(-1, 3) for centre, radius in domes])
+    )
+
+
+def nearest_view(points: Array) -> Viewpoint:
+    """The nearest view that holds all points (m, 3) [m]."""
     lookat = (points.min(axis=0) + points.max(axis=0)) / 2.0
     a, e = math.radians(AZIMUTH_deg), math.radians(ELEVATION_deg)
     ahead = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
@@ -112,6 +118,16 @@ class Scene:
         marks = traces.camera_m[np.isfinite(traces.camera_m).all(axis=1)]
         for point in marks[:: 1 + len(marks) // MARKS_MOST]:
             _mark(scene, point)
+
+    def look_at_arms(self, traces: Traces) -> None:
+        """Let the camera see the arms in their present pose and the traces, from as near as it can."""
+        arms = self.model.geom_bodyid > 0
+        at_m, radius_m = self.data.geom_xpos[arms], self.model.geom_rbound[arms, None]
+        ways = np.concatenate((np.eye(3), -np.eye(3)))
+        found = [at_m + radius_m * way for way in ways]
+        found += [traces.commanded_m, traces.measured_m, traces.camera_m]
+        points = np.concatenate(found)
+        self._view = nearest_view(points[np.isfinite(points).all(axis=1)])
 
     def camera(self) -> Any:
         """A camera view of everything, from the front, slightly from above."""

@@ -139,7 +139,7 @@ def _render(given: argparse.Namespace, shown: Arm | Cell, series: Series) -> int
             f"--render: expected at most {FRAMES_MOST} pictures, got {len(rows)}: choose a part with --run, --from"
             " and --to, or raise --speed"
         )
-    paint = painter_of(shown, _warn)
+    paint = painter_of(shown, _warn, is_still=out.suffix == ".png")
     images = frames(series, rows, traces_of(series, tips_in(shown)), paint)
     with Bar("render") as bar:
         files = write_images(out, _with_progress(images, len(rows), bar), 1.0 / given.fps)
@@ -213,7 +213,7 @@ def _picture(given: argparse.Namespace, shown: Arm | Cell, snapshot: Snapshot, t
     out = _picture_path(given.render)
     if out.suffix != ".png":
         raise ArmError("--render without a LOG draws the present pose: give a FILE.png")
-    image = painter_of(shown, _warn)(snapshot, traces)
+    image = painter_of(shown, _warn, is_still=True)(snapshot, traces)
     write_images(out, iter([(snapshot.t_s, image)]), 1.0)
     sys.stdout.write(f"written: {out}\n")
     return 0

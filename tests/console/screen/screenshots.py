@@ -1,11 +1,12 @@
 """`make screenshots`: the pictures of docs/console.md, of the real console on the mock arm, without a terminal.
 
-`python -m tests.console.screen.screenshots FOLDER` writes console_main.png, console_wide.png and console_session.png.
+`python -m tests.console.screen.screenshots FOLDER [NAME ...]` writes console_main.png, console_wide.png and console_session.png.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import sys
 import tempfile
@@ -29,13 +30,16 @@ LIMIT_s = 300.0
 Play = Callable[[ConsoleApp, Pilot[Any], Served], Awaitable[None]]
 
 
-def main(folder: Path) -> None:
-    """Write the pictures."""
+def main(folder: Path, *names: str) -> None:
+    """Write the pictures, or those of these names."""
+    folder = folder.resolve()
     for name, size, play in (
         ("console_main", (120, 40), _moves_and_pauses),
         ("console_wide", (200, 50), _moves_and_pauses),
         ("console_session", (120, 40), _session),
     ):
+        if names and name not in names:
+            continue
         svg = asyncio.run(_played(play, size))
         png = resvg_py.svg_to_bytes(svg_string=svg.replace("Fira Code", FONT), font_family=FONT)
         (folder / f"{name}.png").write_bytes(bytes(png))
@@ -43,7 +47,11 @@ def main(folder: Path) -> None:
 
 
 async def _played(play: Play, size: tuple[int, int]) -> str:
-    with tempfile.TemporaryDirectory() as name, holding_cell(scenario(base="demo")) as cell:
+    with (
+        tempfile.TemporaryDirectory() as name,
+        contextlib.chdir(name),  # a picture shows no folder of the machine that made it
+        holding_cell(scenario(base="demo")) as cell,
+    ):
         return await _drawn(cell, Path(name), play, size)
 
 
@@ -79,7 +87,7 @@ def _progress(app: ConsoleApp) -> float:
 
 async def _session(app: ConsoleApp, pilot: Pilot[Any], served: Served) -> None:
     """A session on a mock of its own, half of the first setup recorded."""
-    app.open_session(f"{SESSION} {Path(served.path).parent / 'session'}")
+    app.open_session(f"{SESSION} monday")
     answered = ""
     while f"[{RECORDS + 1}/" not in answered:
         await until(pilot, lambda: _question(app) not in ("", answered), LIMIT_s)  # noqa: B023 - waited for at once
@@ -93,4 +101,4 @@ def _question(app: ConsoleApp) -> str:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), *sys.argv[2:])

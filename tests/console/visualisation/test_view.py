@@ -114,6 +114,20 @@ def test_the_view_holds_every_place_that_an_arm_reaches(count: int) -> None:
             assert (np.abs(axes @ place) <= (camera.distance + ahead @ place) * half_wide * 1.001).all(), way
 
 
+@pytest.mark.parametrize("name", ["so101", "widowx250"])
+def test_one_picture_is_framed_to_the_arm(name: str) -> None:
+    arm = load_arm(name)
+    scene = ArmScene(arm)
+    scene.pose(arm.rest.q_rad, arm.rest.q_rad)
+    far_m = scene.camera().distance
+    scene.look_at_arms(Traces())
+    camera = scene.camera()
+    assert camera.distance < 0.7 * far_m
+    origins_m = ForwardKinematics(arm).link_transforms([arm.rest.q_rad])[0][:, :3, 3]
+    seen_m = origins_m - camera.lookat
+    assert (np.linalg.norm(seen_m, axis=1) < camera.distance).all()
+
+
 def test_the_arms_of_a_cell_stand_at_their_bases_and_each_leaves_a_path_of_its_own() -> None:
     pair = load_cell("pair")
     turned = replace(pair.arms[1], origin_m=(0.2, -0.6, 0.1), orientation=(0.6, 0.0, 0.0, 0.8))
@@ -256,7 +270,7 @@ def test_what_means_nothing_before_homing_is_no_line(tmp_path: Path) -> None:
 
 @pytest.fixture
 def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
-    def none(arm: Any) -> Any:
+    def none(*_: Any) -> Any:
         raise RuntimeError("no OpenGL")
 
     monkeypatch.setattr(render, "MujocoPainter", none)
