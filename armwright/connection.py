@@ -19,7 +19,7 @@ from control.model.description import load_arm
 from control.server.channel import SocketChannel
 from control.server.client import ArmClient, ArmFaulted, fault_text
 from control.server.server import default_path
-from firmware_iface.closing import Closing
+from firmware_iface.link import Closing
 
 Array = NDArray[np.float64]
 APPROACH_SPEED = 0.5  # of the joints' limits, for the move to the start of a path

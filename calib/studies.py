@@ -31,7 +31,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import CalibrationError
 from control.files import parsed_json, read_bytes, write_whole
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 from firmware_iface.interrupts import NUMBERS, held, signal_on_death_of
 
 Results = Mapping[str, Array]

@@ -1,10 +1,13 @@
 """Output on any terminal: tables of aligned columns; symbols missing from its encoding are replaced by ASCII, and file names are
 written byte by byte. One error handler for all streams of the program, so that callers of print need not care.
+Long tasks tell their progress to an `Advance`.
 """
+
+from __future__ import annotations
 
 import codecs
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final, TextIO
 
 HANDLER: Final = "armwright"
@@ -52,3 +55,11 @@ def _reconfigure(stream: TextIO | None, errors: str) -> None:
     reconfigure = getattr(stream, "reconfigure", None)  # a replaced stream may have no `reconfigure`
     if reconfigure is not None:
         reconfigure(errors=errors)
+
+
+Advance = Callable[[str, float], None]
+"""Called with the present step and the share done, 0 to 1."""
+
+
+def silent(what: str, share: float) -> None:
+    """Show no progress."""

@@ -1,10 +1,12 @@
 """What a serial or a CAN link does, whatever opens it: it carries bytes or frames, and does not interpret them.
 
 Reading never blocks; `ByteLink.wait` does, within its limit.
+`Closing` is what a `with` closes: links, files, mock arms.
 """
 
+from abc import ABC, abstractmethod
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, Self
 
 
 class CanFormat(Enum):
@@ -64,3 +66,19 @@ class FrameLink(Protocol):
     def close(self) -> None:
         """Leave the bus; idempotent."""
         ...
+
+
+class Closing(ABC):
+    """`with` gives the thing itself, and closes it however the block ends."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give back what it holds."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hil_mocks.plant.geometry import DH_KEYS, Convention, DhLink, rotation_z, true_frame
+from hil_mocks.plant.parts import DH_KEYS, Convention, DhLink, rotation_z, true_frame
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,14 @@ from control.model.description import Arm
 from firmware_iface.link import CanFormat
 from hil_mocks.devices import cia402_drive, dynamixel, moteus, odrive, vesc
 from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup
-from hil_mocks.devices.dynamixel import DynamixelLineMock, DynamixelMock, ServoSetup
-from hil_mocks.devices.dynamixel_table import CURRENT_BASED, EXTENDED, POSITION
+from hil_mocks.devices.dynamixel import (
+    CURRENT_BASED,
+    EXTENDED,
+    POSITION,
+    DynamixelLineMock,
+    DynamixelMock,
+    ServoSetup,
+)
 from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, Output

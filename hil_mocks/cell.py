@@ -15,8 +15,7 @@ import mujoco
 
 from control.model.cell import Cell
 from firmware_iface.clock import Clock
-from firmware_iface.closing import Closing
-from firmware_iface.link import CanFormat
+from firmware_iface.link import CanFormat, Closing
 from hil_mocks.assembly import effects_of, plant_options, start_pose
 from hil_mocks.devices.motor_inputs import Frame
 from hil_mocks.errors import RigError, ScenarioError

@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 
 from firmware_iface.clock import Clock, MonotonicClock
-from firmware_iface.closing import Closing
 from firmware_iface.installation import command
 from firmware_iface.interrupts import held
+from firmware_iface.link import Closing
 from hil_mocks.errors import RigError
 from hil_mocks.plant.hand import Point
 from hil_mocks.rig import ArmPorts, MockHand

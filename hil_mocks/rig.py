@@ -16,7 +16,7 @@ from typing import Protocol
 
 from control.model.description import Arm, load_arm
 from firmware_iface.clock import Clock
-from firmware_iface.closing import Closing
+from firmware_iface.link import Closing
 from hil_mocks.in_process import CAN_INTERFACE, register
 from hil_mocks.in_process.protocol_mock import SerialLine
 from hil_mocks.plant.hand import Point

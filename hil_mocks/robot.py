@@ -14,13 +14,20 @@ from dataclasses import replace
 
 from control.model.description import Arm
 from firmware_iface.link import CanFormat
-from hil_mocks.assembly import build_camera, build_encoder_boards, build_motor_board, build_plant
+from hil_mocks.assembly import (
+    PinWires,
+    build_camera,
+    build_encoder_boards,
+    build_gripper,
+    build_gripper_board,
+    build_motor_board,
+    build_plant,
+)
 from hil_mocks.bought import Bought, PlantState
 from hil_mocks.devices.encoder_inputs import EncoderBoardHardware
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, MotorBoardHardware, Output
 from hil_mocks.errors import RigError, ScenarioError
 from hil_mocks.faults import CanOut, FaultPlan, FaultyFrames, Frames, check_fault
-from hil_mocks.gripper import PinWires, build_gripper, build_gripper_board
 from hil_mocks.plant.hand import Hand, Point
 from hil_mocks.plant.parts import tool_parts
 from hil_mocks.plant.plant import Plant

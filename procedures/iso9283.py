@@ -43,7 +43,7 @@ from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.motion.plan import PlannedPath, plan_path
-from control.progress import Advance
+from control.plain_text import Advance
 from procedures.arm_sheet import torque_limit_Nm
 from procedures.mock import saved_mock
 from procedures.tour import Bench, How, Rows, Stop, note_plan, tour

@@ -34,8 +34,8 @@ from control.files import write_whole
 from control.motion.joint_path import JointPath
 from control.motion.plan import PlannedPath
 from control.recording.frame_decoder import row_type
-from control.recording.parts import has_part, next_part
 from control.recording.reading import Recording, RowReader
+from control.recording.recorder_state import has_part, next_part
 from control.server.client import ArmClient
 from procedures.ports import RuntimePort, camera_said
 

@@ -25,8 +25,8 @@ import numpy as np
 
 from control.errors import ArmError
 from control.model.description import load_arm
-from control.recording.parts import parts_from
 from control.recording.reading import Recording
+from control.recording.recorder_state import parts_from
 from control.server.client import ArmClient
 from procedures.mock import RealTimeBench
 

@@ -12,7 +12,7 @@
 | thermal_drift | thermal_drift<j> = final angle | 1 - exp(-t / the file's time constant) |
 | link_flexure | flexure<k> = 1 / EI of link k | the beam's displacement and turn: of the tip |
 
-Signs as in control.model.effect_laws; flank, gravity torque and held friction as in control.dynamics.static_pose,
+Signs as in control.model.effects; flank, gravity torque and held friction as in control.dynamics.static_pose,
 from currents and directions of the points. How friction is shared between motor and link is unknown, hence the side
 parameters, which are not part of the effect. An effect is requested by name and joint: "backlash:2", "belt_coupling".
 """
@@ -39,8 +39,16 @@ from calib.settling import Settling
 from control.dynamics.feedforward import own_payload_kg, with_link_inertia
 from control.dynamics.static_pose import RestingPose, resting
 from control.model.arm import Arm, Effect
-from control.model.effect_laws import backlash_rad, compliance_rad
-from control.model.effects import COUPLED, COUPLED_TO, EFFECTS, linear_values, moved_joint, place_of
+from control.model.effects import (
+    COUPLED,
+    COUPLED_TO,
+    EFFECTS,
+    backlash_rad,
+    compliance_rad,
+    linear_values,
+    moved_joint,
+    place_of,
+)
 
 Key = tuple[str, int | None]  # effect and joint
 SAME_rad = 1e-10  # a joint's angle below which loads are the same: a tenth of a nanometre at a metre

@@ -28,7 +28,7 @@ from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
 from control.kinematics.rotation import matrices, quaternions
 from control.model.arm import Arm
 from control.model.table import board_cavities
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 
 NOISE_RATIO = 2.0  # between the scatter of orientations and positions and their stated noises, either way
 SAME_sd = 0.1  # standard deviations that any value moves at most where all predictions together move by less than this

@@ -29,8 +29,7 @@ from control.kinematics.rotation import quaternion_of, quaternions
 from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.model.description import save_arm
-from control.plain_text import aligned
-from control.progress import Advance, silent
+from control.plain_text import Advance, aligned, silent
 
 CONTACTS_LEAST = 6
 FOLDS = 5

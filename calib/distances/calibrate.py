@@ -42,7 +42,7 @@ from calib.identify.solver import Minimum, minimise
 from calib.points.points import Points
 from calib.validation.verify import Comparison, compare
 from control.model.arm import Arm
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 
 LEAST_READINGS = 6
 FOLDS = 5

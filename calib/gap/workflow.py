@@ -52,7 +52,7 @@ from control.files import write_whole
 from control.model.arm import Arm, Calibration
 from control.model.description import save_arm
 from control.model.effects import EFFECTS
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 
 RESULTS = ("gap.json", "arm.toml", "report.html")
 POSES_SHARE = 0.3  # of the time, where there are both

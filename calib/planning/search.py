@@ -27,7 +27,7 @@ from control.model.arm import Arm, Vector3
 from control.motion.plan import PlannedPath, plan_paths
 from control.motion.spline import DEFAULT_PACE_M_S
 from control.motion.waypoints import Waypoints
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 from control.safety.workspace import LinkThickness, Workspace
 
 DRAWS: Final = 200  # arms that the points allow

@@ -17,7 +17,7 @@ from calib.errors import SessionError
 from calib.points.points import COVARIANCE, ORIENTATION, SCALARS, STREAM_FRAME, TIP, Points
 from calib.points.reading import read_points
 from control.files import KeptLines, write_whole
-from firmware_iface.closing import Closing
+from firmware_iface.link import Closing
 
 Key = tuple[str, str, int]
 POSE_COLUMNS = (*ORIENTATION, "frame")

@@ -26,7 +26,7 @@ from calib.points.reading import read_points
 from calib.points.writer import DISTANCE, Key, PointsWriter, Record, replace_file
 from calib.session.plan import Mark, SessionPlan, SessionState, TargetEvent, from_json, require_same, to_json
 from control.files import KeptLines, parsed_json, read_text
-from firmware_iface.closing import Closing
+from firmware_iface.link import Closing
 
 Entry = dict[str, Any]
 

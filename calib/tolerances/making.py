@@ -28,7 +28,7 @@ from control.dynamics.static_pose import resting
 from control.files import read_text
 from control.kinematics import chain
 from control.model.arm import Arm
-from control.model.effect_laws import backlash_rad, compliance_rad
+from control.model.effects import backlash_rad, compliance_rad
 from control.strict_toml import Fault, converted, table_as
 
 # tolerances.toml: how exactly each part of an arm is made, as distributions. Reference: docs/formats.md.

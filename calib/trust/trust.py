@@ -20,7 +20,7 @@ from calib.trust.discrepancy import Conditions, Discrepancy
 from calib.trust.prediction import Posterior, Predictor, TipError, linearised, loose_play_m2, posterior_of
 from calib.validation.verdict import NoiseFloor, noise_floor
 from control.model.arm import Arm
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 
 POSES: Final = 1500  # drawn over the joints' ranges, before those that collide are left out
 SURE: Final = 0.95  # that scatter beyond the measuring noise is no chance

@@ -21,7 +21,7 @@ from calib.points.reading import IMPORT
 from calib.points.writer import replace_file
 from control.files import read_bytes
 from control.kinematics.rotation import matrices
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 from control.tables import TableColumn, TableFormat, read_table
 
 Picture = npt.NDArray[np.uint8]

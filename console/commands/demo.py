@@ -12,8 +12,7 @@ from control.files import write_whole
 from control.model.arm import Arm
 from control.model.cell import load_cell
 from control.model.description import load_arm, save_arm
-from control.plain_text import aligned
-from control.progress import Advance
+from control.plain_text import Advance, aligned
 from procedures.demo import job
 from procedures.folders import free_folder, require_writable
 from procedures.mock import MockBench, RealTimeBench, SteppedBench, seeded_scenario

@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from control.errors import ArmError
-from hil_mocks.firmware.choice import choose
+from hil_mocks.firmware.boards import choose
 from procedures.drills.catalogue import drills, drills_named
 from procedures.drills.drill import header, in_words, listing, row, verdict
 

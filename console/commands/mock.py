@@ -7,7 +7,7 @@ from pathlib import Path
 
 from control.model.cell import load_cell, save_cell
 from control.model.description import load_arm, save_arm
-from hil_mocks.firmware.choice import choose
+from hil_mocks.firmware.boards import choose
 from hil_mocks.realtime import MockProcess, RealTimeCell, RealTimeRig
 from procedures.mock import wired_to
 

@@ -19,7 +19,7 @@ from console.visualisation.series import SHORTEST, Array, Series, envelope, orde
 from console.visualisation.traces import tips_of
 from control.errors import ArmError
 from control.files import make_whole
-from control.progress import Advance
+from control.plain_text import Advance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,8 +12,7 @@ from typing import Final, Protocol
 from control.dynamics.dynamics import Dynamics
 from control.kinematics.smooth_table import SmoothTable
 from control.model.arm import Arm, Drive, Effect
-from control.model.effect_laws import Torque, direction
-from control.model.effects import EFFECTS, corrected
+from control.model.effects import EFFECTS, Torque, corrected, direction
 from control.model.maps import CorrectionMap
 
 FED_FORWARD: Final = corrected("torque")

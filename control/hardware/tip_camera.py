@@ -19,7 +19,9 @@ from firmware_iface.mocap.bodies import (
     compose,
     inverse,
 )
-from firmware_iface.mocap.open_stream import open_stream
+from firmware_iface.mocap.natnet import NatNetStream
+from firmware_iface.mocap.qtm import QtmStream
+from firmware_iface.mocap.vicon import ViconStream
 
 WITHOUT_A_STREAM = "no frames arrive"
 UNPLACED = "its frame has no known place to the arm's base: a session and `calibrate` find it"
@@ -138,3 +140,12 @@ class BodyCamera:
     def close(self) -> None:
         """End the stream."""
         self._stream.close()
+
+
+def open_stream(system: str, host: str, port: int, clock: Clock) -> BodyStream:
+    """Open it, and wait for its names where it says them. LinkError if the port is taken or nothing answers."""
+    if system == "natnet":
+        return NatNetStream(host, port, clock)
+    if system == "qualisys":
+        return QtmStream(host, port, clock)
+    return ViconStream(host, port)

@@ -2,15 +2,95 @@
 
 An `[[effect]]` of an arm.toml is checked against this table (docs/formats.md); feed-forward, corrections, calibration and the gap
 workflow read it. Torques are at the joint, angles are joint angles.
+
+Their laws are pure functions: torques that a motor has to add, and joint angle minus encoder angle. Each law stands here once, for the controller and for identification: of floats with `math`, of arrays with `numpy`. A friction
+torque is what the motor has to add to overcome it. The sign of a speed is smooth, tanh(speed / SMOOTH_rad_s).
 """
 
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal, Protocol
 
-from control.model import effect_laws as laws
+Value = Any  # float or numpy array
+# Gears stick below some mrad/s, and a measured speed has no sign there. Wider, friction is missing in slow motion: at 10 mrad/s
+# a width of 0.01 leaves out a quarter, this one 0.3 %.
+SMOOTH_rad_s: Final = 0.003
+
+
+class Functions(Protocol):
+    """`math`, or `numpy` for arrays."""
+
+    @property
+    def tanh(self) -> Callable[[Value], Value]:
+        """Hyperbolic tangent."""
+
+    @property
+    def exp(self) -> Callable[[Value], Value]:
+        """Exponential function."""
+
+    @property
+    def sin(self) -> Callable[[Value], Value]:
+        """Sine."""
+
+
+Torque = Callable[
+    [Value, Value, Value], Value
+]  # angle of joint or motor, joint speed, transmitted torque -> torque
+TorqueLaw = Callable[[Mapping[str, float], Functions], Torque]  # of an effect's parameters
+
+
+def direction(speed_rad_s: Value, f: Functions = math) -> Value:
+    """Smooth sign of a speed, -1 to 1."""
+    return f.tanh(speed_rad_s / SMOOTH_rad_s)
+
+
+def coulomb_friction(p: Mapping[str, float], f: Functions = math) -> Torque:
+    """Dry friction."""
+    torque_Nm, tanh = p["torque_Nm"], f.tanh
+    return lambda angle, speed, load: torque_Nm * tanh(speed / SMOOTH_rad_s)
+
+
+def viscous_friction(p: Mapping[str, float], f: Functions = math) -> Torque:
+    """Friction that grows with speed."""
+    coefficient = p["coefficient_Nm_s_rad"]
+    return lambda angle, speed, load: coefficient * speed
+
+
+def stribeck_friction(p: Mapping[str, float], f: Functions = math) -> Torque:
+    """Friction beyond Coulomb near rest, exp(-(v / v_s)^2) (Armstrong-Helouvry's Gaussian form)."""
+    torque_Nm, scale, tanh, exp = p["torque_Nm"], p["speed_rad_s"], f.tanh, f.exp
+    return lambda angle, speed, load: torque_Nm * exp(-((speed / scale) ** 2)) * tanh(speed / SMOOTH_rad_s)
+
+
+def load_friction(p: Mapping[str, float], f: Functions = math) -> Torque:
+    """Dry friction that grows with the torque that the gear transmits."""
+    fraction, tanh = p["fraction"], f.tanh
+    return lambda angle, speed, load: fraction * abs(load) * tanh(speed / SMOOTH_rad_s)
+
+
+def asymmetric_friction(p: Mapping[str, float], f: Functions = math) -> Torque:
+    """Additional Coulomb friction in the positive direction, and as much less in the negative; zero at rest."""
+    torque_Nm, tanh = p["torque_Nm"], f.tanh
+    return lambda angle, speed, load: torque_Nm * abs(tanh(speed / SMOOTH_rad_s))
+
+
+def cogging(p: Mapping[str, float], f: Functions = math) -> Torque:
+    """Torque that the motor has to add against cogging: `order` periods a turn of the angle, which is the motor's."""
+    amplitude_Nm, order, phase, sin = p["amplitude_Nm"], p["order"], p["phase_rad"], f.sin
+    return lambda angle, speed, load: amplitude_Nm * sin(order * angle + phase)
+
+
+def backlash_rad(flank: Value, width_rad: Value) -> Value:
+    """Joint angle minus motor angle, for backlash; `flank` is the sign of the transmitted torque."""
+    return -0.5 * width_rad * flank
+
+
+def compliance_rad(transmitted_Nm: Value, stiffness_Nm_rad: Value) -> Value:
+    """Joint angle minus motor angle, for a compliant gear that transmits a torque from motor to joint."""
+    return -transmitted_Nm / stiffness_Nm_rad
+
 
 Place = Literal["joint", "link", "none", "joint or none"]
 COUPLED: Final = 3  # the joint that `belt_coupling` moves: its belt runs over the shoulder
@@ -86,7 +166,7 @@ class EffectKind:
     one_of: tuple[str, ...] = ()  # exactly one of these
     linear: LinearForm | None = None  # its unknowns, in which two of a kind add up; None where they do not
     alike: tuple[str, ...] = ()  # parameters that have to be the same for that
-    torque: laws.TorqueLaw | None = None  # what the motor has to add
+    torque: TorqueLaw | None = None  # what the motor has to add
     is_dry: bool = False  # friction that holds at rest, up to torque_Nm
     is_of_motor: bool = False  # its torque follows the motor's angle, which takes a [[drive]]
     corrected: Corrected = "not"
@@ -145,7 +225,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         ("torque_Nm",),
         not_negative=("torque_Nm",),
         linear=itself("torque_Nm"),
-        torque=laws.coulomb_friction,
+        torque=coulomb_friction,
         is_dry=True,
         corrected="torque",
     ),
@@ -154,7 +234,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         ("coefficient_Nm_s_rad",),
         not_negative=("coefficient_Nm_s_rad",),
         linear=itself("coefficient_Nm_s_rad"),
-        torque=laws.viscous_friction,
+        torque=viscous_friction,
         corrected="torque",
     ),
     "stribeck_friction": EffectKind(
@@ -162,7 +242,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         ("torque_Nm", "speed_rad_s"),
         positive=("speed_rad_s",),
         not_negative=("torque_Nm",),
-        torque=laws.stribeck_friction,
+        torque=stribeck_friction,
         is_dry=True,
         corrected="torque",
     ),
@@ -171,14 +251,14 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         ("fraction",),
         not_negative=("fraction",),
         linear=itself("fraction"),
-        torque=laws.load_friction,
+        torque=load_friction,
         corrected="torque",
     ),
     "asymmetric_friction": EffectKind(
         "joint",
         ("torque_Nm",),
         linear=itself("torque_Nm"),
-        torque=laws.asymmetric_friction,
+        torque=asymmetric_friction,
         corrected="torque",
     ),
     "cogging": EffectKind(
@@ -187,7 +267,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         positive=("order",),
         linear=wave("amplitude_Nm"),
         alike=("order",),
-        torque=laws.cogging,
+        torque=cogging,
         is_of_motor=True,
         corrected="torque",
     ),

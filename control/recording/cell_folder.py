@@ -12,8 +12,8 @@ from typing import Any
 
 from control.model.cell import Cell, Placed
 from control.recording.export import csv_cell, open_text
-from control.recording.parts import SUFFIX
 from control.recording.reading import RecordError, Recording, recorded_arm
+from control.recording.recorder_state import SUFFIX
 
 PART = re.compile(rf"(?P<stem>.+?)(\.part(?P<number>\d+))?{re.escape(SUFFIX)}")
 

@@ -2,6 +2,7 @@
 
 Times are absolute: the recording's start plus the loop's clock since its first row. Topics and schemas are
 those of control.recording.mcap_schemas; the arm.toml is attached, and the metadata name the source.
+Events are modes, runs, missed deadlines and drive faults, as text.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from control.model.arm import Arm
 from control.model.cell import Cell, Placed
 from control.model.description import parse_arm
 from control.recording import mcap_scene as scene
-from control.recording.mcap_events import CycleChanges, mode_name
 from control.recording.mcap_schemas import CAMERA, ERROR, LOOP, TOPICS, columns_of, schemas_of
 from control.recording.reading import Recording
 
@@ -316,3 +316,40 @@ def attached_arm(path: Path) -> Arm | None:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+INFORMATION, WARNING, ERROR_LEVEL = 2, 3, 4  # Foxglove's levels
+SAID_EVERY_s: Final = 1.0  # missed deadlines come in bursts: one message per second is enough
+
+
+class CycleChanges:
+    """Compares each cycle with the last and describes the changes."""
+
+    def __init__(self, modes: Sequence[str]) -> None:
+        self._modes = tuple(modes)
+        self._mode, self._run, self._missed = -1, 0, 0
+        self._faults: tuple[float, ...] = ()
+        self._missed_at_s = -math.inf
+
+    def look(
+        self, t_s: float, mode: int, run: int, missed: int, faults: tuple[float, ...]
+    ) -> Iterator[tuple[int, str]]:
+        """Level and text of every new event in this cycle."""
+        if mode != self._mode:
+            name = mode_name(self._modes, mode)
+            yield ERROR_LEVEL if name == "FAULT" else INFORMATION, f"mode {name}"
+        if run != self._run:
+            yield INFORMATION, f"run {run} begins"
+        if missed > self._missed and t_s - self._missed_at_s >= SAID_EVERY_s:
+            yield WARNING, f"{missed - self._missed} deadlines missed, {missed} so far"
+            self._missed, self._missed_at_s = missed, t_s
+        before = self._faults or (0.0,) * len(faults)
+        for joint, (bits, known) in enumerate(zip(faults, before, strict=True), start=1):
+            if bits and bits != known:
+                yield ERROR_LEVEL, f"drive of joint {joint}: fault bits 0x{int(bits):02x}"
+        self._mode, self._run, self._faults = mode, run, faults
+
+
+def mode_name(modes: Sequence[str], number: float) -> str:
+    """The name of a recorded mode; its number if unknown."""
+    return modes[int(number)] if 0 <= number < len(modes) else f"mode {int(number)}"

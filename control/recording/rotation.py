@@ -16,10 +16,9 @@ from pathlib import Path
 
 from control.files import make_whole
 from control.recording.frames import FrameEncoder, in_frames
-from control.recording.parts import next_part
 from control.recording.reading import RecordError, Recording
 from control.recording.record import header_bytes
-from control.recording.recorder_state import RecorderState, hours_left
+from control.recording.recorder_state import RecorderState, hours_left, next_part
 
 RETRY_s = 1.0
 SYNC_bytes = 1 << 18  # interval of fsync, for power cuts

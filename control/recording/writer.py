@@ -19,9 +19,8 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from control.recording.parts import has_part, last_part
 from control.recording.reading import Recording
-from control.recording.recorder_state import RecorderState
+from control.recording.recorder_state import RecorderState, has_part, last_part
 from control.recording.rotation import Policy, RecordingParts, begin_next
 
 GATHER_s = 0.02  # longest time that rows wait in the pipe; a killed writer loses no more

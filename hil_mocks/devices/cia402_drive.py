@@ -11,8 +11,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hil_mocks.devices.motor_inputs import OPEN, Frame, Output
-from hil_mocks.devices.motor_states import NEXT, MotorState, Word, word_of
+from hil_mocks.devices.motor_inputs import NEXT, OPEN, Frame, MotorState, Output, Word, word_of
 
 INITIALISING, STOPPED, PRE_OPERATIONAL, OPERATIONAL = 0x00, 0x04, 0x7F, 0x05
 HOMING, CSP, CSV, CST = 6, 8, 9, 10

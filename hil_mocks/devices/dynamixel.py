@@ -3,6 +3,7 @@
 A servo is a control table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period. It has no
 indirect addresses. Of several servos that are read at once each waits for the
 one before it: after a silent one nobody answers.
+`TABLE` is that of an XM430: what may be written, its range, and its value at delivery.
 """
 
 from __future__ import annotations
@@ -12,36 +13,93 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
-from hil_mocks.devices import dynamixel_table as control_table
-from hil_mocks.devices.dynamixel_table import (
-    ACCESS_ERROR,
-    CURRENT_BASED,
-    CURRENT_LIMIT,
-    ERROR_STATUS,
-    FULL_PWM,
-    GOAL,
-    GOAL_CURRENT,
-    GOAL_PWM,
-    LENGTH_ERROR,
-    MAX_VOLTAGE,
-    MIN_VOLTAGE,
-    MODE,
-    POSITION,
-    REGISTERED,
-    RETURN_DELAY,
-    RETURN_LEVEL,
-    SHUTDOWN,
-    STARTUP,
-    STORED_END,
-    TABLE_BYTES,
-    TORQUE,
-    VALUES,
-    WATCHDOG,
-    WATCHDOG_EXPIRED,
-)
 from hil_mocks.devices.motor_inputs import OPEN
 from hil_mocks.devices.servo_motor import ServoMotor
+
+RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 0x04, 0x05, 0x06, 0x07
+STORED_END, TABLE_BYTES = 64, 147  # what is below is kept without supply
+RETURN_DELAY, MODE, MAX_VOLTAGE, MIN_VOLTAGE, CURRENT_LIMIT = 9, 11, 32, 34, 38
+MAX_POSITION, MIN_POSITION, STARTUP, SHUTDOWN = 48, 52, 60, 63
+TORQUE, RETURN_LEVEL, REGISTERED, ERROR_STATUS, WATCHDOG = 64, 68, 69, 70, 98
+GOALS, GOAL_CURRENT, GOAL, VALUES = (100, 102, 104, 116), 102, 116, 126
+GOAL_PWM, FULL_PWM = 100, 885
+POSITION, EXTENDED, CURRENT_BASED = 3, 4, 5  # operating modes
+WATCHDOG_EXPIRED = 0xFF
+_TURNS_RANGE = 1_048_575  # of a goal position, but in the mode of one turn
+
+
+class Item(NamedTuple):
+    """What may be written at an address: bytes, lowest and highest value, value at delivery or power-up."""
+
+    size: int
+    lowest: int
+    highest: int
+    initial: int = 0
+
+
+_GAIN = Item(2, 0, 16_383)
+ITEMS = {
+    7: Item(1, 0, 252, 1), 8: Item(1, 0, 7, 1), RETURN_DELAY: Item(1, 0, 254, 250), 10: Item(1, 0, 13),
+    MODE: Item(1, 0, 16, POSITION), 12: Item(1, 0, 255, 255), 13: Item(1, 1, 2, 2), 20: Item(4, -1_044_479, 1_044_479),
+    24: Item(4, 0, 1023, 10), 31: Item(1, 0, 100, 80), MAX_VOLTAGE: Item(2, 95, 160, 160), MIN_VOLTAGE: Item(2, 95, 160, 95),
+    36: Item(2, 0, 885, 885), CURRENT_LIMIT: Item(2, 0, 1193, 1193), 44: Item(4, 0, 1023, 350),
+    MAX_POSITION: Item(4, 0, 4095, 4095), MIN_POSITION: Item(4, 0, 4095), STARTUP: Item(1, 0, 3), SHUTDOWN: Item(1, 0, 255, 52),
+    TORQUE: Item(1, 0, 1), 65: Item(1, 0, 1), RETURN_LEVEL: Item(1, 0, 2, 2),
+    76: _GAIN._replace(initial=1920), 78: _GAIN._replace(initial=100), 80: _GAIN, 82: _GAIN,
+    84: _GAIN._replace(initial=800), 88: _GAIN, 90: _GAIN, WATCHDOG: Item(1, 0, 127),
+    GOAL_PWM: Item(2, -FULL_PWM, FULL_PWM, FULL_PWM), GOAL_CURRENT: Item(2, -1193, 1193, 1193), 104: Item(4, -1023, 1023),
+    108: Item(4, 0, 32_767), 112: Item(4, 0, 32_767), GOAL: Item(4, -_TURNS_RANGE, _TURNS_RANGE),
+}  # fmt: skip
+
+
+def initial(begin: int) -> bytes:
+    """The table from `begin` on, at delivery or power-up."""
+    table = bytearray(TABLE_BYTES)
+    for address, item in ITEMS.items():
+        table[address : address + item.size] = item.initial.to_bytes(
+            item.size, "little", signed=item.lowest < 0
+        )
+    return bytes(table[begin:])
+
+
+def value(table: bytearray, address: int) -> int:
+    """What stands at an address."""
+    item = ITEMS[address]
+    return int.from_bytes(table[address : address + item.size], "little", signed=item.lowest < 0)
+
+
+def refusal(table: bytearray, address: int, data: bytes) -> int:
+    """The number of the error with which a servo refuses to write `data`, 0 if it takes them."""
+    at, end = address, address + len(data)
+    if not data:
+        return LENGTH_ERROR
+    while at < end:
+        item = ITEMS.get(at)
+        if item is None or (at < STORED_END and table[TORQUE]):
+            return ACCESS_ERROR
+        if at + item.size > end:
+            return LENGTH_ERROR
+        written = int.from_bytes(
+            data[at - address : at - address + item.size], "little", signed=item.lowest < 0
+        )
+        if error := _out_of_range(table, at, item, written):
+            return error
+        at += item.size
+    return 0
+
+
+def _out_of_range(table: bytearray, address: int, item: Item, written: int) -> int:
+    lowest, highest = item.lowest, item.highest
+    if address == GOAL and table[MODE] == POSITION:
+        lowest, highest = value(table, MIN_POSITION), value(table, MAX_POSITION)
+    if not lowest <= written <= highest or (address in GOALS and table[WATCHDOG] == WATCHDOG_EXPIRED):
+        return RANGE_ERROR
+    if address == GOAL_CURRENT and abs(written) > value(table, CURRENT_LIMIT):
+        return LIMIT_ERROR
+    return 0
+
 
 COUNTS_PER_TURN = 4096
 BROADCAST = 0xFE
@@ -124,7 +182,7 @@ class DynamixelMock:
         self.forced_error = 0  # a persistent cause, set by a fault of the scenario
         self.turned_on = 0  # whole turns that it has counted on since its supply came on; in an extended mode
         self._read_turns: Callable[[], float] = lambda: read_turns() + self.turned_on
-        self.table = bytearray(control_table.TABLE_BYTES)
+        self.table = bytearray(TABLE_BYTES)
         self._deliver(())
         for address, value in {**STORED, NUMBER: setup.number, MODE: setup.mode}.items():
             self.table[address] = value
@@ -132,18 +190,18 @@ class DynamixelMock:
 
     def _deliver(self, kept: tuple[int, ...]) -> None:
         """All that is stored as at delivery, but for some addresses."""
-        before, self.table[:STORED_END] = bytes(self.table), control_table.initial(0)[:STORED_END]
+        before, self.table[:STORED_END] = bytes(self.table), initial(0)[:STORED_END]
         struct.pack_into("<H", self.table, 0, self.setup.model)
         self.table[6] = FIRMWARE
         for address in (MIN_VOLTAGE, MAX_VOLTAGE):
-            limit = control_table.value(self.table, address) * self.setup.supply_V / NOMINAL_V
+            limit = value(self.table, address) * self.setup.supply_V / NOMINAL_V
             struct.pack_into("<H", self.table, address, round(limit))
         for address in kept:
             self.table[address] = before[address]
 
     def power_up(self, now_s: float = 0.0) -> None:
         """State after power-up or a restart: what is not stored at its defaults, torque off."""
-        self.table[STORED_END:] = control_table.initial(STORED_END)
+        self.table[STORED_END:] = initial(STORED_END)
         self.output = OPEN
         self._registered: tuple[int, bytes] | None = None
         self._deaf_until_s = now_s
@@ -156,7 +214,7 @@ class DynamixelMock:
         """What its current loop keeps to."""
         if self.table[MODE] != CURRENT_BASED:
             return math.inf
-        units = min(abs(control_table.value(self.table, at)) for at in (GOAL_CURRENT, CURRENT_LIMIT))
+        units = min(abs(value(self.table, at)) for at in (GOAL_CURRENT, CURRENT_LIMIT))
         return units * self.setup.current_unit_A
 
     @property
@@ -199,7 +257,7 @@ class DynamixelMock:
 
     def write(self, address: int, data: bytes) -> int:
         """Write to the control table; returns an error number."""
-        if error := control_table.refusal(self.table, address, data):
+        if error := refusal(self.table, address, data):
             return error
         if address == TORQUE and data[0] and self._is_shut_down:
             return 0  # stays off until it is restarted
@@ -208,7 +266,7 @@ class DynamixelMock:
             self._motor.engage()
         self.table[address : address + len(data)] = data
         if address <= GOAL < address + len(data) or address == TORQUE:
-            self._motor.goal_turns = control_table.value(self.table, GOAL) / COUNTS_PER_TURN
+            self._motor.goal_turns = value(self.table, GOAL) / COUNTS_PER_TURN
         return 0
 
     def switch_torque(self, is_on: bool, now_s: float) -> None:
@@ -254,7 +312,7 @@ class DynamixelMock:
         return INSTRUCTION_ERROR, b""
 
     def _register(self, address: int, data: bytes) -> int:
-        if error := control_table.refusal(self.table, address, data):
+        if error := refusal(self.table, address, data):
             return error
         self._registered, self.table[REGISTERED] = (address, data), 1
         return 0
@@ -281,7 +339,7 @@ class DynamixelMock:
             round(supply_V * 10),
             35,
         )
-        least, most = (control_table.value(self.table, address) for address in (MIN_VOLTAGE, MAX_VOLTAGE))
+        least, most = (value(self.table, address) for address in (MIN_VOLTAGE, MAX_VOLTAGE))
         voltage = 0 if least <= supply_V * 10 <= most else INPUT_VOLTAGE
         self.table[ERROR_STATUS] &= self.table[SHUTDOWN]  # the others last as long as their causes
         self.table[ERROR_STATUS] |= self.forced_error | voltage
@@ -291,7 +349,7 @@ class DynamixelMock:
         if self.table[TORQUE] and 0 < watchdog < 0x80 and now_s - self._heard_s > 0.02 * watchdog:
             self.table[WATCHDOG] = WATCHDOG_EXPIRED
             motor.goal_turns = motor.turns
-        share = control_table.value(self.table, GOAL_PWM) / FULL_PWM
+        share = value(self.table, GOAL_PWM) / FULL_PWM
         self.output = motor.controlled(supply_V * abs(share)) if self.table[TORQUE] else OPEN
 
     def _effort(self, current_A: float, supply_V: float) -> int:

@@ -10,9 +10,10 @@ from hil_mocks.devices.encoder_inputs import (
     QUADRATURE_ERROR,
     ZERO_SET,
     EncoderBoardHardware,
+    Gatherer,
     Latched,
+    frame,
 )
-from hil_mocks.devices.framing import Gatherer, frame
 
 POLL, STREAM, SET_ZERO, ARM_INDEX, IDENTIFY = 1, 2, 3, 4, 5
 REPORT, IDENTITY, ACK, INDEX = 0x81, 0x82, 0x83, 0x84

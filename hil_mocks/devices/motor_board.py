@@ -1,24 +1,29 @@
-"""The motor board's firmware in Python: states, modes, position PID, watchdog, faults; written from docs/motor_board.md."""
+"""The motor board's firmware in Python: states, modes, position PID, watchdog, faults; written from docs/motor_board.md.
+Its parameters are a table: index, name, range, access, value at power-up.
+"""
 
 from __future__ import annotations
 
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from hil_mocks.devices import motor_parameters as parameter
 from hil_mocks.devices.motor_inputs import (
     BRAKE,
     HIGHEST_SUPPLY_V,
     LOWEST_SUPPLY_V,
+    NEXT,
     OPEN,
     Frame,
     MotorBoardHardware,
     MotorBoardSetup,
+    MotorState,
     Output,
+    Word,
+    word_of,
 )
-from hil_mocks.devices.motor_states import NEXT, MotorState, Word, word_of
 
 _PIN_COMMAND = struct.Struct("<BBB5x")
 _PIN_REPLY = struct.Struct("<BBBB4x")
@@ -99,7 +104,7 @@ class MotorBoardMock(MotorBoardHardware):
     """A motor board whose firmware is this class."""
 
     def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
-        self._rows = parameter.writable(setup.rating_mA, setup.digital_pins)
+        self._rows = writable(setup.rating_mA, setup.digital_pins)
         self._rated_K = setup.rated_degC - setup.ambient_degC
         self._command_id, self._reply_id = COMMAND + setup.node, REPLY + setup.node
         self.pins: DigitalPinsMock = DigitalPinsMock(setup.digital_pins)
@@ -201,13 +206,13 @@ class MotorBoardMock(MotorBoardHardware):
     def _take_values(self) -> None:
         """Update the values of each period from the parameters."""
         values = self.values
-        self.current_limit_A = values[parameter.CURRENT_LIMIT_MA] * 1e-3
+        self.current_limit_A = values[CURRENT_LIMIT_MA] * 1e-3
         self._trip_A = _OVER_CURRENT_RATIO * self.current_limit_A
-        self._voltage_limit_mV = float(values[parameter.VOLTAGE_LIMIT_MV])
-        self._filter_s = values[parameter.DERIVATIVE_FILTER_US] * 1e-6
-        watchdog_ms = values[parameter.WATCHDOG_MS]
+        self._voltage_limit_mV = float(values[VOLTAGE_LIMIT_MV])
+        self._filter_s = values[DERIVATIVE_FILTER_US] * 1e-6
+        watchdog_ms = values[WATCHDOG_MS]
         self._watchdog_s = watchdog_ms * 1e-3 - 1e-9 if watchdog_ms else math.inf
-        stop_ms = values[parameter.STOP_AFTER_MS]
+        stop_ms = values[STOP_AFTER_MS]
         self._soonest_s = min(self._watchdog_s, stop_ms * 1e-3 - 1e-9 if stop_ms else math.inf)
 
     def _fault(self, bits: int) -> None:
@@ -225,25 +230,25 @@ class MotorBoardMock(MotorBoardHardware):
 
     def _expire(self) -> None:
         """The watchdog expired: its action, then FAULT, which keeps that output."""
-        action, stop = self.values[parameter.WATCHDOG_ACTION], self._stop
+        action, stop = self.values[WATCHDOG_ACTION], self._stop
         self._fault(WATCHDOG)
         if action == 0:
             self.output = OPEN
-        elif action == 2 and self.values[parameter.KP] > 0 and stop is not None:
+        elif action == 2 and self.values[KP] > 0 and stop is not None:
             self._holds, self._stop = True, stop
-        elif action == 2 and self.values[parameter.KP] > 0:
+        elif action == 2 and self.values[KP] > 0:
             self._holds = True
             self._setpoint, self._feedforward_mV, self._integral_mV = self.position_count, 0, 0.0
         # else: brake, as for every fault
 
     def _begin_stop(self, now_s: float) -> None:
         """Come to rest and hold: no COMMAND for `stop_after_ms`, or one of mode 4."""
-        if self.values[parameter.KP] == 0:
+        if self.values[KP] == 0:
             self.output, self._is_cut = BRAKE, False
         else:
             kind, voltage_V = self.output
             self._stop = OwnStop(now_s, self.position_count, self._speed)
-            kv = self.values[parameter.SPEED_FEEDFORWARD] * 1e-6
+            kv = self.values[SPEED_FEEDFORWARD] * 1e-6
             self._integral_mV = voltage_V * 1e3 - kv * self._speed if kind == "voltage" else 0.0
             self._feedforward_mV, self._holds = 0, True
 
@@ -255,7 +260,7 @@ class MotorBoardMock(MotorBoardHardware):
         stop = self._stop
         if stop is None or self._last_tick_s is None:
             return self._setpoint, 0.0
-        whole_s = self.values[parameter.STOP_TIME_MS] * 1e-3
+        whole_s = self.values[STOP_TIME_MS] * 1e-3
         since_s = min(self._last_tick_s - stop.since_s, whole_s)
         way = stop.counts_s * (since_s - 0.5 * since_s * since_s / whole_s)
         return _wrapped(stop.from_count + round(way)), stop.counts_s * (1.0 - since_s / whole_s)
@@ -317,7 +322,7 @@ class MotorBoardMock(MotorBoardHardware):
         elif self.state is MotorState.QUICK_STOP:
             self.output = BRAKE
         elif self.state not in (MotorState.FAULT, MotorState.FAULT_REACTION):
-            self.output = BRAKE if self.values[parameter.DISABLED_OUTPUT] else OPEN
+            self.output = BRAKE if self.values[DISABLED_OUTPUT] else OPEN
 
     def _control(self, step_s: float) -> None:
         """Position PID on the board's own count; derivative of the measurement, conditional integration."""
@@ -326,16 +331,16 @@ class MotorBoardMock(MotorBoardHardware):
         setpoint, set_speed = self._stopping_point()
         error = _wrapped(setpoint - shaft_count + self._count_offset)
         wanted_mV = (
-            values[parameter.KP] * 1e-3 * error
+            values[KP] * 1e-3 * error
             + self._integral_mV
-            + values[parameter.KD] * 1e-6 * (set_speed - self._speed)
-            + values[parameter.SPEED_FEEDFORWARD] * 1e-6 * set_speed
+            + values[KD] * 1e-6 * (set_speed - self._speed)
+            + values[SPEED_FEEDFORWARD] * 1e-6 * set_speed
             + self._feedforward_mV
         )
         output_mV = self._clamped_mV(wanted_mV)
-        change_mV = values[parameter.KI] * 1e-3 * error * step_s
+        change_mV = values[KI] * 1e-3 * error * step_s
         if (wanted_mV - output_mV) * change_mV <= 0.0:
-            limit_mV = float(values[parameter.INTEGRAL_LIMIT_MV])
+            limit_mV = float(values[INTEGRAL_LIMIT_MV])
             self._integral_mV = min(max(self._integral_mV + change_mV, -limit_mV), limit_mV)
         self.output = Output("voltage", output_mV * 1e-3)
 
@@ -358,14 +363,14 @@ class MotorBoardMock(MotorBoardHardware):
 
     def _parameter(self, payload: bytes) -> bytes:
         operation, index, sequence, _, value = _REQUEST.unpack(payload)
-        result = parameter.DONE
+        result = DONE
         if operation == 1:
             result = self._write(index, value)
         elif operation != 0:
-            result = parameter.OUT_OF_RANGE
+            result = OUT_OF_RANGE
         known = self._read(index)
         if known is None:
-            result = parameter.UNKNOWN_INDEX
+            result = UNKNOWN_INDEX
         return _REQUEST.pack(result, index, sequence, 0, _wrapped(known or 0))
 
     def _read(self, index: int) -> int | None:
@@ -378,34 +383,87 @@ class MotorBoardMock(MotorBoardHardware):
             5: setup.period_us,
             6: setup.reset_cause,
         }
-        if index == parameter.POSITION_COUNT:
+        if index == POSITION_COUNT:
             return self.position_count
-        if index == parameter.DIGITAL_PINS:
+        if index == DIGITAL_PINS:
             return setup.digital_pins or None
         return fixed.get(index, self.values.get(index))
 
     def _write(self, index: int, value: int) -> int:
-        result = parameter.refusal(self._rows, index, value)
-        if result != parameter.DONE:
+        result = refusal(self._rows, index, value)
+        if result != DONE:
             return result
         if self.state not in (MotorState.SWITCH_ON_DISABLED, MotorState.READY, MotorState.SWITCHED_ON):
-            return parameter.NOT_IN_THIS_STATE
-        if index == parameter.WATCHDOG_MS and value == 0 and self.state is not MotorState.SWITCH_ON_DISABLED:
-            return parameter.NOT_IN_THIS_STATE
-        if index == parameter.POSITION_COUNT:
+            return NOT_IN_THIS_STATE
+        if index == WATCHDOG_MS and value == 0 and self.state is not MotorState.SWITCH_ON_DISABLED:
+            return NOT_IN_THIS_STATE
+        if index == POSITION_COUNT:
             self._count_offset = self._read_shaft() - value
         else:
             self.values[index] = value
             self._take_values()
             if index in (
-                parameter.DIGITAL_OUTPUTS,
-                parameter.DIGITAL_SAFE_LEVELS,
-                parameter.DIGITAL_SAFE_KEEP,
+                DIGITAL_OUTPUTS,
+                DIGITAL_SAFE_LEVELS,
+                DIGITAL_SAFE_KEEP,
             ):
                 self.pins.configure(*(self.values[k] for k in range(49, 52)))
         self._apply()
-        return parameter.DONE
+        return DONE
 
 
 def _wrapped(value: int) -> int:
     return (value + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+
+
+_I32 = (-(1 << 31), (1 << 31) - 1)
+DONE, UNKNOWN_INDEX, READ_ONLY, OUT_OF_RANGE, NOT_IN_THIS_STATE = 0, 1, 2, 3, 4
+
+POSITION_COUNT, KP, KI, KD, DERIVATIVE_FILTER_US = 4, 16, 17, 18, 19
+CURRENT_LIMIT_MA, VOLTAGE_LIMIT_MV, INTEGRAL_LIMIT_MV, SPEED_FEEDFORWARD = 20, 21, 22, 23
+WATCHDOG_MS, WATCHDOG_ACTION, DISABLED_OUTPUT = 32, 33, 34
+STOP_AFTER_MS, STOP_TIME_MS = 35, 36
+DIGITAL_PINS, DIGITAL_OUTPUTS, DIGITAL_SAFE_LEVELS, DIGITAL_SAFE_KEEP = 48, 49, 50, 51
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRange:
+    """One writable parameter."""
+
+    lowest: int
+    highest: int
+    at_power_up: int
+
+
+def writable(rating_mA: int, digital_pins: int = 0) -> dict[int, ParameterRange]:
+    """All writable parameters; `rating_mA` and `digital_pins` are the board's."""
+    pins = ParameterRange(0, (1 << digital_pins) - 1, 0)
+    digital = (DIGITAL_OUTPUTS, DIGITAL_SAFE_LEVELS, DIGITAL_SAFE_KEEP) if digital_pins else ()
+    return {
+        **dict.fromkeys(digital, pins),
+        POSITION_COUNT: ParameterRange(*_I32, 0),
+        KP: ParameterRange(0, _I32[1], 0),
+        KI: ParameterRange(0, _I32[1], 0),
+        KD: ParameterRange(0, _I32[1], 0),
+        DERIVATIVE_FILTER_US: ParameterRange(0, 1_000_000, 1000),
+        CURRENT_LIMIT_MA: ParameterRange(1, min(rating_mA, 21_000), rating_mA),
+        VOLTAGE_LIMIT_MV: ParameterRange(0, 60_000, 24_000),
+        INTEGRAL_LIMIT_MV: ParameterRange(0, 60_000, 0),
+        SPEED_FEEDFORWARD: ParameterRange(0, _I32[1], 0),
+        WATCHDOG_MS: ParameterRange(0, 10_000, 200),
+        WATCHDOG_ACTION: ParameterRange(0, 2, 1),
+        DISABLED_OUTPUT: ParameterRange(0, 1, 1),
+        STOP_AFTER_MS: ParameterRange(0, 10_000, 0),
+        STOP_TIME_MS: ParameterRange(1, 10_000, 100),
+    }
+
+
+def refusal(rows: dict[int, ParameterRange], index: int, value: int) -> int:
+    """DONE if the value is allowed at the index, else UNKNOWN_INDEX, READ_ONLY or OUT_OF_RANGE."""
+    if index not in rows:
+        is_read_only = index <= 6 or (index == DIGITAL_PINS and DIGITAL_OUTPUTS in rows)
+        return READ_ONLY if is_read_only else UNKNOWN_INDEX
+    row = rows[index]
+    if not row.lowest <= value <= row.highest or (index in (WATCHDOG_MS, STOP_AFTER_MS) and 0 < value < 5):
+        return OUT_OF_RANGE
+    return DONE

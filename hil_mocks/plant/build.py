@@ -14,8 +14,7 @@ import numpy as np
 
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import PlantEffects
-from hil_mocks.plant.geometry import LinkFrame, Matrix, true_frame
-from hil_mocks.plant.parts import ArmParts
+from hil_mocks.plant.parts import ArmParts, LinkFrame, Matrix, true_frame
 from hil_mocks.plant.transmission import (
     HARD,
     LOSS_S,

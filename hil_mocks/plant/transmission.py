@@ -18,8 +18,7 @@ import numpy as np
 
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import JointEffects, PlantEffects
-from hil_mocks.plant.geometry import LinkFrame, Matrix
-from hil_mocks.plant.parts import ArmParts, DriveParts
+from hil_mocks.plant.parts import ArmParts, DriveParts, LinkFrame, Matrix
 
 # Hard rows: 0.9999 is MuJoCo's largest impedance; under 10 Nm such a row gives by some 1e-8 rad.
 HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)

@@ -22,9 +22,9 @@ from control.model.description import load_arm
 from control.model.joint_map import Unwrapper
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock, MonotonicClock
-from firmware_iface.closing import Closing
 from firmware_iface.encoder.board import EncoderBoard
 from firmware_iface.errors import LinkError, MisuseError, connect_all
+from firmware_iface.link import Closing
 from firmware_iface.motor.board import DigitalPins, MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorParameter

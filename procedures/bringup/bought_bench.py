@@ -22,8 +22,8 @@ from control.hardware.words import (
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
-from firmware_iface.closing import Closing
 from firmware_iface.errors import LinkError, MisuseError
+from firmware_iface.link import Closing
 from procedures.bringup.workbench import (
     HOMED_ON,
     BringupOperator,

@@ -31,7 +31,7 @@ from control.files import write_whole
 from control.kinematics.kinematics import ForwardKinematics
 from control.model import table as tables
 from control.model.arm import Arm, Effect
-from control.progress import Advance
+from control.plain_text import Advance
 from control.server.client import ArmClient
 from procedures import tour
 from procedures.demo.job import shut_down, start_again

@@ -24,7 +24,7 @@ from calib.validation.verify import Comparison, TrackPair, compare
 from control.errors import ArmError
 from control.model import table as tables
 from control.model.arm import Arm, Table
-from control.progress import Advance
+from control.plain_text import Advance
 from control.server.client import ArmClient
 from procedures.mock import MockBench
 from procedures.ports import HandPort, MockHandSeat, RuntimePort

@@ -22,7 +22,7 @@ from calib.session.take import board_points
 from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table
-from control.progress import Advance
+from control.plain_text import Advance
 from procedures.demo.paper_models import (
     SETUPS,
     GentlePose,

@@ -73,7 +73,7 @@ from control.model.cell import Cell, Placed, load_cell, save_cell
 from control.model.description import load_arm
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.waypoints import Waypoints
-from control.progress import Advance
+from control.plain_text import Advance
 from control.recording.reading import Recording
 from hil_mocks.scenario import load_scenario
 from procedures.mock import CellBench, as_bolted_down

@@ -39,7 +39,7 @@ from control.files import write_whole
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Tool
 from control.model.description import save_arm
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 from hil_mocks.arm_pictures import FramePose, PicturedArm, PrintedSheet, Webcam, looking_at
 from hil_mocks.scenario import load_scenario
 

@@ -21,9 +21,9 @@ from control.errors import ArmError
 from control.model.arm import Arm, CanBus
 from control.model.board_kinds import KINDS
 from control.recording.frame_decoder import row_type
-from control.recording.parts import SUFFIX
 from control.recording.reading import Recording, RowReader
 from control.recording.record import Layout
+from control.recording.recorder_state import SUFFIX
 from control.recording.rotation import stored_row_bytes
 from control.server.process import PIPE_bytes
 from control.server.scheduling import punctuality_remedy, strain

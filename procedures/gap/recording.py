@@ -19,7 +19,7 @@ from calib.gap.plan.plan import GENTLE, AVERAGE_s, PlannedRun, RecordingPlan, SE
 from calib.points.writer import PointsWriter, replace_file
 from calib.session.take import SessionSettings
 from control.model.arm import Arm
-from control.progress import Advance
+from control.plain_text import Advance
 from control.recording.record import LEAD_FIELD
 from control.tables import SAMPLES_MOST, opened_rows
 from procedures.gap.timing import Aligned, Raw, aligned, clocks_of, lead_rad_of

@@ -17,7 +17,7 @@ from control.dynamics.tuning import LoopDesign, Margins, MarginsUnmet, MotorFit,
 from control.errors import ArmError, MissingModel
 from control.files import write_whole
 from control.model.arm import Arm, DrivePid
-from control.progress import Advance
+from control.plain_text import Advance
 from control.server.client import ArmFaulted
 from firmware_iface.clock import Clock
 from procedures.tuning.session import (

@@ -23,7 +23,7 @@ from control.dynamics.feedforward import FED_FORWARD
 from control.dynamics.joint_side import SIDE_EFFECTS
 from control.model import table as tables
 from control.model.arm import Arm, Effect
-from control.progress import Advance
+from control.plain_text import Advance
 from control.server.client import ArmClient
 from procedures.verify.survey import Model, ModelPair, Programme, Survey, compared, paired, raw_points
 

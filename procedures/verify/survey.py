@@ -37,8 +37,8 @@ from control.motion.plan import PlannedPath, plan_path
 from control.motion.setpoint import at_rest
 from control.motion.waypoints import Waypoints
 from control.recording.frame_decoder import row_type
-from control.recording.parts import parts_from
 from control.recording.reading import Recording
+from control.recording.recorder_state import parts_from
 from control.safety.table import Mode
 from control.server.channel import Message
 from control.server.client import ArmClient

@@ -12,8 +12,7 @@ from control.hardware.bought.can_node import CountingNode, NodeEncoder
 from control.hardware.bought.smart_servo import ServoEncoder
 from control.hardware.interface import Feedback
 from firmware_iface.canopen import wire as canopen_wire
-from firmware_iface.canopen.bus import CanOpenBus
-from firmware_iface.canopen.drive import Cia402Drive
+from firmware_iface.canopen.drive import CanOpenBus, Cia402Drive
 from firmware_iface.dynamixel import wire as dynamixel_wire
 from firmware_iface.dynamixel.servo import DynamixelLine, DynamixelServo
 from firmware_iface.errors import ArmwrightError
@@ -24,8 +23,7 @@ from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
 from firmware_iface.odrive.wire import OdriveCommand
 from firmware_iface.roboclaw import wire as claw_wire
-from firmware_iface.roboclaw.board import RoboClaw
-from firmware_iface.roboclaw.line import PacketLine
+from firmware_iface.roboclaw.board import PacketLine, RoboClaw
 from firmware_iface.vesc import wire as vesc_wire
 from firmware_iface.vesc.controller import FILLS, TO_HOST, Vesc, VescBus
 from firmware_iface.vesc.wire import Packet

@@ -14,12 +14,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from hil_mocks.devices.encoder_board import EncoderBoardMock
-from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup
-from hil_mocks.devices.framing import frame
+from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup, frame
 from hil_mocks.devices.motor_board import MotorBoardMock
 from hil_mocks.devices.motor_inputs import MotorBoardHardware, MotorBoardSetup
-from hil_mocks.firmware.encoder_board import EncoderBoardFirmware
-from hil_mocks.firmware.motor_board import MotorBoardFirmware
+from hil_mocks.firmware.boards import EncoderBoardFirmware, MotorBoardFirmware
 from tests.fuzz.frames import mutated
 
 NODE = 2

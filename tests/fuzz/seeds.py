@@ -24,7 +24,7 @@ from control.recording.record import Layout
 from control.recording.rotation import PartFile, begin
 from firmware_iface.camera import CameraFrame
 from firmware_iface.encoder import wire
-from firmware_iface.mocap import qtm_wire
+from firmware_iface.mocap import qtm
 from firmware_iface.motor import wire as motor_wire
 from hil_mocks.devices.mocap import NatNetMock, QtmMock
 from procedures.bringup.procedure import Journal
@@ -160,7 +160,7 @@ def _seeds() -> dict[str, list[bytes]]:
         "qtm": [
             QTM,
             *QtmMock(SETUP, SCENE).answer(bytes(8) + b"getparameters 6d"),
-            qtm_wire.command("Version 1.19"),
+            qtm.command("Version 1.19"),
         ],
         "socket": [json.dumps(request).encode() for request in REQUESTS],
         "recording frames": [recorded[recorded.index(b"}") + 1 :]],

@@ -16,16 +16,15 @@ from control.recording.frames import stored_columns
 from control.recording.record import Layout
 from control.server import messages
 from firmware_iface import camera
+from firmware_iface.can_link import SlcanLink
 from firmware_iface.encoder import cobs, wire
 from firmware_iface.errors import ArmwrightError, LinkError
 from firmware_iface.memory_link import MemoryBus
-from firmware_iface.mocap import natnet_wire, qtm_wire, vicon
-from firmware_iface.mocap.bodies import BodyFrame
-from firmware_iface.mocap.fields import Malformed
+from firmware_iface.mocap import natnet, qtm, vicon
+from firmware_iface.mocap.bodies import BodyFrame, Malformed
 from firmware_iface.motor import wire as motor_wire
 from firmware_iface.motor.board import MotorBoard
 from firmware_iface.motor.bus import MotorBus
-from firmware_iface.slcan import SlcanLink
 from tests.fuzz.bought import BOUGHT
 from tests.fuzz.readers import FILES, LINES
 
@@ -126,20 +125,20 @@ def vicon_datagram(content: bytes) -> None:
 
 def natnet_packet(content: bytes) -> None:
     """What a NatNet server says, as any of its messages and in any version, is read or refused."""
-    payload = (natnet_wire.message_of(content) or (0, content))[1]
-    natnet_wire.unpack_server(payload)
+    payload = (natnet.message_of(content) or (0, content))[1]
+    natnet.unpack_server(payload)
     for version in ((3, 0), (4, 0), (4, 1), (4, 2)):
-        names = natnet_wire.unpack_models(payload, version)
-        _is_sound(natnet_wire.unpack_frame(payload, version, names or {}))
+        names = natnet.unpack_models(payload, version)
+        _is_sound(natnet.unpack_frame(payload, version, names or {}))
 
 
 def qtm_stream(content: bytes) -> None:
     """What QTM sends is cut into packets that are read or refused; a size that no packet has ends it."""
-    _is_sound(qtm_wire.unpack_data(content, [("a", True)]))
-    qtm_wire.unpack_names(content)
+    _is_sound(qtm.unpack_data(content, [("a", True)]))
+    qtm.unpack_names(content)
     with contextlib.suppress(Malformed):
-        whole = qtm_wire.Packets().feed(content)
-        pieces = qtm_wire.Packets()
+        whole = qtm.Packets().feed(content)
+        pieces = qtm.Packets()
         assert [packet for k in range(len(content)) for packet in pieces.feed(content[k : k + 1])] == whole
 
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from control.model.description import load_arm
 from hil_mocks.errors import MockError
 from hil_mocks.plant.effects import gather
-from hil_mocks.plant.geometry import Convention
-from hil_mocks.plant.parts import ArmParts, LinkParts, PlantTool, parts_of
+from hil_mocks.plant.parts import ArmParts, Convention, LinkParts, PlantTool, parts_of
 from hil_mocks.plant.plant import Plant
 
 Matrix = NDArray[np.float64]

@@ -30,7 +30,7 @@ from control.dynamics.static_pose import (
     known_torque_per_A,
 )
 from control.model.arm import Arm
-from control.model.effect_laws import backlash_rad, compliance_rad
+from control.model.effects import backlash_rad, compliance_rad
 
 TILT_rad = 0.003  # accuracy of a fitted link's direction: where gravity turns round, its sign is uncertain
 BENDS = 3  # degree in which a stiffness follows the load's size

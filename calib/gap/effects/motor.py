@@ -28,8 +28,7 @@ from calib.gap.residuals.term import SeriesTerm, scaled
 from calib.gap.signals.body import sorted_terms
 from calib.gap.signals.terms import Form, Law, Values, motor_ahead
 from control.model.arm import Arm
-from control.model.effect_laws import Torque, direction
-from control.model.effects import EFFECTS
+from control.model.effects import EFFECTS, Torque, direction
 
 STRIBECK_rad_s = (0.012, 0.022, 0.04, 0.07, 0.12, 0.22)
 # a fall over all speeds is Coulomb friction and something else

@@ -35,7 +35,7 @@ from calib.gap.series.outcome import DynamicOutcome
 from calib.gap.signals.body import sorted_terms
 from calib.gap.signals.recording import EvenRun
 from control.model.arm import Arm
-from control.model.effect_laws import direction
+from control.model.effects import direction
 from control.model.maps import CorrectionMap, Over
 
 SAMPLES_PER_s = 200.0  # of the second look: what 60 Hz can tell

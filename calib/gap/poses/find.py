@@ -32,7 +32,7 @@ from calib.points.points import Points
 from calib.settling import FITS_MOST, Settling
 from calib.validation.verdict import TO_MEASURE_NOISE
 from control.model.arm import Arm
-from control.progress import Advance, silent
+from control.plain_text import Advance, silent
 
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
 

@@ -18,7 +18,7 @@ from calib.gap.signals.body import Load, sorted_terms
 from calib.gap.signals.physics import Physics, Prediction
 from calib.gap.signals.recording import EvenRun, Flags, RunSet, UnusableLogError, spread
 from calib.gap.signals.terms import Law, motor_ahead, sampled_friction_Nm
-from control.model.effect_laws import SMOOTH_rad_s
+from control.model.effects import SMOOTH_rad_s
 
 SLOW_rad_s = 0.008  # below, friction of real joints is pre-sliding, and no law here speaks of that
 PRESLIDING_rad = 0.0005  # since a joint turned: within it friction is a spring, as long as it may take

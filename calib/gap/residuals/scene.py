@@ -20,7 +20,7 @@ from calib.gap.signals.filters import Filters
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import EvenRun, RunSet
 from calib.gap.signals.terms import Law, sampled_friction_Nm
-from control.model.effect_laws import direction
+from control.model.effects import direction
 
 # Signals without their measurement noise, for the columns of what may be missing.
 #

@@ -50,8 +50,8 @@ from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import EvenRun, RunSet, prepare
 from calib.gap.signals.terms import Law
 from control.model.arm import Arm
-from control.progress import Advance
-from control.progress import silent as quiet
+from control.plain_text import Advance
+from control.plain_text import silent as quiet
 
 IN_KINEMATICS = (GEOMETRY, FRAME)  # what the file has of them is no law of its own
 

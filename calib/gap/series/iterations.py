@@ -42,7 +42,7 @@ from calib.gap.series.linear import (
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
 from calib.settling import FITS_MOST, Settling
-from control.progress import Advance
+from control.plain_text import Advance
 
 
 @dataclass(frozen=True, slots=True)

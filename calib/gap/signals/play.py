@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from control.model.effect_laws import SMOOTH_rad_s
+from control.model.effects import SMOOTH_rad_s
 
 SUBSTEPS = 4  # of a sample: a flank is met within 0.5 ms at 500 samples a second
 SUBSTEP_s = 0.0006  # more of them where samples are further apart

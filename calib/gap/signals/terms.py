@@ -11,8 +11,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
-from control.model.effect_laws import Torque
-from control.model.effects import followed_joint, moved_joint
+from control.model.effects import Torque, followed_joint, moved_joint
 
 PLAIN_STEP = 1e-3  # of finite differences of what rows follow in a straight line
 MEANT_FOR_Nm = 30.0  # largest torque of the drives that the sizes of torques are meant for

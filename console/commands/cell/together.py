@@ -12,10 +12,9 @@ from console.commands.progress import shown
 from console.options import finite
 from control.errors import ArmError
 from control.model.cell import Cell, load_cell
-from control.motion.beside import plan_beside
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
-from control.motion.plan import PlannedPath, plan_path
+from control.motion.plan import PlannedPath, plan_beside, plan_path
 from control.motion.setpoint import Motion
 from control.motion.waypoints import Waypoints, read_waypoints
 from control.server.client import ArmClient

@@ -27,7 +27,6 @@ from control.hardware.words import (
 from control.model.arm import Arm, Board, Drive, Limits
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_can
-from firmware_iface.canopen.bus import CanOpenBus
 from firmware_iface.canopen.drive import (
     CYCLE_TIME,
     CYCLIC_POSITION,
@@ -38,6 +37,7 @@ from firmware_iface.canopen.drive import (
     MODES,
     NO_WINDOW,
     POSITION_UNIT,
+    CanOpenBus,
     Cia402Drive,
 )
 from firmware_iface.clock import Clock

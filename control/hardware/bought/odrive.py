@@ -8,8 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from control.hardware.bought.can_node import NodeEncoder, open_nodes, own_encoder
-from control.hardware.bought.position_loop import PositionLoopDrive
+from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, open_nodes, own_encoder
 from control.hardware.opened import Opened
 from control.hardware.words import (
     EMERGENCY_STOP,

@@ -35,8 +35,7 @@ from firmware_iface.clock import Clock
 from firmware_iface.errors import BoardFaulted, MisuseError
 from firmware_iface.link import ByteLink
 from firmware_iface.roboclaw import wire
-from firmware_iface.roboclaw.board import CHANNELS, RoboClaw
-from firmware_iface.roboclaw.line import PacketLine
+from firmware_iface.roboclaw.board import CHANNELS, PacketLine, RoboClaw
 from firmware_iface.roboclaw.wire import RoboclawStatus
 
 # What an error of the board is to the loop: of both motors, and by channel.

@@ -23,8 +23,7 @@ from calib.gap.series.find import find as find_in_series
 from calib.gap.signals.terms import Form
 from control.dynamics.feedforward import torque_model
 from control.model.description import load_arm, save_arm
-from control.model.effect_laws import Functions, Torque
-from control.model.effects import EFFECTS, EffectKind, itself, wave
+from control.model.effects import EFFECTS, EffectKind, Functions, Torque, itself, wave
 from tests.calib.gap.series.prescribed import arm_with_friction, log_of
 
 DRAG, ELLIPSE = "quadratic_drag", "encoder_ellipse"

@@ -8,7 +8,7 @@ import pytest
 
 from control.dynamics.dynamics import Dynamics
 from control.dynamics.feedforward import torque_model
-from control.model import effect_laws as laws
+from control.model import effects as laws
 from control.model.arm import Effect
 from control.model.description import load_arm
 from control.model.effects import EFFECTS, linear_values, moved_joint, parameter_names, total

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from control.recording.parts import next_part, parts_from
 from control.recording.reading import Recording
 from control.recording.record import Layout
-from control.recording.recorder_state import RecorderState
+from control.recording.recorder_state import RecorderState, next_part, parts_from
 from control.recording.rotation import PartFile, Policy, RecordingParts, RETRY_s, begin, remove_oldest
 
 LAYOUT = Layout.of(2)

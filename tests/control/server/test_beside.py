@@ -9,10 +9,10 @@ import pytest
 
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
-from control.motion.beside import Beside, plan_beside
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_move import JointMove
 from control.motion.pace import Stretched
+from control.motion.plan import Beside, plan_beside
 from control.motion.waypoints import Waypoints
 from control.safety.table import Mode
 from tests.cell import FRICTION, scenario

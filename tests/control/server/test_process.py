@@ -16,8 +16,8 @@ import pytest
 
 from control.model.arm import Arm
 from control.model.description import save_arm
-from control.recording.parts import has_part, next_part
 from control.recording.reading import Recording
+from control.recording.recorder_state import has_part, next_part
 from control.safety.table import Mode
 from control.server.channel import RuntimeGone, SocketChannel
 from control.server.client import ArmClient, RequestRefused

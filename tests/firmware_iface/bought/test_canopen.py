@@ -7,13 +7,12 @@ from typing import Any
 import pytest
 
 from firmware_iface.canopen import wire
-from firmware_iface.canopen.bus import CanOpenBus
-from firmware_iface.canopen.drive import STATUSWORD, Cia402Drive
+from firmware_iface.canopen.drive import STATUSWORD, CanOpenBus, Cia402Drive
 from firmware_iface.canopen.wire import DictionaryObject
 from firmware_iface.errors import BoardFaulted, BoardRefused, BoardReset, BoardSilent, MisuseError
 from firmware_iface.motor.cia402 import DriveState
 from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup
-from hil_mocks.devices.motor_states import MotorState as MockState
+from hil_mocks.devices.motor_inputs import MotorState as MockState
 
 NODE = 5
 GOLDEN = Path(__file__).parents[2] / "golden" / "canopen.txt"

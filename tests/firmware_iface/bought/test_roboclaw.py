@@ -8,8 +8,7 @@ import pytest
 from firmware_iface.errors import BoardReset, BoardSilent, MisuseError, WrongIdentity
 from firmware_iface.memory_link import MemoryByteLink, byte_pair
 from firmware_iface.roboclaw import wire
-from firmware_iface.roboclaw.board import RoboClaw
-from firmware_iface.roboclaw.line import ANSWER_TIMEOUT_s, PacketLine
+from firmware_iface.roboclaw.board import ANSWER_TIMEOUT_s, PacketLine, RoboClaw
 from firmware_iface.roboclaw.wire import RoboclawCommand, RoboclawStatus
 from hil_mocks.devices.roboclaw import RATES, TIMEOUT, RoboClawLineMock, RoboClawMock
 

@@ -10,9 +10,8 @@ from dataclasses import replace
 import pytest
 
 from firmware_iface.errors import BoardSilent, LinkLost, PortMissing, WrongIdentity
-from firmware_iface.mocap import natnet_wire, qtm_wire
-from firmware_iface.mocap.bodies import angle_rad
-from firmware_iface.mocap.fields import Malformed
+from firmware_iface.mocap import natnet, qtm
+from firmware_iface.mocap.bodies import Malformed, angle_rad
 from firmware_iface.mocap.natnet import KEEP_ALIVE_s, NatNetStream
 from firmware_iface.mocap.qtm import QtmStream
 from hil_mocks.devices.camera import CameraSetup
@@ -42,12 +41,12 @@ QTM = bytes.fromhex(
     ("payload", "version"), [(NATNET_3, (3, 0)), (NATNET_3, (4, 0)), (NATNET_41, (4, 1))]
 )
 def test_the_golden_frame_of_natnet_is_read(payload: bytes, version: tuple[int, int]) -> None:
-    frame = natnet_wire.unpack_frame(payload, version, NAMES)
+    frame = natnet.unpack_frame(payload, version, NAMES)
     assert frame is not None
     (body,) = frame.bodies
     assert (frame.number, frame.time_s, body.name, body.error_m) == (7, 1.5, "tool", 0.25)
     assert (body.pose.position_m, body.pose.quaternion) == ((0.5, -0.25, 0.125), (1.0, 0.0, 0.0, 0.0))
-    hidden = natnet_wire.unpack_frame(payload.replace(b"\x80\x3e\x01\x00", b"\x80\x3e\x00\x00"), version, {})
+    hidden = natnet.unpack_frame(payload.replace(b"\x80\x3e\x01\x00", b"\x80\x3e\x00\x00"), version, {})
     assert hidden is not None
     assert (hidden.bodies[0].name, hidden.bodies[0].is_visible) == ("11", False)
 
@@ -65,7 +64,7 @@ def test_the_golden_frame_of_natnet_is_read(payload: bytes, version: tuple[int, 
     ids=["empty", "short", "size", "no quaternion", "far", "negative count"],
 )
 def test_what_is_no_frame_of_natnet_is_refused(payload: bytes) -> None:
-    assert natnet_wire.unpack_frame(payload, (4, 1), NAMES) is None
+    assert natnet.unpack_frame(payload, (4, 1), NAMES) is None
 
 
 def test_other_things_in_a_frame_are_passed_over_in_both_layouts() -> None:
@@ -73,18 +72,18 @@ def test_other_things_in_a_frame_are_passed_over_in_both_layouts() -> None:
     plate = struct.pack("<iii", 1, 5, 1) + struct.pack("<if", 1, 2.0)
     marker = struct.pack("<i", 1) + bytes(26)
     old = NATNET_3[:-18 - 16] + skeleton + marker + plate + plate + NATNET_3[-18:]  # fmt: skip
-    assert natnet_wire.unpack_frame(old, (3, 1), NAMES) == natnet_wire.unpack_frame(NATNET_3, (3, 1), NAMES)
+    assert natnet.unpack_frame(old, (3, 1), NAMES) == natnet.unpack_frame(NATNET_3, (3, 1), NAMES)
 
 
 def test_the_golden_data_packet_of_qtm_is_read() -> None:
-    frame = qtm_wire.unpack_data(QTM, [("tool", True)])
+    frame = qtm.unpack_data(QTM, [("tool", True)])
     assert frame is not None
     (body,) = frame.bodies
     assert (frame.number, frame.time_s, body.name, body.error_m) == (7, 1.5, "tool", 0.00025)
     assert body.pose.position_m == (0.5, -0.25, 0.125)
     assert angle_rad(body.pose.quaternion, (0.5**0.5, 0.0, 0.0, 0.5**0.5)) < 1e-6
-    assert qtm_wire.unpack_data(QTM, [("other", False), ("tool", True)]) == frame  # not enabled: not sent
-    lost = qtm_wire.unpack_data(QTM[:32] + b"\x00\x00\xc0\x7f" + QTM[36:], [("tool", True)])
+    assert qtm.unpack_data(QTM, [("other", False), ("tool", True)]) == frame  # not enabled: not sent
+    lost = qtm.unpack_data(QTM[:32] + b"\x00\x00\xc0\x7f" + QTM[36:], [("tool", True)])
     assert lost is not None
     assert not lost.bodies[0].is_visible
 
@@ -104,24 +103,24 @@ def test_the_golden_data_packet_of_qtm_is_read() -> None:
     ids=["empty", "short", "long", "names", "size", "no bodies", "no rotation", "far"],
 )
 def test_what_is_no_data_packet_of_qtm_is_refused(content: bytes, names: list[str]) -> None:
-    assert qtm_wire.unpack_data(content, [(name, True) for name in names]) is None
+    assert qtm.unpack_data(content, [(name, True) for name in names]) is None
 
 
 def test_names_come_from_xml_without_document_types() -> None:
     body = "<Body><Name>{}</Name><Enabled>{}</Enabled><Mesh><Name/></Mesh></Body>"
     xml = f"<Q><The_6D><Bodies>2</Bodies>{body.format('a', 'True')}{body.format('b', 'false')}</The_6D></Q>"
-    assert qtm_wire.unpack_names(xml.encode() + b"\0") == [("a", True), ("b", False)]
+    assert qtm.unpack_names(xml.encode() + b"\0") == [("a", True), ("b", False)]
     for wrong in ("", "<Q>", "<!DOCTYPE Q>" + xml, xml.replace("<Name>a</Name>", "<Name/>")):
-        assert qtm_wire.unpack_names(wrong.encode()) is None
+        assert qtm.unpack_names(wrong.encode()) is None
 
 
 def test_packets_of_qtm_are_cut_however_they_arrive() -> None:
-    stream = qtm_wire.command("a") + qtm_wire.command("bc")
-    packets = qtm_wire.Packets()
+    stream = qtm.command("a") + qtm.command("bc")
+    packets = qtm.Packets()
     found = [packet for k in range(len(stream)) for packet in packets.feed(stream[k : k + 1])]
-    assert found == [(1, b"a\0"), (1, b"bc\0")] == qtm_wire.Packets().feed(stream)
+    assert found == [(1, b"a\0"), (1, b"bc\0")] == qtm.Packets().feed(stream)
     with pytest.raises(Malformed):
-        qtm_wire.Packets().feed(struct.pack("<II", 7, 1))
+        qtm.Packets().feed(struct.pack("<II", 7, 1))
 
 
 class Served:

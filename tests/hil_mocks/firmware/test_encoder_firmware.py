@@ -5,9 +5,8 @@ from __future__ import annotations
 import random
 
 from hil_mocks.devices.encoder_board import EncoderBoardMock
-from hil_mocks.devices.encoder_inputs import EncoderBoardSetup
-from hil_mocks.devices.framing import deframe, frame
-from hil_mocks.firmware.encoder_board import EncoderBoardFirmware
+from hil_mocks.devices.encoder_inputs import EncoderBoardSetup, deframe, frame
+from hil_mocks.firmware.boards import EncoderBoardFirmware
 from tests.firmware import needs_compiler
 
 pytestmark = needs_compiler

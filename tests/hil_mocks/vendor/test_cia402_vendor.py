@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from hil_mocks.devices.cia402_drive import OPERATIONAL, Cia402Mock, Cia402Setup
-from hil_mocks.devices.motor_states import MotorState
+from hil_mocks.devices.motor_inputs import MotorState
 
 canopen = pytest.importorskip("canopen")
 NODE = 5

@@ -1,0 +1,359 @@
+"""Mock encoder and motor boards whose firmware is firmware_iface/firmware: the mock is the hardware around it.
+
+The plant holds currents by itself, so the firmware's fast loop (aw_current.c) does not run here. A scenario or a variable of the
+environment chooses between these boards and those in Python.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+from collections.abc import Callable, Sequence
+
+from hil_mocks.devices.encoder_board import EncoderBoardMock
+from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, Latched, deframe, frame
+from hil_mocks.devices.motor_board import MotorBoardMock
+from hil_mocks.devices.motor_inputs import (
+    HIGHEST_SUPPLY_V,
+    LOWEST_SUPPLY_V,
+    OPEN,
+    Frame,
+    MotorBoardHardware,
+    MotorBoardSetup,
+    MotorState,
+    Output,
+)
+from hil_mocks.errors import ScenarioError
+from hil_mocks.firmware.library import PROTOCOL, library, require_size, size_of
+from hil_mocks.scenario import Scenario
+
+VARIABLE = "ARMWRIGHT_MOCK_FIRMWARE"  # for every mock of a process and its children: drills, demos, tests
+CHOICES = ("python", "c")
+
+
+def choose(firmware: str | None) -> None:
+    """Choose for every mock of this process and of its children; None leaves it as it is. FirmwareError if it cannot run."""
+    if firmware == "c":
+        library()
+    if firmware is not None:
+        os.environ[VARIABLE] = firmware
+
+
+def encoder_board_class(scenario: Scenario) -> type[EncoderBoardMock | EncoderBoardFirmware]:
+    """The encoder boards of a mock arm."""
+    return EncoderBoardFirmware if _is_in_c(scenario) else EncoderBoardMock
+
+
+def motor_board_class(scenario: Scenario) -> type[MotorBoardMock | MotorBoardFirmware]:
+    """The motor boards of a mock arm."""
+    return MotorBoardFirmware if _is_in_c(scenario) else MotorBoardMock
+
+
+def _is_in_c(scenario: Scenario) -> bool:
+    """Whether the boards run firmware_iface/firmware. ScenarioError for an unknown value of the variable."""
+    chosen = scenario.firmware or os.environ.get(VARIABLE) or "python"
+    if chosen not in CHOICES:
+        raise ScenarioError(f"${VARIABLE}: expected {' or '.join(CHOICES)}, got {chosen!r}.")
+    return chosen == "c"
+
+
+_CHANNELS = 3
+_WIRE_MOST = 29
+_REPORT, _IDENTITY = 0x81, 0x82
+_SET_ZERO = 0x03
+_PRESET_SEQUENCE = 255  # of the SET_ZEROs of an earlier host
+_U32 = 0xFFFFFFFF
+
+
+class _EncoderSetup(ctypes.Structure):
+    """aw_encoder_setup_t."""
+
+    _fields_ = (
+        ("serial_number", ctypes.c_uint32),
+        ("baud", ctypes.c_uint32),
+        ("counts_per_turn", ctypes.c_uint32 * _CHANNELS),
+        ("firmware", ctypes.c_uint16),
+        ("channels", ctypes.c_uint8),
+        ("encoder_bits", ctypes.c_uint8),
+    )
+
+
+class _EncoderInputs(ctypes.Structure):
+    """aw_encoder_inputs_t."""
+
+    _fields_ = (
+        ("time_us", ctypes.c_uint32),
+        ("counter", ctypes.c_uint32 * _CHANNELS),
+        ("flags", ctypes.c_uint8 * _CHANNELS),
+    )
+
+
+class EncoderBoardFirmware(EncoderBoardHardware):
+    """An encoder board that runs the firmware in C. Faults that falsify what it says are made on its frames."""
+
+    def _boot(self, now_s: float) -> None:
+        self._code = library()
+        require_size("encoder_setup", _EncoderSetup)
+        require_size("encoder_inputs", _EncoderInputs)
+        self._board = ctypes.create_string_buffer(size_of("encoder_board"))
+        self._wire = ctypes.create_string_buffer(_WIRE_MOST)
+        self._built = setup = self.setup
+        self.is_line_blocked = False  # nothing leaves the board: frames wait in its queue
+        channels = len(setup.counts_per_turn)
+        given = _EncoderSetup(
+            setup.serial_number,
+            setup.baud,
+            (*setup.counts_per_turn,),
+            setup.firmware,
+            channels,
+            setup.encoder_bits,
+        )
+        self._code.aw_encoder_init(self._board, ctypes.byref(given), self._inputs(0, self._latched()))
+        self._take(0, now_s)
+
+    def receive(self, received: bytes, now_s: float) -> None:
+        """Process bytes from the host, which take effect at once."""
+        now_us = self._board_us(now_s)
+        inputs = self._inputs(now_us, self._latched())
+        for part in re.findall(
+            b"[^\0]*\0|[^\0]+", received
+        ):  # the line carries answers away between two frames
+            self._code.aw_encoder_receive(self._board, part, len(part), inputs)
+            self._take(now_us, now_s)
+
+    def preset(self, counts: Sequence[int], is_zero_set: bool) -> None:
+        """Set the counters of a board that was powered, and perhaps zeroed, before the simulation started."""
+        if not is_zero_set:
+            for at, count in enumerate(counts):
+                self._shift[at] += count - self.count(at)
+            return
+        inputs, sent = self._inputs(0, self._latched()), self.outgoing[:]
+        for at, count in enumerate(counts):
+            body = bytes((at,)) + (count & _U32).to_bytes(4, "little")
+            request = frame(bytes((_SET_ZERO, _PRESET_SEQUENCE)) + body)
+            self._code.aw_encoder_receive(self._board, request, len(request), inputs)
+            self._take(0, self._started_s)
+        self.outgoing[:] = sent  # those answers went to the earlier host
+
+    def count(self, at: int) -> int:
+        """The count of a channel as reported by the board."""
+        counters, _ = self._latched()
+        return int(self._code.aw_encoder_count(self._board, at, counters[at] & _U32))
+
+    def _report(self, due_us: int, latched: Latched, start_s: float) -> None:
+        self._code.aw_encoder_stream(self._board, self._inputs(due_us, latched))
+        self._take(due_us, start_s)
+
+    def _index(self, at: int, time_us: int, counter: int, now_s: float) -> None:
+        self._code.aw_encoder_index(self._board, at, time_us & _U32, counter & _U32)
+        self._take(self._board_us(now_s), now_s)
+
+    def _illegal_transition(self, at: int) -> None:
+        self._code.aw_encoder_quadrature_error(self._board, at)
+
+    def _inputs(self, time_us: int, latched: Latched) -> object:
+        counters, flags = latched
+        low = (ctypes.c_uint32 * _CHANNELS)(*(counter & _U32 for counter in counters))
+        return ctypes.byref(_EncoderInputs(time_us & _U32, low, (ctypes.c_uint8 * _CHANNELS)(*flags)))
+
+    def _take(self, now_us: int, now_s: float) -> None:
+        """Put what the firmware sends on the line; see what it waits for."""
+        while not self.is_line_blocked and (size := self._code.aw_encoder_take(self._board, self._wire)):
+            wire = self._wire.raw[:size]
+            if wire[0] == 0:
+                self._put(b"\0", now_s)
+                wire = wire[1:]
+            self._put(self._falsified(wire), now_s)
+        armed = self._code.aw_encoder_armed(self._board)
+        self._armed = [at for at in range(_CHANNELS) if armed >> at & 1]
+        due_us = ctypes.c_uint32()
+        is_streaming = self._code.aw_encoder_next_report(self._board, ctypes.byref(due_us))
+        ahead_us = (due_us.value - now_us + 0x80000000 & _U32) - 0x80000000
+        self._due_us = now_us + ahead_us if is_streaming else None
+
+    def _falsified(self, wire: bytes) -> bytes:
+        """The frame as a scenario's fault leaves it."""
+        is_true = self.setup is self._built and self.setup.protocol == PROTOCOL
+        if is_true and not self.has_frozen_clock:
+            return wire
+        content = deframe(wire[:-1]) or b""
+        if self.has_frozen_clock and content[0] == _REPORT:
+            return frame(content[:2] + (self._frozen_us & _U32).to_bytes(4, "little") + content[6:])
+        if content[0] == _IDENTITY:
+            serial = self.setup.serial_number.to_bytes(4, "little")
+            return frame(content[:2] + bytes((self.setup.protocol,)) + content[3:6] + serial + content[10:])
+        return wire
+
+
+_COMMAND, _REPLY, _ANSWER = 0x100, 0x180, 0x280
+_PROTOCOL_VERSION, _SERIAL_NUMBER, _COUNTS_PER_TURN = 0, 1, 3
+_BYTES = 8
+_IS_VOLTAGE, _IS_CURRENT = 1, 2
+
+
+class _MotorSetup(ctypes.Structure):
+    """aw_motor_setup_t."""
+
+    _fields_ = (
+        ("serial_number", ctypes.c_uint32),
+        ("counts_per_turn", ctypes.c_int32),
+        ("rating_mA", ctypes.c_int32),
+        ("lowest_supply_mV", ctypes.c_int32),
+        ("highest_supply_mV", ctypes.c_int32),
+        ("rated_mdegC", ctypes.c_int32),
+        ("firmware", ctypes.c_uint16),
+        ("period_us", ctypes.c_uint16),
+        ("node", ctypes.c_uint8),
+        ("digital_pins", ctypes.c_uint8),
+        ("reset_cause", ctypes.c_uint8),
+    )
+
+
+class _MotorInputs(ctypes.Structure):
+    """aw_motor_inputs_t."""
+
+    _fields_ = (
+        ("time_us", ctypes.c_uint32),
+        ("counter", ctypes.c_uint32),
+        ("current_mA", ctypes.c_int32),
+        ("mean_mA", ctypes.c_int32),
+        ("supply_mV", ctypes.c_int32),
+        ("temperature_mdegC", ctypes.c_int32),
+        ("causes", ctypes.c_uint8),
+        ("pin_levels", ctypes.c_uint8),
+        ("is_limited", ctypes.c_bool),
+    )
+
+
+class _CanFrame(ctypes.Structure):
+    """aw_can_frame_t."""
+
+    _fields_ = (("id", ctypes.c_uint16), ("size", ctypes.c_uint8), ("data", ctypes.c_uint8 * _BYTES))
+
+
+class _Pins:
+    """The digital pins, as the firmware drives them."""
+
+    def __init__(self, board: ctypes.Array[ctypes.c_char], count: int) -> None:
+        self.outside = 0
+        self._board, self._pins = board, (1 << count) - 1
+
+    @property
+    def levels(self) -> int:
+        """Levels at the pins."""
+        outputs = int(library().aw_motor_pin_outputs(self._board))
+        return int(library().aw_motor_pin_levels(self._board)) | self.outside & ~outputs & self._pins
+
+
+class MotorBoardFirmware(MotorBoardHardware):
+    """A motor board that runs the firmware in C. Faults that falsify what it says are made on its frames."""
+
+    def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
+        self._code = library()
+        for what, mirror in (
+            ("motor_setup", _MotorSetup),
+            ("motor_inputs", _MotorInputs),
+            ("can_frame", _CanFrame),
+        ):
+            require_size(what, mirror)
+        self._board = ctypes.create_string_buffer(size_of("motor_board"))
+        self.pins: _Pins = _Pins(self._board, setup.digital_pins)
+        self._inputs, self._heard, self._said = _MotorInputs(), _CanFrame(), _CanFrame()
+        self._obeyed = (0, 0)  # kind and value of the output: open
+        self._at = [ctypes.byref(part) for part in (self._inputs, self._heard, self._said)]
+        super().__init__(setup, read_shaft)
+
+    @property
+    def position_count(self) -> int:
+        """The board's own count of the motor's encoder, 32 bits, wrapping."""
+        return int(self._code.aw_motor_count(self._board, self._read_shaft() & _U32))
+
+    @property
+    def state(self) -> MotorState:
+        """State of CiA 402."""
+        return MotorState(self._code.aw_motor_state(self._board))
+
+    @property
+    def faults(self) -> int:
+        """Bits of a REPLY."""
+        return int(self._code.aw_motor_faults(self._board))
+
+    def receive(self, can_id: int, payload: bytes, now_s: float) -> list[Frame]:
+        """Process a frame from the bus; return the immediate replies."""
+        heard, inputs = self._heard, self._inputs
+        heard.id, heard.size = can_id, len(payload)
+        heard.data[:] = payload.ljust(_BYTES, b"\0")
+        self._look(now_s)
+        if can_id == _COMMAND + self.setup.node and len(payload) == _BYTES:
+            inputs.mean_mA, inputs.supply_mV, temperature_degC = self._readings()
+            inputs.temperature_mdegC = 1000 * temperature_degC
+        is_answered = self._code.aw_motor_receive(self._board, self._at[1], self._at[0], self._at[2])
+        self._obey()
+        return [self._sent()] if is_answered else []
+
+    def _boot(self) -> None:
+        self._built = setup = self.setup
+        given = _MotorSetup(
+            setup.serial_number,
+            setup.counts_per_turn,
+            setup.rating_mA,
+            round(LOWEST_SUPPLY_V * 1e3),
+            round(HIGHEST_SUPPLY_V * 1e3),
+            round(setup.rated_degC * 1e3),
+            setup.firmware,
+            setup.period_us,
+            setup.node,
+            setup.digital_pins,
+            setup.reset_cause,
+        )
+        self._look(0.0)
+        self._code.aw_motor_init(self._board, ctypes.byref(given), self._at[0])
+        self._obey()
+
+    def _period(self, now_s: float, step_s: float) -> list[Frame]:
+        self._look(now_s)
+        is_announced = self._code.aw_motor_tick(self._board, self._at[0], self._at[2])
+        self._obey()
+        return [self._sent()] if is_announced else []
+
+    def _look(self, now_s: float) -> None:
+        """What the hardware has now."""
+        inputs = self._inputs
+        inputs.time_us = round(now_s * 1e6) & _U32
+        inputs.counter = self._read_shaft() & _U32
+        inputs.current_mA = round(self._current_A * 1e3)
+        inputs.supply_mV = round(self._supply_V * 1e3)
+        inputs.temperature_mdegC = round(self._temperature_degC * 1e3)
+        inputs.causes = self.forced_faults
+        inputs.pin_levels = self.pins.outside
+        inputs.is_limited = self._is_limited
+
+    def _obey(self) -> None:
+        """The bridge does what the firmware says; the same object while nothing changes."""
+        wanted = self._code.aw_motor_output(self._board)
+        kind, value = wanted.kind, wanted.value
+        if (kind, value) != self._obeyed:
+            self._obeyed = kind, value
+            if kind == _IS_VOLTAGE:
+                self.output = Output("voltage", value / 1e6)
+            elif kind == _IS_CURRENT:
+                self.output = Output("current", value / 1e3)
+            else:
+                self.output = OPEN
+        self.current_limit_A = self._code.aw_motor_current_limit_mA(self._board) * 1e-3
+
+    def _sent(self) -> Frame:
+        return self._said.id, self._falsified(self._said.id, bytes(self._said.data))
+
+    def _falsified(self, can_id: int, payload: bytes) -> bytes:
+        """The payload as a scenario's fault leaves it."""
+        is_true = self.setup is self._built and self.setup.protocol == PROTOCOL
+        if is_true or can_id != _ANSWER + self.setup.node or payload[0] != 0:
+            return payload
+        value = {
+            _PROTOCOL_VERSION: self.setup.protocol,
+            _SERIAL_NUMBER: self.setup.serial_number,
+            _COUNTS_PER_TURN: self.setup.counts_per_turn,
+        }.get(payload[1])
+        return payload if value is None else payload[:4] + value.to_bytes(4, "little")
