@@ -1,8 +1,8 @@
 """CAN links and adapters. The only file that imports python-can.
 
-CAN adapters on a serial line speak slcan (Lawicel): CANable with slcan firmware, CANUSB and alike. python-can has this, too, but
-its reading waits a millisecond, ends at the adapter's acknowledgement of a frame that was sent
-(so that replies pile up behind), and costs 6 us a byte. Lines end with CR; BELL says that a command failed.
+CAN adapters on a serial line speak slcan (Lawicel): CANable with slcan firmware, CANUSB and alike. python-can has this, too,
+but its reading waits a millisecond, ends at the adapter's acknowledgement of a frame that was sent (so that replies pile up
+behind), and costs 6 us a byte. Lines end with CR; BELL says that a command failed.
 
     C, Sn, O            close, bit rate, open
     tiiildd..           a data frame: 11-bit id in three hex digits, length, bytes in hex. T, r, R: other sorts

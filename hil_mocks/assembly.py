@@ -1,4 +1,6 @@
-"""Plant, boards, camera and gripper of a mock arm, built from arm.toml and a scenario, and the wires between pins of its boards."""
+"""Plant, boards, camera and gripper of a mock arm, built from arm.toml and a scenario, and the wires between pins of its
+boards.
+"""
 
 from __future__ import annotations
 

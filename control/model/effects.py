@@ -1,10 +1,11 @@
 """The effects of a model, one record each: name, where it acts, parameters, law, and what the controller does about it.
 
-An `[[effect]]` of an arm.toml is checked against this table (docs/formats.md); feed-forward, corrections, calibration and the gap
-workflow read it. Torques are at the joint, angles are joint angles.
+An `[[effect]]` of an arm.toml is checked against this table (docs/formats.md); feed-forward, corrections, calibration and
+the gap workflow read it. Torques are at the joint, angles are joint angles.
 
-Their laws are pure functions: torques that a motor has to add, and joint angle minus encoder angle. Each law stands here once, for the controller and for identification: of floats with `math`, of arrays with `numpy`. A friction
-torque is what the motor has to add to overcome it. The sign of a speed is smooth, tanh(speed / SMOOTH_rad_s).
+Their laws are pure functions: torques that a motor has to add, and joint angle minus encoder angle. Each law stands here
+once, for the controller and for identification: of floats with `math`, of arrays with `numpy`. A friction torque is what the
+motor has to add to overcome it. The sign of a speed is smooth, tanh(speed / SMOOTH_rad_s).
 """
 
 import math

@@ -3,7 +3,8 @@
 Unicast frames come to the port from which the server was asked, as long as it hears from us; multicast ones to a group's
 port, which the server names. Motive's y axis points up unless its streaming settings say z.
 
-Packets, of protocol 3.0 to 4.x (NatNet SDK: NatNetTypes.h and its depacketization samples); little endian. Each: message id u16, bytes that follow u16, payload. Text is zero-terminated.
+Packets, of protocol 3.0 to 4.x (NatNet SDK: NatNetTypes.h and its depacketization samples); little endian. Each: message id
+u16, bytes that follow u16, payload. Text is zero-terminated.
 
     server info   name 256 bytes, version of the program 4 x u8, of NatNet 4 x u8, ticks per second u64, data port u16,
                   is multicast u8, group 4 x u8

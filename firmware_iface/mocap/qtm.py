@@ -1,6 +1,7 @@
 """Qualisys Track Manager by its real-time protocol over TCP: version, names of the bodies, then every frame.
 
-Packets, on its little-endian port (QTM RT server protocol, 1.19 and later). Each: its size u32 (with these 8 bytes), kind u32, content.
+Packets, on its little-endian port (QTM RT server protocol, 1.19 and later). Each: its size u32 (with these 8 bytes), kind
+u32, content.
 
     kind 0 error, 1 command, 2 XML   text, zero-terminated
     kind 3 data                      time u64 [us], frame u32, components u32; each: size u32 (with these 8 bytes), kind u32,

@@ -1,9 +1,8 @@
 """Dynamixel X servos on a half-duplex line, written from the ROBOTIS e-Manual (protocol 2.0).
 
-A servo is a control table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period. It has no
-indirect addresses. Of several servos that are read at once each waits for the
-one before it: after a silent one nobody answers.
-`TABLE` is that of an XM430: what may be written, its range, and its value at delivery.
+A servo is a control table with a position loop behind it; without I/O: `receive` bytes, `tick` once per control period. It
+has no indirect addresses. Of several servos that are read at once each waits for the one before it: after a silent one
+nobody answers. Its control table is that of an XM430: what may be written, its range, and its value at delivery.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""The hardware of an encoder board: shafts, counters, index lines, its clock and its serial line. What runs on it is a subclass.
+"""The hardware of an encoder board: shafts, counters, index lines, its clock and its serial line. What runs on it is a
+subclass.
 
 All times are those of the simulation; the board's own clock drifts against it.
 
-Frames: COBS, CRC-16/CCITT-FALSE (docs/encoder_board.md). firmware_iface has its own; the two share no code, so that each tests the other.
+Frames: COBS, CRC-16/CCITT-FALSE (docs/encoder_board.md). firmware_iface has its own; the two share no code, so that each
+tests the other.
 """
 
 from __future__ import annotations

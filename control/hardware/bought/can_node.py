@@ -1,5 +1,5 @@
-"""What bought boards on a CAN bus have in common that send what they measure: line, encoder, latched faults; and of those that close
-the position loop themselves, or take a torque (moteus, ODrive), the drive.
+"""What bought boards on a CAN bus have in common that send what they measure: line, encoder, latched faults; and of those
+that close the position loop themselves, or take a torque (moteus, ODrive), the drive.
 """
 
 import math
