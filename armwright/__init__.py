@@ -10,13 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armwright.calibration import CalibrationResult, calibrate, make_points, read_points, verify
+    from armwright.calibration import (
+        CalibrationResult,
+        calibrate,
+        make_points,
+        read_points,
+        read_recording,
+        verify,
+    )
     from armwright.connection import GripperState, RunningArm, Status, connect
     from armwright.gap import Gap, find_gap
     from armwright.kinematics import Kinematics
     from armwright.mock import MockArm, mock_arm
     from armwright.motion import Samples, Trajectory, plan_path
-    from armwright.recordings import read_recording
     from calib.errors import CalibrationError
     from calib.points.points import Points
     from calib.validation.verify import Comparison
@@ -89,13 +95,19 @@ __all__ = [
 ]
 
 _NAMES = {
-    "armwright.calibration": ("CalibrationResult", "calibrate", "make_points", "read_points", "verify"),
+    "armwright.calibration": (
+        "CalibrationResult",
+        "calibrate",
+        "make_points",
+        "read_points",
+        "read_recording",
+        "verify",
+    ),
     "armwright.connection": ("GripperState", "RunningArm", "Status", "connect"),
     "armwright.gap": ("Gap", "find_gap"),
     "armwright.kinematics": ("Kinematics",),
     "armwright.mock": ("MockArm", "mock_arm"),
     "armwright.motion": ("Samples", "Trajectory", "plan_path"),
-    "armwright.recordings": ("read_recording",),
     "calib.errors": ("CalibrationError",),
     "calib.points.points": ("Points",),
     "calib.validation.verify": ("Comparison",),

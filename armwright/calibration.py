@@ -1,4 +1,6 @@
-"""Calibration from measured points, and verification of the result on others."""
+"""Calibration from measured points, and verification of the result on others.
+Recordings of the control loop are read as arrays, too.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ from calib.points.reading import read_points as points_of
 from calib.report.report import write_report
 from calib.results import made_today
 from calib.validation.verify import Comparison, compare_arms
+from console.visualisation.reading import read_series
+from console.visualisation.series import Series
 from control.model.arm import Arm
+from control.model.description import load_arm
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -217,3 +222,22 @@ def _listed(values: Sequence[T], count: int, what: str) -> list[T]:
     if len(values) != count:
         raise CalibrationError(f"{what}: expected {count} values, one for each pose, got {len(values)}")
     return list(values)
+
+
+def read_recording(path: str | Path, arm: Arm | str | Path | None = None) -> Series:
+    """Read a recording: `.armlog`, `log.csv`, `log.csv.gz` or MCAP, recognised by content.
+
+    Args:
+        path: the file.
+        arm: the recorded arm (an Arm, file or name), if the file does not name it.
+
+    Returns:
+        Arrays over m samples, NaN where nothing was measured: `t_s` (m,) from 0 on; `q_rad`, `q_set_rad` of the encoders,
+        `joint_rad`, `joint_set_rad` of the joints, `current_A`, `voltage_V` (m, n); `tip_m` (m, 3) by the camera in the
+        base frame; `mode` (m,) indices into `modes`; `run` (m,) indices into `runs`. `notes` are problems of the file.
+
+    Raises:
+        ArmError: the file is missing, of another format, damaged, or has another number of joints than `arm`.
+        CalibrationError: a log.csv with a wrong column or value; names file, line and column.
+    """
+    return read_series(Path(path), load_arm(arm) if isinstance(arm, str | Path) else arm)

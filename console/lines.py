@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib
 import io
 import shlex
 import sys
@@ -15,7 +14,7 @@ from difflib import get_close_matches
 from typing import NoReturn, TextIO
 
 from console import options
-from console.options import CommandSpec
+from console.options import CommandSpec, runner
 from console.specs.operating import END_EFFECTOR, OPERATING
 from control.errors import ArmError
 from control.server.client import ArmClient
@@ -197,8 +196,7 @@ def _run(number: int, line: ParsedLine, connect: Callable[[], ArmClient]) -> Lin
     begun_s = time.monotonic()
     stdout, stderr = _Tee(transcript, output), _Tee(transcript, sys.stderr)
     with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
-        module = importlib.import_module(f"console.commands.{line.given.module}")
-        status = run(module.run, line.given)
+        status = run(runner(line.given.module, line.command), line.given)
     return LineOutcome(
         number, line.text, status, transcript.getvalue(), output.getvalue(), time.monotonic() - begun_s
     )

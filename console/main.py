@@ -5,7 +5,6 @@ when it runs. Exit status: 0 done, 1 the arm or a check failed, 2 wrong input an
 """
 
 import argparse
-import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -127,7 +126,7 @@ def _chosen(arguments: Sequence[str] | None) -> int | tuple["options.Command", a
         return 2
     # The matrices are small: with OpenBLAS threads, an identification takes three times as long on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return importlib.import_module(f"console.commands.{given.module}").run, given
+    return options.runner(given.module, given.command), given
 
 
 def run(command: "options.Command", given: argparse.Namespace) -> int:

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import importlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -39,13 +40,20 @@ class CommandSpec:
 
     @property
     def module_name(self) -> str:
-        """Name of the module in console.commands whose `run(given) -> int` runs it."""
+        """Name of the module in console.commands that runs it."""
         return self.module or self.name.replace("-", "_")
 
     @property
     def description(self) -> str:
         """The first sentence of `armwright NAME --help`."""
         return f"{self.summary[0].upper()}{self.summary[1:]}. {self.more}".strip()
+
+
+def runner(module: str, command: str) -> Command:
+    """What runs a command: `run_COMMAND` of its module in console.commands, or `run` of one with a table of its own."""
+    found = importlib.import_module(f"console.commands.{module}")
+    run: Command = getattr(found, f"run_{command.replace('-', '_')}", None) or found.run
+    return run
 
 
 def finite(text: str) -> float:

@@ -1,21 +1,30 @@
-"""`armwright demo`: the full workflow on a mock arm, the paper's experiment, the gap workflow, a webcam, or two arms."""
+"""`armwright demo`: the full workflow on a mock arm, the paper's experiment, the gap workflow, a webcam, or two arms.
+`armwright mock`: a mock arm, or a mock cell, in real time, until Ctrl-C.
+`armwright drill`: one named fault on a mock arm, one in all its situations, or all of them, and what the arm did.
+"""
 
 import argparse
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
 from calib.errors import CalibrationError
 from console.commands.progress import Bar
+from control.errors import ArmError
 from control.files import write_whole
 from control.model.arm import Arm
-from control.model.cell import load_cell
+from control.model.cell import load_cell, save_cell
 from control.model.description import load_arm, save_arm
 from control.plain_text import Advance, aligned
+from hil_mocks.firmware.boards import choose
+from hil_mocks.realtime import MockProcess, RealTimeCell, RealTimeRig
 from procedures.demo import job
+from procedures.drills.catalogue import drills, drills_named
+from procedures.drills.drill import header, in_words, listing, row, verdict
 from procedures.folders import free_folder, require_writable
-from procedures.mock import MockBench, RealTimeBench, SteppedBench, seeded_scenario
+from procedures.mock import MockBench, RealTimeBench, SteppedBench, seeded_scenario, wired_to
 from procedures.on_boards import on_boards
 
 GAP_SEED = 1  # seed of the hidden effect of `demo gap`
@@ -23,7 +32,7 @@ ONLY = {"cell": "two-arms", "effect": "gap", "joint": "gap", "boards": "job"}
 NOT = {"realtime": ("gap", "camera", "two-arms"), "scenario": ("gap",), "has_arm": ("two-arms",)}
 
 
-def run(given: argparse.Namespace) -> int:
+def run_demo(given: argparse.Namespace) -> int:
     """Run the demo and print its results."""
     for name, demo in ONLY.items():
         if getattr(given, name) is not None and given.what != demo:
@@ -155,3 +164,60 @@ def _two_arms(given: argparse.Namespace) -> int:
         outcome = two_arms.run(cell, out / "scenario.toml", out, bar.advance)
     _say(two_arms.findings(outcome), {"report": two_arms.write_page(outcome, out), **outcome.files})
     return 0
+
+
+def run_mock(given: argparse.Namespace) -> int:
+    """Start the mock, write files that are wired to it, print how to connect, and wait."""
+    choose(given.firmware)
+    with tempfile.TemporaryDirectory(prefix="armwright-") as folder:
+        if given.cell is not None:
+            return _cell(given, Path(folder))
+        arm = load_arm(given.arm)
+        with RealTimeRig(given.arm, given.scenario) as rig:
+            file = Path(folder) / f"{arm.name}.toml"
+            save_arm(wired_to(arm, rig), file)
+            return _wait(rig, f"A mock of arm {arm.name!r} is", given.scenario, f"--arm {file}")
+
+
+def _cell(given: argparse.Namespace, folder: Path) -> int:
+    cell = load_cell(given.cell)
+    with RealTimeCell(given.cell, given.scenario) as rig:
+        wired = cell.with_arms([wired_to(placed.arm, rig.ports[placed.name]) for placed in cell.arms])
+        what = f"Mocks of the arms of cell {cell.name!r} ({', '.join(cell.names)}) are"
+        return _wait(rig, what, given.scenario, f"--cell {save_cell(wired, folder)}")
+
+
+def _wait(rig: MockProcess, what: str, scenario: str, option: str) -> int:
+    sys.stdout.write(
+        f"{what} running with scenario {scenario!r}; Ctrl-C ends it. Connect with\n\n  armwright serve {option}\n"
+    )
+    sys.stdout.flush()
+    try:
+        status = rig.wait_for_end(None)
+    except KeyboardInterrupt:
+        return 0
+    sys.stderr.write(f"armwright: the mock arm's process ended unexpectedly with status {status}\n")
+    return 1
+
+
+def run_drill(given: argparse.Namespace) -> int:
+    """Run the drills; exit status 1 if a promise was not kept."""
+    if given.list:
+        sys.stdout.write(listing(drills().values()) + "\n")
+        return 0
+    if not given.mock:
+        raise ArmError("drills break things on purpose and run on a mock arm only: add --mock")
+    choose(given.firmware)
+    chosen = list(drills().values()) if given.name is None else drills_named(given.name)
+    if len(chosen) == 1:
+        outcome = chosen[0].run()
+        sys.stdout.write(in_words(outcome) + "\n")
+        return 1 if outcome.broken else 0
+    outcomes = []
+    sys.stdout.write(header() + "\n")
+    for drill in chosen:
+        outcomes.append(drill.run())
+        sys.stdout.write(row(outcomes[-1]) + "\n")
+        sys.stdout.flush()
+    sys.stdout.write(verdict(outcomes) + "\n")
+    return 1 if any(outcome.broken for outcome in outcomes) else 0

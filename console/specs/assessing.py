@@ -128,7 +128,7 @@ ASSESSING = (
             JSON,
         ),
         "Nothing moves. docs/trend.md.",
-        module="calibration.trend",
+        module="calibration.check_up",
     ),
     CommandSpec(
         "trust",
@@ -312,6 +312,6 @@ PLANNING = (
             JSON,
         ),
         "Nothing moves. Writes path.csv or poses.csv, script.txt and task.json; docs/plan_path.md.",
-        module="calibration.plan_path",
+        module="calibration.planning",
     ),
 )

@@ -159,7 +159,7 @@ CALIBRATING = (
             JSON,
         ),
         "Nothing moves. Writes both arms' files and pair.json; never overwrites.",
-        module="calibration.calibrate_pair",
+        module="calibration.calibrate",
     ),
     CommandSpec(
         "plan-contacts",
@@ -182,7 +182,7 @@ CALIBRATING = (
             option("--out", metavar="FILE", help="write them as contacts.csv, the most valuable first"),
         ),
         "Nothing moves. Contacts are within reach of both arms, and clear of each other by clearance_m and 30 mm.",
-        module="calibration.plan_contacts",
+        module="calibration.planning",
     ),
     CommandSpec(
         "calibrate-distances",
@@ -215,7 +215,7 @@ CALIBRATING = (
             JSON,
         ),
         "Nothing moves. Writes arm.toml and calibration.json; never overwrites.",
-        module="calibration.calibrate_distances",
+        module="calibration.calibrate",
     ),
     CommandSpec(
         "import-points",
@@ -238,7 +238,7 @@ CALIBRATING = (
             OUT,
         ),
         "Nothing moves. Says what it understood, asks what the table does not tell, and never overwrites.",
-        module="calibration.import_points",
+        module="calibration.importing",
     ),
     CommandSpec(
         "import-capture",
@@ -265,7 +265,7 @@ CALIBRATING = (
             JSON,
         ),
         "Nothing moves. Writes points.csv, and log.csv with tips if the frame is placed; never overwrites.",
-        module="calibration.import_capture",
+        module="calibration.importing",
     ),
     CommandSpec(
         "camera",

@@ -49,7 +49,7 @@ FILES = (
             option("--task", metavar="TEXT", help="what the arm does in the dataset, in words"),
             JSON,
         ),
-        module="recordings.export",
+        module="recordings",
     ),
     CommandSpec(
         "export-arm",
@@ -136,7 +136,7 @@ VISUALISATION = (
         ),
         "Prints following errors, currents, saturation, tip error and cycle timing. --json without --out draws"
         " nothing. docs/visualisation.md.",
-        module="recordings.plot",
+        module="recordings",
     ),
     CommandSpec(
         "view",
@@ -180,7 +180,7 @@ VISUALISATION = (
             ),
         ),
         "Moves nothing: the live view only asks the runtime for its status. docs/visualisation.md.",
-        module="recordings.view",
+        module="view",
     ),
     CommandSpec(
         "completion",

@@ -27,7 +27,7 @@ OPERATING = (
         "check",
         "find the boards in arm.toml and compare their identities; nothing moves",
         (ARM, *LINKS, JSON),
-        module="bringup.check",
+        module="serve",
     ),
     CommandSpec(
         "console",
@@ -188,6 +188,7 @@ OPERATING = (
             option("--plan-only", action="store_true", help="check and print the plan; needs no runtime"),
         ),
         "It takes longer where the hand was faster than the limits.",
+        module="script",
     ),
     CommandSpec(
         "jog",
@@ -334,7 +335,7 @@ CELLS = (
             ),
         ),
         "Give --to, --run or --beside for each arm. All is checked before anything moves, the arms against each other too.",
-        module="cell.together",
+        module="cell",
     ),
     CommandSpec(
         "follow",
@@ -350,7 +351,7 @@ CELLS = (
             ),
         ),
         "The follower first moves to where the leader is. It keeps to the limits of jogs, and away from the other arm.",
-        module="cell.follow",
+        module="cell",
     ),
 )
 

@@ -142,7 +142,7 @@ RECORDING = (
             JSON,
         ),
         "Nothing moves. plan.csv lists the poses in visiting order for `armwright session --plan`.",
-        module="calibration.plan_poses",
+        module="calibration.planning",
     ),
     CommandSpec(
         "register",
@@ -159,6 +159,6 @@ RECORDING = (
             JSON,
         ),
         "Prints the residual of every marker, names outliers, writes boards.json.",
-        module="calibration.register",
+        module="calibration.importing",
     ),
 )

@@ -74,6 +74,7 @@ TRYING = (
             FIRMWARE,
         ),
         "Exit status 1 if a promise of docs/safety.md was not kept.",
+        module="demo",
     ),
     CommandSpec(
         "mock",
@@ -90,6 +91,7 @@ TRYING = (
             FIRMWARE,
         ),
         "Prints the command that connects to it.",
+        module="demo",
     ),
 )
 
@@ -182,7 +184,7 @@ BRINGUP = (
             JSON,
         ),
         "Nothing is energised and nothing moves. Exit status 1 if a fault must be fixed first.",
-        module="bringup.doctor",
+        module="bringup",
     ),
     CommandSpec(
         "bringup",
@@ -212,7 +214,7 @@ BRINGUP = (
             ),
         ),
         "Stand beside the arm with the emergency stop in hand. After an interruption, the same command continues.",
-        module="bringup.bringup",
+        module="bringup",
     ),
     CommandSpec(
         "tune",
@@ -249,6 +251,6 @@ BRINGUP = (
             "Writes gains only with margins of at least 6 dB and 45 degrees, delay included. Starts its own runtime: end"
             " others first."
         ),
-        module="bringup.tune",
+        module="bringup",
     ),
 )

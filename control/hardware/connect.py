@@ -1,26 +1,27 @@
-"""Opens the links in arm.toml and checks that the right boards are connected; nothing moves.
-
-All devices are tried, and one error names all that failed.
+"""Opens the links in arm.toml and checks that the right boards are connected; nothing moves. All devices are tried,
+and one error names all that failed. What each kind of board offers is in `control.model.board_kinds`.
 """
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 from control.dynamics.gains import volt_gains_of
 from control.errors import MissingModel
 from control.hardware.board_stop import board_stop, knows_motor
 from control.hardware.boards import NO_END, BoardHardware
+from control.hardware.bought import cia402, moteus, odrive, roboclaw, vesc
+from control.hardware.bought.smart_servo import DYNAMIXEL, FEETECH
 from control.hardware.gripper_board import GripperBoard, GripperHardware
 from control.hardware.gripper_on_board import gripper_of
 from control.hardware.interface import EndBoards, NamedPins, OutputMode
-from control.hardware.kinds import open_boards
 from control.hardware.opened import Opened, collect
 from control.hardware.reference_drives import DriveWiring, ReferenceDrives
 from control.hardware.reference_encoders import ReferenceEncoders, start_stream
 from control.hardware.roles import Line
 from control.hardware.tip_camera import TipCamera, open_camera
-from control.model.arm import Arm, CanBus, EncoderBoardPort
+from control.model.arm import Arm, Board, CanBus, EncoderBoardPort
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder.board import EncoderBoard
@@ -303,3 +304,27 @@ def _compare(where: str, what: str, joint: int, expected: int, got: int) -> None
             f"{where}: expected {expected} {what} (arm.toml, joint {joint}), got {got}; correct arm.toml, or the board's"
             " settings"
         )
+
+
+Opener = Callable[[Arm, Sequence[Board], Clock, float, Opened], None]
+"""Opens all boards of one kind for a cycle of so many seconds; failures are collected, not raised."""
+
+OPENERS: Final[Mapping[str, Opener]] = {
+    "roboclaw": roboclaw.open_boards,
+    "cia402": cia402.open_boards,
+    "dynamixel": DYNAMIXEL.open_boards,
+    "feetech": FEETECH.open_boards,
+    "moteus": moteus.open_boards,
+    "odrive": odrive.open_boards,
+    "vesc": vesc.open_boards,
+}
+
+
+def open_boards(arm: Arm, clock: Clock, period_s: float, opened: Opened) -> None:
+    """Open every [[board]] that drives a joint, or the gripper as one joint more."""
+    arm = replace(arm, drives=arm.motors)
+    named = {drive.board for drive in arm.drives}
+    for kind, opener in OPENERS.items():
+        boards = [board for board in arm.boards if board.kind == kind and board.name in named]
+        if boards:
+            opener(arm, boards, clock, period_s, opened)

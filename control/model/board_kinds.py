@@ -1,6 +1,6 @@
 """Kinds of boards that drive joints, as data: what each offers, and what the loop may expect of it.
 
-A `[[drive]]` without `board` is on a reference motor board (docs/motor_board.md): REFERENCE. `control.hardware.kinds` opens the
+A `[[drive]]` without `board` is on a reference motor board (docs/motor_board.md): REFERENCE. `control.hardware.connect` opens the
 others; each has a page in docs.
 """
 

@@ -22,7 +22,7 @@ def register() -> None:
     """Let pyserial and python-can find the handlers of this package."""
     if __name__ not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(__name__)
-    BACKENDS[CAN_INTERFACE] = (f"{__name__}.mock_can", "MockCanBus")
+    BACKENDS[CAN_INTERFACE] = (__name__, "MockCanBus")
 
 
 _MEMBERS: dict[str, list[MockCanBus]] = {}

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import partialmethod
 
 from control.hardware.board_stop import knows_motor
-from control.hardware.kinds import open_boards as open_kinds
+from control.hardware.connect import open_boards as open_kinds
 from control.hardware.opened import Opened
 from control.hardware.reference_encoders import start_stream
 from control.hardware.roles import Encoders

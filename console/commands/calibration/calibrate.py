@@ -1,4 +1,7 @@
-"""`armwright calibrate`: from recorded points to a calibrated arm with its uncertainty."""
+"""`armwright calibrate`: from recorded points to a calibrated arm with its uncertainty.
+`armwright calibrate-distances`: an arm from lengths that draw wires, dial gauges or ball bars have measured.
+`armwright calibrate-pair`: two arms whose tips touch, from the joint angles of both.
+"""
 
 import argparse
 import sys
@@ -9,6 +12,9 @@ from calib.arm_problem.assembly import Choice
 from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, calibrate, points_in_base
 from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
 from calib.calibration.report import calibration_report, judgement_json, summary_text
+from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts, pair_text, write_pair
+from calib.closed_chain.pair_problem import Contacts, names_of, read_contacts
+from calib.distances.calibrate import DistancePlan, calibrate_with_distances, distances_json, distances_text
 from calib.errors import CalibrationError
 from calib.export import FORMS, export
 from calib.identify.objective import objective_named
@@ -20,10 +26,12 @@ from calib.results import InputFile, input_file, made_today
 from console.commands.calibration.options import (
     board_frames,
     bounds_of,
+    length_m,
     names_in,
     orientation_noise_rad,
     quantity,
     record_of,
+    wires_at,
 )
 from console.commands.progress import Bar, answer, warn
 from control.model.arm import Arm
@@ -35,7 +43,7 @@ BASE_POINTS = "points_base.csv"
 RESULTS = ("arm.toml", "calibration.json", "report.html", BASE_POINTS)
 
 
-def run(given: argparse.Namespace) -> int:
+def run_calibrate(given: argparse.Namespace) -> int:
     """Read, identify, validate, write. Nothing is written before all input has been read and checked."""
     arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
     require_new(out, (*RESULTS, *(f"arm.{ENDINGS[form]}" for form in forms)))
@@ -158,3 +166,95 @@ def _inputs(given: argparse.Namespace, arm: Arm) -> tuple[InputFile, ...]:
     if given.boards is not None:
         found.append(input_file(Path(given.boards), "measured board poses"))
     return tuple(found)
+
+
+DISTANCE_RESULTS = ("arm.toml", "calibration.json")
+
+
+def run_calibrate_distances(given: argparse.Namespace) -> int:
+    """Read, identify, write. Nothing is written before all input has been read and checked."""
+    arm, out, file = load_arm(given.arm), Path(given.out), Path(given.points)
+    require_new(out, DISTANCE_RESULTS)
+    choice = Choice(
+        bounds=bounds_of(given.bound or []),
+        fixed=names_in(given.fix or []),
+        freed=("tool",) if given.free_tool else (),
+    )
+    plan = DistancePlan(
+        choice, given.free_zero, wires_at(given.wire_at or []), objective_named(given.objective)
+    )
+    points, warnings = points_for(arm, [file])
+    warn(warnings)
+    with Bar("calibrate-distances") as bar:
+        made = calibrate_with_distances(arm, points, file, plan, bar.advance)
+    files = [out / name for name in DISTANCE_RESULTS]
+    nominal = [] if arm.path is None else [input_file(arm.path, "the nominal arm")]
+    provenance = made_today(input_file(file, "lengths"), *nominal)
+    write_calibrated_arm(files[0], arm, made.found, provenance, points)
+    write_calibration_json(files[1], arm.name, made.found, provenance, more=distances_json(made))
+    answer(given, files[1], distances_text(made) + "\n" + "".join(f"written: {one}\n" for one in files))
+    return 0
+
+
+NOISE_m = 2e-4  # of a contact, to compare what contacts say with what is known of the arms
+
+
+def run_calibrate_pair(given: argparse.Namespace) -> int:
+    """Read both arms and the contacts, then identify, or choose contacts."""
+    arms = (load_arm(given.arms[0]), load_arm(given.arms[1]))
+    contacts, warnings = read_contacts(Path(given.contacts), arms)
+    warn(warnings)
+    plan = _pair_plan(given, arms)
+    return (
+        _chosen_contacts(given, arms, contacts, plan)
+        if given.choose is not None
+        else _calibrated_pair(given, arms, contacts, plan)
+    )
+
+
+def _pair_plan(given: argparse.Namespace, arms: tuple[Arm, Arm]) -> PairPlan:
+    tools = names_in(given.free_tool or [])
+    for name in tools:
+        if name not in names_of(arms):
+            raise CalibrationError(f'--free-tool: expected some of {", ".join(names_of(arms))}, got "{name}"')
+    bounds = bounds_of(given.bound or [])
+    if bounds.own:
+        raise CalibrationError(
+            f"--bound: expected lengths=... or angles=... of both arms, got {next(iter(bounds.own))}"
+        )
+    return PairPlan(
+        bounds=bounds,
+        fixed=names_in(given.fix or []),
+        free_tools=tools,
+        objective=objective_named(given.objective),
+    )
+
+
+def _calibrated_pair(
+    given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan
+) -> int:
+    out = Path(given.out)
+    require_new(out, [*(f"{name}.toml" for name in names_of(arms)), "pair.json"])
+    with Bar("calibrate-pair") as bar:
+        found = calibrate_pair(arms, contacts, plan, bar.advance)
+    nominal = [
+        input_file(arm.path, "a nominal arm", f"{name}: {arm.path.name}")
+        for name, arm in zip(names_of(arms), arms, strict=True)
+        if arm.path is not None
+    ]
+    made = made_today(input_file(Path(given.contacts), "contacts"), *nominal)
+    out.mkdir(parents=True, exist_ok=True)
+    files = write_pair(out, arms, found, plan.objective.name, made)
+    answer(given, files[-1], pair_text(arms, found) + "\n" + "".join(f"written: {file}\n" for file in files))
+    return 0
+
+
+def _chosen_contacts(
+    given: argparse.Namespace, arms: tuple[Arm, Arm], contacts: Contacts, plan: PairPlan
+) -> int:
+    """Print the contacts that say most about both arms."""
+    if given.choose < 1:
+        raise CalibrationError(f"--choose: expected a number of contacts from 1 on, got {given.choose}")
+    rows = choose_contacts(arms, contacts, plan, given.choose, length_m(given.noise, "--noise") or NOISE_m)
+    sys.stdout.write("".join(f"{contacts.name[row]}\n" for row in rows))
+    return 0

@@ -1,4 +1,6 @@
-"""`armwright check-up`: a few poses that decide between fine, recalibrate, and inspect joint j."""
+"""`armwright check-up`: a few poses that decide between fine, recalibrate, and inspect joint j.
+`armwright trend`: what drifts, how fast, and when the next calibration is due.
+"""
 
 import argparse
 import sys
@@ -6,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.ageing import as_text, read_history, trend_json, trend_of
 from calib.arm_problem.checks import require_of_arm
 from calib.checkup import (
     POSES,
@@ -21,6 +24,7 @@ from calib.points.arm_points import points_for
 from calib.points.points import Points
 from calib.results import write_json
 from console.commands.calibration.gap import REAL_SPEED, recorded
+from console.commands.calibration.options import length_m
 from console.commands.progress import answer, warn
 from control.errors import ArmError
 from control.model.arm import Arm
@@ -32,7 +36,7 @@ POSES_LEAST, POSES_MOST = 3, 40
 LEAST_EARLIER = 10  # points: fewer do not say what is usual
 
 
-def run(given: argparse.Namespace) -> int:
+def run_check_up(given: argparse.Namespace) -> int:
     """Plan, record, decide. Exit status 0: fine; 1: something is to be done; 2: wrong input."""
     _require_consistent(given)
     arm = load_arm(given.arm)
@@ -107,3 +111,11 @@ def _plan_text(plan: RecordingPlan) -> str:
 
 def _signs(direction: tuple[int, ...]) -> str:
     return "".join("+" if one > 0 else "-" for one in direction)
+
+
+def run_trend(given: argparse.Namespace) -> int:
+    """Read the record and print."""
+    arm, wanted_m = load_arm(given.arm), length_m(given.tolerance, "--tolerance")
+    trend = trend_of(arm, read_history(Path(given.history), arm.name), wanted_m)
+    answer(given, trend_json(trend), as_text(trend))
+    return 0

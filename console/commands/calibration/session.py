@@ -8,7 +8,7 @@ from calib.points.points import STREAM_FRAME
 from calib.session.conduct import Boards, Station, conduct
 from calib.session.folder import SessionFolder
 from calib.session.plan import SessionPlan, fingerprint
-from console.commands.cell import contacts
+from console.commands import cell
 from console.commands.connection import in_control_of
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -32,7 +32,7 @@ from procedures.session.planning import plan_from_options
 def run(given: argparse.Namespace) -> int:
     """Start or resume a session, and run it until the operator ends it or all points are done."""
     if given.cell is not None:
-        return contacts.session_of_contacts(given)
+        return cell.session_of_contacts(given)
     for name in ("contacts", "arms"):
         if getattr(given, name) is not None:
             raise SessionError(f"--{name} is for two arms of a cell: add --cell")

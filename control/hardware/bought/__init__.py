@@ -1,1 +1,1 @@
-"""Drivers of bought boards: each opens its boards, and is listed in `control.hardware.kinds`."""
+"""Drivers of bought boards: each opens its boards, and is listed in `control.hardware.connect`."""

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from console.commands.bringup.bringup import figures_in_words
+from console.commands.bringup import figures_in_words
 from procedures.bringup.diagnosis import Diagnosis
 from tests.cell import RIGHT
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from console.commands.recordings import view
+from console.commands import view
 from console.main import main
 from console.visualisation.streams import Address, LiveMessages, address_of, serve
 from control.errors import ArmError

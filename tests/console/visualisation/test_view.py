@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from console.commands.recordings import view
+from console.commands import view
 from console.main import main
 from console.visualisation import render
 from console.visualisation.reading import read_series

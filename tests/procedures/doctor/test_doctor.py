@@ -323,7 +323,7 @@ def test_the_command_says_json_and_fails_on_what_is_bad(
 ) -> None:
     monkeypatch.setattr(host, "PAUSE_TEST_S", 0.02)
     monkeypatch.setattr(
-        "console.commands.bringup.doctor.look_at_host", lambda *_: []
+        "console.commands.bringup.look_at_host", lambda *_: []
     )  # of the machine that tests run on
     file = tmp_path / "hurt.toml"
     file.write_text('[[fault]]\nkind = "silent"\nboard = "motor3"\n')

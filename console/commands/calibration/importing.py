@@ -1,13 +1,17 @@
-"""`armwright import-capture`: a recording of a motion capture system as points, on the time of the encoders."""
+"""`armwright import-points`: points.csv of a table that another program wrote; asks what the table does not tell.
+`armwright import-capture`: a recording of a motion capture system as points, on the time of the encoders.
+`armwright register`: locates the calibration board from markers measured by a camera.
+"""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.boards import markers_text
+from calib.arrays import Array, norms
+from calib.boards import Registration, markers_text, read_markers, register_boards, write_boards
 from calib.capture.alignment import Alignment, JointMotion, align
 from calib.capture.poses import Rested, believed, board_markers, poses_at_rest
 from calib.capture.tracks import (
@@ -21,18 +25,65 @@ from calib.capture.tracks import (
 )
 from calib.gap.log import Log, read_log
 from calib.points.points import CAMERA_FRAME, STREAM_FRAME
+from calib.points.spreadsheet import ANGLES, LENGTHS, Unclear, Understood, read_sheet, understood
 from calib.points.writer import write_points
-from calib.results import entries
+from calib.results import entries, input_file, made_today
 from console.commands.progress import answer, warn
+from control.errors import ArmError
 from control.files import write_whole
 from control.model.arm import Arm
 from control.model.description import load_arm
+from control.model.table import board_cavities, table_of
 from procedures.folders import require_new
 from procedures.gap.recording import log_text
 from procedures.gap.timing import on_one_clock, with_tips
 
+SHOWN = 3
 
-def run(given: argparse.Namespace) -> int:
+
+def run_import_points(given: argparse.Namespace) -> int:
+    """Read, show what was understood, write; with a line that repeats it without questions."""
+    file = Path(given.out) / "points.csv"
+    if Path(given.out).suffix == ".csv":
+        raise ArmError(f"--out {given.out}: expected a folder, in which points.csv is written")
+    require_new(Path(given.out), ["points.csv"])
+    columns = dict(pair.partition("=")[::2] for pair in given.columns or [])
+    found = _asked(given, columns)
+    write_points(file, found.points)
+    named = [f"{ours}={name}" for ours, name in columns.items()]
+    line = ["armwright", "import-points", given.file, "--arm", given.arm, "--out", given.out]
+    line += [*(["--columns", *named] if named else []), *(["--angles", given.angles] if given.angles else [])]
+    line += ["--lengths", given.lengths] if given.lengths else []
+    rows = file.read_text(encoding="utf-8").splitlines()[: SHOWN + 1]
+    sys.stdout.write(
+        "\n".join([*found.in_words, "", *rows, "...", f"written: {file}", "Again: " + shlex.join(line)])
+        + "\n"
+    )
+    return 0
+
+
+def _asked(given: argparse.Namespace, columns: dict[str, str]) -> Understood:
+    """What the table says, with the answers to what it does not."""
+    arm, sheet = load_arm(given.arm), read_sheet(Path(given.file))
+    for option, units in (("angles", ANGLES), ("lengths", LENGTHS)):
+        if getattr(given, option) not in (None, *units):
+            raise ArmError(f"--{option}: expected one of {', '.join(units)}, got {getattr(given, option)}")
+    while True:
+        try:
+            return understood(sheet, arm, columns, given.angles, given.lengths)
+        except Unclear as unclear:
+            if not sys.stdin.isatty():
+                raise
+            answer = input(f"{unclear.question}? ({', '.join(unclear.choices)}) ").strip()
+            if answer not in unclear.choices:
+                continue
+            if unclear.option == "--columns":
+                columns[unclear.key.rstrip("=")] = answer
+            else:
+                setattr(given, unclear.option.removeprefix("--"), answer)
+
+
+def run_import_capture(given: argparse.Namespace) -> int:
     """Write points of the arm's rests, or markers of the board."""
     arm, out = load_arm(given.arm), Path(given.out)
     files = [out / name for name in (("markers.csv",) if given.board_markers else ("points.csv", "log.csv"))]
@@ -134,3 +185,38 @@ def _text(aligned: Alignment, rested: Rested, body: BodyTrack) -> str:
         f"{words[0].upper()}{words[1:]}.\n"
         f"{len(rested.points)} poses at rest; noise of a frame {1e3 * rested.noise_m:.3f} mm per axis{turn}.\n"
     )
+
+
+def run_register(given: argparse.Namespace) -> int:
+    """Register every setup of the file, print residuals, write boards.json."""
+    arm = load_arm(given.arm)
+    cavities = board_cavities(table_of(arm))
+    file = Path(given.markers)
+    markers = read_markers(file)
+    warn(markers.warnings)
+    found = register_boards(markers, cavities)
+    if not given.json:
+        sys.stdout.write("".join(described(setup, board) for setup, board in found.items()))
+    out = Path(given.out) / "boards.json"
+    write_boards(out, arm.name, found, made_today(input_file(file, "markers")))
+    sys.stdout.write(out.read_text(encoding="utf-8") if given.json else f"written: {out}\n")
+    return 0
+
+
+def described(setup: str, board: Registration) -> str:
+    """Pose, residual of every marker, and what cannot be determined, in mm and mrad."""
+    x, y, z = (f"{1e3 * value:.2f}" for value in board.origin_m)
+    nx, ny, nz = (f"{value:.4f}" for value in board.normal)
+    sd = board.sd
+    lines = [
+        f"setup {setup}: {len(board.names)} markers, noise {1e3 * board.noise_m:.3f} mm per axis",
+        f"  origin ({x}, {y}, {z}) mm, sd {' '.join(f'{1e3 * value:.3f}' for value in sd[:3])} mm",
+        f"  normal ({nx}, {ny}, {nz}), sd of the tilt {' '.join(f'{1e3 * value:.3f}' for value in sd[3:])} mrad",
+        "  marker    dx      dy      dz    total  (measured minus board, mm)",
+    ]
+    for name, residual, total in zip(board.names, board.residual_m, norms(board.residual_m), strict=True):
+        mark = "  outlier, not used" if name in board.outliers else ""
+        parts = " ".join(f"{1e3 * value:7.3f}" for value in (*residual, total))
+        lines.append(f"  {name:<6} {parts}{mark}")
+    lines += [f"  note: {note}" for note in board.notes]
+    return "\n".join(lines) + "\n"

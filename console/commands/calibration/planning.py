@@ -1,0 +1,229 @@
+"""`armwright plan-poses`: chooses the next points, tilts and free poses by their information.
+`armwright plan-path`: a path or stops with the least expected tip error, by what is known of the arm.
+`armwright plan-contacts`: which contacts of two arms of a cell say most about both.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from calib.arm_problem.assembly import Choice
+from calib.closed_chain.pair_problem import DISTANCE_MOST_m
+from calib.closed_chain.planning import pair_of, plan_contacts, plan_text, write_contacts
+from calib.design.candidates import CameraBox
+from calib.design.information import NAMES, Uncertainty
+from calib.design.planning import Plan, Request, in_words, known_to, plan_json, plan_poses, write_plan
+from calib.errors import CalibrationError
+from calib.planning import files as path_files
+from calib.planning.search import Freedom, StopsPlan, planned_path, planned_stops
+from calib.points.arm_points import base_points_for
+from calib.points.points import Points
+from calib.results import input_file, made_today
+from calib.trust.prediction import Path as TaskPath
+from calib.trust.prediction import Predictor, Reliability, reliability_of
+from calib.trust.trust import MapRequest, trust_in
+from console.commands.calibration.options import board_frames, length_m, orientation_noise_rad, quantity
+from console.commands.progress import Bar, answer, warn
+from control.errors import ArmError
+from control.model.arm import Arm
+from control.model.cell import load_cell
+from control.model.description import load_arm
+from control.motion.waypoints import read_waypoints
+from control.plain_text import aligned
+from procedures.folders import require_new, require_writable
+
+USUAL_COUNT = 12
+
+
+def run_plan_poses(given: argparse.Namespace) -> int:
+    """Plan, print the plan, write plan.csv and plan.json."""
+    arm = load_arm(given.arm)
+    if given.out:
+        require_writable(Path(given.out))
+    taken = _taken(given, arm)
+    choice = Choice(boards=board_frames(given.boards))
+    plan = plan_poses(arm, taken, request_of(given), choice)
+    answer(given, plan_json(plan, arm.name), described(plan, arm.name))
+    if given.out:
+        for path in write_plan(Path(given.out), plan, arm.name):
+            (sys.stderr if given.json else sys.stdout).write(f"written: {path}\n")
+    return 0
+
+
+def request_of(given: argparse.Namespace) -> Request:
+    """The request of the options; `--free N` alone asks for N free poses and nothing else."""
+    count = given.count
+    if count is None:
+        count = USUAL_COUNT if given.free is None else given.free
+    if given.free is not None and given.only == "table":
+        raise CalibrationError("--free and --only table contradict each other: give one")
+    return Request(
+        count=count,
+        free_count=given.free,
+        setups=_setups(given.setups),
+        only=given.only,
+        criterion=given.criterion,
+        noise_m=length_m(given.noise, "--noise"),
+        turn_noise_rad=orientation_noise_rad(given.orientation_noise),
+        view=_view(given.view),
+    )
+
+
+def _setups(text: str | None) -> tuple[str, ...] | None:
+    if text is None:
+        return None
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise CalibrationError(
+            f'--setups: expected names separated by commas, such as normal,roll; got "{text}"'
+        )
+    return names
+
+
+def _view(corners_m: list[float] | None) -> CameraBox | None:
+    if corners_m is None:
+        return None
+    x, y, z = (tuple(corners_m[k : k + 2]) for k in (0, 2, 4))
+    for axis, (lower, upper) in zip("xyz", (x, y, z), strict=True):
+        if not lower < upper:
+            raise CalibrationError(f"--view: expected {axis} from smaller to larger, got {lower:g} {upper:g}")
+    return CameraBox((x[0], y[0], z[0]), (x[1], y[1], z[1]))
+
+
+def _taken(given: argparse.Namespace, arm: Arm) -> Points | None:
+    if given.points is None:
+        return None
+    points, warnings = base_points_for(arm, [Path(given.points)], "plan-poses", given.as_given)
+    warn(warnings)
+    return points
+
+
+def described(plan: Plan, arm: str) -> str:
+    """The plan as text: candidates, gain of each pose, alternatives, remarks."""
+    candidates = ", ".join(f"{count} {setup}" for setup, count in plan.candidates.items())
+    head = ("setup", "point", "visit", "log det", "tip mm", "worst mm", *NAMES, "weakest")
+    poses = [
+        (pose.setup, pose.point, str(pose.visit), f"+{pose.gain:.2f}", *_figures(pose.after))
+        for pose in plan.poses
+    ]
+    others = [
+        (one.setup, str(one.count), "", f"+{one.gain:.2f}", *_figures(one.after)) for one in plan.alternatives
+    ]
+    return "\n".join(
+        [
+            f"arm {arm}: {plan.before.points_count} points recorded; candidates: {candidates}; noise"
+            f" {1e3 * plan.noise_m:.3g} mm per axis; criterion {plan.criterion}",
+            "\n  Poses by value, and the accuracy after each:",
+            aligned([head, ("", "", "", "", *_figures(plan.before)), *poses], left=2, indent="  "),
+            *(("\n  Best plans of one kind:", aligned(others, left=2, indent="  ")) if others else ()),
+            "",
+            *in_words(plan),
+        ]
+    )
+
+
+def _figures(state: Uncertainty) -> tuple[str, ...]:
+    found = state.indices.as_dict()
+    return (
+        f"{1e3 * state.tip_m:.3f}",
+        f"{1e3 * state.tip_worst_m:.3f}",
+        f"{found['O1']:.1f}",
+        f"{found['O2']:.4f}",
+        f"{found['O3']:.2f}",
+        f"{found['O4']:.3f}",
+        f"{found['O5']:.2f}",
+        known_to(state),
+    )
+
+
+PREDICTED = 0.4  # of the work is the prediction, the rest the search
+FARTHEST_m = 1.0  # that work is moved; more is a number in mm
+
+
+def run_plan_path(given: argparse.Namespace) -> int:
+    """Read, plan, write. Nothing is written before all input has been read and checked; nothing moves."""
+    arm, out = load_arm(given.arm), Path(given.out)
+    require_new(out, path_files.RESULTS)
+    freedom, wanted_m = _freedom(given), length_m(given.tolerance, "--tolerance")
+    waypoints = read_waypoints(given.file)
+    points, warnings = base_points_for(
+        arm, [Path(name) for name in given.points], "plan-path", given.as_given
+    )
+    request = MapRequest(
+        (freedom.payload_kg,), is_checked=False, choice=Choice(boards=board_frames(given.boards))
+    )
+    plan: path_files.Plan
+    with Bar("plan-path") as bar:
+        trust = trust_in(arm, points, request, lambda what, done: bar.advance(what, PREDICTED * done))
+        planner = planned_stops if given.stops else planned_path
+        plan = planner(
+            arm,
+            trust.predictor,
+            waypoints,
+            freedom,
+            lambda what, done: bar.advance(what, PREDICTED + (1.0 - PREDICTED) * done),
+        )
+    warn((*warnings, *trust.warnings))
+    tasks = None if wanted_m is None else _tasks(trust.predictor, plan, wanted_m)
+    points_files = (input_file(Path(name), "points") for name in given.points)
+    path_files.write_plan(
+        out, plan, tasks, made_today(input_file(Path(given.file), "way-points"), *points_files)
+    )
+    run_it = f"run it           armwright script {out / 'script.txt'}"
+    answer(
+        given, path_files.plan_json(plan, tasks), "\n".join((*path_files.sentences(plan, tasks), "", run_it))
+    )
+    return 0
+
+
+def _freedom(given: argparse.Namespace) -> Freedom:
+    x, y, z = given.shift or (0.0, 0.0, 0.0)
+    if not all(0.0 <= half <= FARTHEST_m for half in (x, y, z)):
+        raise CalibrationError(
+            f"--shift: expected 0 to {FARTHEST_m:g} m along x, y and z, got {x:g} {y:g} {z:g}"
+        )
+    payload_kg = given.payload or 0.0
+    if payload_kg < 0.0:
+        raise CalibrationError(f"--payload: expected a mass not below 0, got {payload_kg:g} kg")
+    return Freedom((x, y, z), given.any_order, payload_kg)
+
+
+def _tasks(predictor: Predictor, plan: path_files.Plan, wanted_m: float) -> tuple[Reliability, Reliability]:
+    """The probability that all of it is kept, as given and as planned."""
+    if isinstance(plan, StopsPlan):
+        given, planned = (
+            TaskPath(np.arange(float(len(way.poses))), way.poses) for way in (plan.plain, plan.chosen)
+        )
+    else:
+        given, planned = plan.plain.motion, plan.chosen.motion
+    return reliability_of(predictor, given, wanted_m), reliability_of(predictor, planned, wanted_m)
+
+
+def run_plan_contacts(given: argparse.Namespace) -> int:
+    """Plan, print what the contacts determine, write contacts.csv."""
+    cell = load_cell(given.cell)
+    names, distances_m = pair_of(cell, given.arms), _distances(given.distance or ["0mm"])
+    if given.count < 1:
+        raise CalibrationError(f"--count: expected a number of contacts from 1 on, got {given.count}")
+    out = Path(given.out) if given.out else None
+    if out is not None:
+        if out.exists():
+            raise ArmError(f"{out} exists already and is never overwritten: choose another --out")
+        require_writable(out.parent)
+    plan = plan_contacts(cell, names, distances_m, given.count)
+    sys.stdout.write(plan_text(plan))
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_contacts(out, plan.chosen.contacts)
+        sys.stdout.write(f"written: {out}\n")
+    return 0
+
+
+def _distances(texts: list[str]) -> list[float]:
+    found = [quantity(text, "m", "--distance") for text in texts]
+    for text, distance_m in zip(texts, found, strict=True):
+        if not 0.0 <= distance_m <= DISTANCE_MOST_m:
+            raise CalibrationError(f"--distance: expected 0 to {DISTANCE_MOST_m:g} m, got {text}")
+    return found

@@ -1,0 +1,285 @@
+"""`armwright together`: motions of several arms that begin and end together.
+`armwright follow`: one arm follows another, which a hand guides or a program moves.
+`armwright session --cell`: two arms of a cell are led to planned contacts, and the joint angles of both are recorded.
+"""
+
+import argparse
+import hashlib
+import select
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from calib.closed_chain.conduct import conduct, contact_plan
+from calib.closed_chain.pair_problem import read_contacts
+from calib.closed_chain.planning import pair_of
+from calib.errors import SessionError
+from calib.session.folder import PLAN, SessionFolder
+from calib.session.plan import SessionPlan, fingerprint
+from console.commands.connection import connected_arms, with_present_tool
+from console.commands.moving import described
+from console.commands.progress import shown
+from console.options import finite
+from control.errors import ArmError
+from control.model.cell import Cell, load_cell
+from control.motion.joint_limits import JointLimits
+from control.motion.joint_move import JointMove
+from control.motion.plan import PlannedPath, plan_beside, plan_path
+from control.motion.setpoint import Motion
+from control.motion.waypoints import Waypoints, read_waypoints
+from control.server.client import ArmClient
+from hil_mocks.scenario import load_scenario
+from procedures.folders import require_writable
+from procedures.guiding import Following, mirror_signs, require_alike
+from procedures.ports import move_together
+from procedures.session.mock_session import SCENARIO, MockPairHand, Names, mock_pair, pair_station
+from procedures.session.operator import (
+    SPEED,
+    ContactWords,
+    Interface,
+    last_s,
+    ready,
+    require_same,
+    since_start_s,
+)
+from procedures.session.planning import OPTIONS
+
+KEEP = "keep"  # instead of a file of offsets
+TO_START_SPEED = 0.5  # of the joints' limits, to the first way-points
+
+
+def run_together(given: argparse.Namespace) -> int:
+    """Plan for each arm, move to the first way-points, then begin all at once; returns when all have arrived."""
+    targets, files = _targets(given), dict(given.run or ())
+    besides = {name: (other, file) for name, other, file in given.beside or ()}
+    names = tuple(name for name, *_ in (*(given.to or ()), *(given.run or ()), *(given.beside or ())))
+    if len(names) < 2 or len(set(names)) < len(names):
+        got = ", ".join(names) or "none"
+        raise ArmError(
+            f"together: expected one --to, --run or --beside for each of two arms or more, got {got}"
+        )
+    with connected_arms(given, names) as clients:
+        cell = _with_tools(load_cell(given.cell), clients)
+        paths = {name: _planned(cell, name, file, clients[name]) for name, file in files.items()}
+        motions = {name: _joint_move(cell, name, q, given.speed, clients) for name, q in targets.items()}
+        motions |= {name: path.joints for name, path in paths.items()}
+        for name, (other, file) in besides.items():
+            paths[name] = _beside(cell, name, other, file, motions, clients)
+            motions[name] = paths[name].joints
+        if paths:
+            with shown(clients[names[0]], given, "together: to the first way-points"):
+                _start(
+                    clients, {name: _move(path.q_start_rad, TO_START_SPEED) for name, path in paths.items()}
+                )
+        moves = {name: _move(q_rad, given.speed) for name, q_rad in targets.items()}
+        moves |= {
+            name: {"path": path.to_message(), "tool": clients[name].status()["tool"]}
+            for name, path in paths.items()
+        }
+        with shown(clients[names[0]], given):
+            _start(clients, moves)
+    return 0
+
+
+def _with_tools(cell: Cell, clients: Mapping[str, ArmClient]) -> Cell:
+    """The arms of the clients with the tools on that their runtimes have on."""
+    return cell.with_arms(
+        [with_present_tool(p.arm, clients[p.name]) if p.name in clients else p.arm for p in cell.arms]
+    )
+
+
+def _joint_move(
+    cell: Cell, name: str, q_rad: tuple[float, ...], speed: float, clients: Mapping[str, ArmClient]
+) -> Motion:
+    """As the runtime will plan it from where the arm holds."""
+    start = tuple(clients[name].status()["joint_set_rad"])
+    return JointMove(start, q_rad, JointLimits.of(cell.placed(name).arm).scaled(speed))
+
+
+def _beside(
+    cell: Cell,
+    name: str,
+    other: str,
+    file: str,
+    motions: Mapping[str, Motion],
+    clients: Mapping[str, ArmClient],
+) -> PlannedPath:
+    """A path relative to the tip of another arm, which moves meanwhile; prints how long both take."""
+    if other == name or other not in motions:
+        raise ArmError(
+            f"together: --beside {name} {other}: expected another arm with --to, --run, or a --beside before it, got {other!r}"
+        )
+    offsets = read_waypoints(Path(file)) if file != KEEP else _present(cell, name, other, clients)
+    found = plan_beside(cell, name, other, motions[other], offsets, clients[name].status()["joint_rad"])
+    why = f", {found.slower:.2f} times as long as {other} alone{f': {found.limit}' if found.limit else ''}"
+    sys.stdout.write(f"{name}: beside {other}, {found.path.duration_s:.2f} s{why}\n")
+    sys.stdout.flush()
+    return found.path
+
+
+def _present(cell: Cell, name: str, other: str, clients: Mapping[str, ArmClient]) -> Waypoints:
+    """The offset at which the tips are now."""
+    tips = []
+    for arm in (name, other):
+        tip_m = clients[arm].status()["tip_set_m"]
+        if tip_m is None:
+            raise ArmError(f"together: --beside {name} {other} {KEEP}: arm {arm!r} is not homed")
+        tips.append(cell.placed(arm).in_cell(tip_m))
+    (x, y, z), (u, v, w) = tips
+    return Waypoints(((x - u, y - v, z - w),), None)
+
+
+def _start(clients: Mapping[str, ArmClient], moves: Mapping[str, Any]) -> None:
+    """Begin and wait; a single arm on its way to its first way-point moves alone."""
+    first = next(iter(moves))
+    if len(moves) == 1:
+        clients[first].move_joints(**moves[first])
+        return
+    move_together(clients, moves)
+
+
+def _move(q_rad: tuple[float, ...], speed: float) -> dict[str, Any]:
+    return {"q_rad": q_rad, "speed": speed}
+
+
+def _planned(cell: Cell, name: str, file: str, client: ArmClient) -> PlannedPath:
+    path = plan_path(
+        cell.placed(name).arm, read_waypoints(Path(file)), q_near_rad=client.status()["joint_rad"]
+    )
+    sys.stdout.write(f"{name}: {described(path)}")
+    sys.stdout.flush()
+    return path
+
+
+def _targets(given: argparse.Namespace) -> dict[str, tuple[float, ...]]:
+    """The joint angles of each `--to`."""
+    targets: dict[str, tuple[float, ...]] = {}
+    for name, *angles in given.to or ():
+        try:
+            targets[name] = tuple(finite(angle) for angle in angles)
+        except argparse.ArgumentTypeError as error:
+            raise ArmError(f"together: --to {name}: joint angles in rad: {error}") from None
+    return targets
+
+
+def run_follow(given: argparse.Namespace) -> int:
+    """Follow until Enter or Ctrl-C, or until the follower is stopped."""
+    cell = load_cell(given.cell)
+    leader, follower = cell.placed(given.leader), cell.placed(given.follower)
+    if leader is follower:
+        raise ArmError(f"follow: expected two arms, got {leader.name!r} twice")
+    require_alike(leader, follower)
+    signs = mirror_signs(leader, follower) if given.mirrored else (1.0,) * follower.arm.joint_count
+    with connected_arms(given, (leader.name, follower.name)) as clients:
+        following = Following(clients[leader.name], clients[follower.name], follower, signs)
+        sys.stderr.write(
+            f"arm {follower.name!r} follows arm {leader.name!r}: guide it by hand (`armwright guide --weightless --arm"
+            f" {leader.name}`) or move it; {'Enter or ' if sys.stdin.isatty() else ''}Ctrl-C ends it\n"
+        )
+        following.run(_Steps(following).go_on)
+    return 0
+
+
+class _Steps:
+    """Says what limits the follower, once each, and looks for Enter."""
+
+    def __init__(self, following: Following) -> None:
+        self._following = following
+        self._said = ""
+
+    def go_on(self) -> bool:
+        """Whether nobody has pressed Enter."""
+        limited = self._following.limited
+        if limited and limited != self._said:
+            sys.stderr.write(f"armwright: {limited}\n")
+        self._said = limited
+        return not (sys.stdin.isatty() and select.select([sys.stdin], [], [], 0.0)[0])
+
+
+OF_BOTH = ("seat",)  # options that both kinds of session have
+
+
+def session_of_contacts(given: argparse.Namespace) -> int:
+    """Start or resume a session of contacts, and run it until the operator ends it or all are done."""
+    for name in (*(option for option in OPTIONS if option not in OF_BOTH), "socket"):
+        if getattr(given, name) is not None:
+            raise SessionError(
+                f"--{name} is for one arm at a board: with --cell, the contacts are in --contacts"
+            )
+    if given.has_arm:
+        raise SessionError("--arm is for one arm at a board: the arms are those of --cell")
+    cell = load_cell(given.cell)
+    names = pair_of(cell, given.arms)
+    identity, interface = _identity(cell, names), Interface.of(given)
+    wanted = _wanted(given, cell, names, identity)
+    require_writable(Path(given.out))
+    if given.mock:
+        if given.scenario is not None:
+            load_scenario(given.scenario)
+        with _folder(given, wanted, identity) as folder:
+            _introduce(folder, interface)
+            with mock_pair(cell, folder, given.scenario) as bench:
+                hand = MockPairHand(cell, names, bench) if folder.plan.seat == "hand" else None
+                station = pair_station(cell, names, bench.clients, 1.0, last_s(folder), hand)
+                words = ContactWords(folder.plan, names)
+                interface.conduct(folder, words, conduct(folder, station), hand is not None)
+    else:
+        if (Path(given.out) / SCENARIO).exists():
+            raise SessionError(f"{given.out}: this session belongs to mock arms: add --mock")
+        with connected_arms(given, names) as clients:
+            _with_arms(given, cell, names, clients, wanted, identity, interface)
+    return 0
+
+
+def _with_arms(
+    given: argparse.Namespace,
+    cell: Cell,
+    names: Names,
+    clients: Mapping[str, ArmClient],
+    wanted: SessionPlan | None,
+    identity: str,
+    interface: Interface,
+) -> None:
+    for client in clients.values():
+        client.take_control()
+    status = {name: ready(clients[name], name) for name in names}[names[0]]
+    with _folder(given, wanted, identity) as folder:
+        _introduce(folder, interface)
+        station = pair_station(cell, names, clients, SPEED, since_start_s(folder, status))
+        interface.conduct(folder, ContactWords(folder.plan, names), conduct(folder, station), may_auto=False)
+
+
+def _folder(given: argparse.Namespace, wanted: SessionPlan | None, identity: str) -> SessionFolder:
+    folder = SessionFolder(Path(given.out), wanted)
+    try:
+        require_same(folder, identity)
+    except SessionError:
+        folder.close()
+        raise
+    return folder
+
+
+def _wanted(given: argparse.Namespace, cell: Cell, names: Names, identity: str) -> SessionPlan | None:
+    """The plan of the options; None if none is given, which resumes the session."""
+    if given.contacts is None:
+        if (Path(given.out) / PLAN).exists() and given.seat is None:
+            return None
+        raise SessionError(
+            "--contacts: expected a file of planned contacts (`armwright plan-contacts --out FILE`)"
+        )
+    arms = (cell.placed(names[0]).arm, cell.placed(names[1]).arm)
+    planned, _ = read_contacts(Path(given.contacts), arms)
+    plan = contact_plan(names, identity, planned, given.seat or "hand")
+    plan.require_sound()
+    return plan
+
+
+def _identity(cell: Cell, names: Names) -> str:
+    """Of both arms' parameters and their order."""
+    return hashlib.sha256("".join(fingerprint(cell.placed(name).arm) for name in names).encode()).hexdigest()
+
+
+def _introduce(folder: SessionFolder, interface: Interface) -> None:
+    plan = folder.plan
+    interface.introduce(folder, f"contacts of {plan.arm}, tips brought together by {plan.seat}")
