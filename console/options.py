@@ -67,9 +67,19 @@ def finite(text: str) -> float:
     return value
 
 
-def option(*flags: str, **details: Any) -> Option:
-    """An option or positional argument with argparse's keywords."""
-    return Option(flags, details)
+def option(usage: str, what: str, **details: Any) -> Option:
+    """An option or positional argument as `--help` shows it, such as `--speed F`; without a value, `--json`, it is a flag.
+
+    `what` is its help, `details` are further keywords of argparse.
+    """
+    words = usage.split()
+    flags = tuple(word for word in words if word.startswith("-")) or (words[0],)
+    values = tuple(words[len(flags) :])
+    if values:
+        details["metavar"] = values if len(values) > 1 else values[0]
+    elif flags[0].startswith("-") and not details.keys() & {"action", "choices", "nargs"}:
+        details["action"] = "store_true"
+    return Option(flags, {"help": what, **details})
 
 
 def settle_arm(given: argparse.Namespace) -> None:
@@ -116,19 +126,17 @@ def _value(given: argparse.Namespace, flag: str) -> object:
 
 USERS_ARM = ""  # default of --arm: the user's own (console.user_config)
 ARM = option(
-    "--arm",
-    default=USERS_ARM,
-    metavar="A",
-    help="an arm.toml, or the name of a supplied arm or of one that runs (default: $ARMWRIGHT_ARM, `arm` in"
+    "--arm A",
+    "an arm.toml, or the name of a supplied arm or of one that runs (default: $ARMWRIGHT_ARM, `arm` in"
     " ~/.config/armwright/config.toml, or right)",
+    default=USERS_ARM,
 )
 CELL = option(
-    "--cell",
-    metavar="C",
-    help="a cell.toml, or the name of a supplied cell (pair): several arms instead of one (docs/two_arms.md)",
+    "--cell C",
+    "a cell.toml, or the name of a supplied cell (pair): several arms instead of one (docs/two_arms.md)",
 )
-SOCKET = option("--socket", metavar="PATH", help="the runtime's socket (default: chosen by the arm's name)")
-OUT = option("--out", metavar="DIR", required=True, help="folder for the results; created if missing")
+SOCKET = option("--socket PATH", "the runtime's socket (default: chosen by the arm's name)")
+OUT = option("--out DIR", "folder for the results; created if missing", required=True)
 
 
 def out_unless(flag: str) -> Option:
@@ -137,79 +145,45 @@ def out_unless(flag: str) -> Option:
     return Option(("--out",), {"metavar": "DIR", "help": what}, unless=flag)
 
 
-JSON = option("--json", action="store_true", help="print JSON for another program")
+JSON = option("--json", "print JSON for another program")
 WIRE_AT = option(
-    "--wire-at",
-    metavar="NAME=X,Y,Z",
+    "--wire-at NAME=X,Y,Z",
+    "the fixed point of a wire is known: in m, in the base frame; may be repeated",
     action="append",
-    help="the fixed point of a wire is known: in m, in the base frame; may be repeated",
 )
 FREE_ZERO = option(
-    "--free-zero",
-    action="store_true",
-    help="identify the zero of each wire, too: its readings count from an unknown length",
+    "--free-zero", "identify the zero of each wire, too: its readings count from an unknown length"
 )
-BOARDS = option(
-    "--boards",
-    metavar="FILE",
-    help="boards.json of `armwright register`: where the board stands in each setup",
-)
+BOARDS = option("--boards FILE", "boards.json of `armwright register`: where the board stands in each setup")
 
 
 def points(what: str, *, is_required: bool = False) -> Option:
     """One or more points.csv."""
-    return option(
-        "--points", metavar="P", action="append", required=is_required, help=f"{what}; may be repeated"
-    )
+    return option("--points P", f"{what}; may be repeated", action="append", required=is_required)
 
 
 AS_GIVEN = option(
     "--as-given",
-    action="store_true",
-    help="the points mean what they say: do not refuse them for what they look like (another unit, another arm)",
+    "the points mean what they say: do not refuse them for what they look like (another unit, another arm)",
 )
 
 
 def payload(what: str, **details: Any) -> Option:
     """A mass at the tip."""
-    return option("--payload", type=finite, metavar="KG", help=what, **details)
+    return option("--payload KG", what, type=finite, **details)
 
 
 def scenario(**details: Any) -> Option:
     """What the mock arm hides."""
     what = "scenario of the mock arm: a file or a supplied name (default: demo); docs/mock_robot.md"
-    return option("--scenario", metavar="S", help=what, **details)
+    return option("--scenario S", what, **details)
 
 
-RATE = option(
-    "--rate",
-    type=finite,
-    metavar="HZ",
-    help="cycles per second (default: 500, or what the arm's boards carry)",
-)
+RATE = option("--rate HZ", "cycles per second (default: 500, or what the arm's boards carry)", type=finite)
 LINKS = (
-    option(
-        "--encoder",
-        metavar="URL",
-        action="append",
-        help="serial port of an encoder board, or any pyserial URL",
-    ),
-    option(
-        "--can-interface", metavar="NAME", help="python-can's interface: socketcan, slcan, udp_multicast, ..."
-    ),
-    option(
-        "--can-channel", metavar="CHANNEL", help="python-can's channel: can0, /dev/ttyACM1, 239.74.163.2, ..."
-    ),
-    option(
-        "--can-option",
-        metavar="K=V",
-        action="append",
-        help="passed to python-can's interface, e.g. port=43113",
-    ),
-    option(
-        "--camera-port",
-        type=int,
-        metavar="PORT",
-        help="UDP port on which camera frames arrive (docs/camera.md)",
-    ),
+    option("--encoder URL", "serial port of an encoder board, or any pyserial URL", action="append"),
+    option("--can-interface NAME", "python-can's interface: socketcan, slcan, udp_multicast, ..."),
+    option("--can-channel CHANNEL", "python-can's channel: can0, /dev/ttyACM1, 239.74.163.2, ..."),
+    option("--can-option K=V", "passed to python-can's interface, e.g. port=43113", action="append"),
+    option("--camera-port PORT", "UDP port on which camera frames arrive (docs/camera.md)", type=int),
 )

@@ -2,10 +2,8 @@
 
 from console.options import ARM, CELL, JSON, LINKS, RATE, SOCKET, CommandSpec, finite, option
 
-PLACES = option("--places", metavar="FILE", default="places.toml", help="named places (default: places.toml)")
-MOVE_SPEED = option(
-    "--speed", type=finite, default=0.5, metavar="F", help="fraction of the joints' limits (default: 0.5)"
-)
+PLACES = option("--places FILE", "named places (default: places.toml)", default="places.toml")
+MOVE_SPEED = option("--speed F", "fraction of the joints' limits (default: 0.5)", type=finite, default=0.5)
 OPERATING = (
     CommandSpec(
         "serve",
@@ -16,7 +14,7 @@ OPERATING = (
             *LINKS,
             RATE,
             SOCKET,
-            option("--log", metavar="DIR", default="log", help="folder of the recordings (default: log)"),
+            option("--log DIR", "folder of the recordings (default: log)", default="log"),
         ),
         (
             "Drives stay off until `armwright enable`. Ctrl-C stops the arm, holds it, lowers it on shorted windings and"
@@ -37,19 +35,9 @@ OPERATING = (
             CELL,
             SOCKET,
             PLACES,
-            option(
-                "--teach",
-                metavar="FILE",
-                default="taught.csv",
-                help="way-points taught by hand (default: taught.csv)",
-            ),
-            option("--keep", metavar="FILE", help="save every executed line for `armwright script`"),
-            option(
-                "--sessions",
-                metavar="DIR",
-                default="sessions",
-                help="calibration sessions (default: sessions)",
-            ),
+            option("--teach FILE", "way-points taught by hand (default: taught.csv)", default="taught.csv"),
+            option("--keep FILE", "save every executed line for `armwright script`"),
+            option("--sessions DIR", "calibration sessions (default: sessions)", default="sessions"),
         ),
         "Space always stops the arm. `?` shows the keys. The console is a client: `armwright serve` runs the arm.",
     ),
@@ -59,11 +47,7 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option(
-                "--modes",
-                action="store_true",
-                help="print all modes and what leads from one to another instead",
-            ),
+            option("--modes", "print all modes and what leads from one to another instead"),
             JSON,
         ),
     ),
@@ -74,7 +58,7 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("--again", action="store_true", help="home again even if the boards know their zeros"),
+            option("--again", "home again even if the boards know their zeros"),
         ),
         "Nothing moves if all encoder boards still know their zeros.",
         module="requests",
@@ -85,27 +69,20 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("--joints", type=finite, nargs="+", metavar="RAD", help="joint angles in rad"),
-            option(
-                "--tip",
-                type=finite,
-                nargs=3,
-                metavar=("X", "Y", "Z"),
-                help="tip position in m, in the arm's base frame",
-            ),
+            option("--joints RAD", "joint angles in rad", type=finite, nargs="+"),
+            option("--tip X Y Z", "tip position in m, in the arm's base frame", type=finite, nargs=3),
             option(
                 "--frame",
+                "with --tip: the arm's base frame, which no calibration moves (default), or that of the camera or tracker,"
+                " where `calibrate` has found it",
                 choices=("base", "tracker"),
                 default="base",
-                help="with --tip: the arm's base frame, which no calibration moves (default), or that of the camera or tracker,"
-                " where `calibrate` has found it",
             ),
             option(
-                "--orientation",
+                "--orientation QW QX QY QZ",
+                "with --tip: orientation of the last link frame in that frame, a unit quaternion",
                 type=finite,
                 nargs=4,
-                metavar=("QW", "QX", "QY", "QZ"),
-                help="with --tip: orientation of the last link frame in that frame, a unit quaternion",
             ),
             MOVE_SPEED,
         ),
@@ -118,25 +95,20 @@ OPERATING = (
         (
             ARM,
             SOCKET,
+            option("file FILE", "CSV with x_m,y_m,z_m and optionally qw,qx,qy,qz and speed_m_s"),
+            option("--speed M_S", "one speed for all way-points, in m/s", type=finite),
             option(
-                "file", metavar="FILE", help="CSV with x_m,y_m,z_m and optionally qw,qx,qy,qz and speed_m_s"
-            ),
-            option("--speed", type=finite, metavar="M_S", help="one speed for all way-points, in m/s"),
-            option(
-                "--relative-to",
-                metavar="ARM",
-                help="way-points are offsets from this arm's tip, where it holds now, along the axes of the cell",
+                "--relative-to ARM",
+                "way-points are offsets from this arm's tip, where it holds now, along the axes of the cell",
             ),
             option(
-                "--cell",
-                metavar="C",
+                "--cell C",
+                "with --relative-to: the cell.toml that `serve` runs (default: pair)",
                 default="pair",
-                help="with --relative-to: the cell.toml that `serve` runs (default: pair)",
             ),
             option(
                 "--plan-only",
-                action="store_true",
-                help="check and print the plan from where the arm is; without a runtime from [rest], and says so",
+                "check and print the plan from where the arm is; without a runtime from [rest], and says so",
             ),
         ),
         "Everything is checked before anything moves: reach, joint limits, speed, acceleration, table.",
@@ -145,14 +117,14 @@ OPERATING = (
     CommandSpec(
         "go",
         "move to a named place",
-        (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="name in the places file"), MOVE_SPEED),
+        (ARM, SOCKET, PLACES, option("name NAME", "name in the places file"), MOVE_SPEED),
         "The file is TOML: [NAME] with q_rad (one per joint) or tip_m (3).",
         module="moving",
     ),
     CommandSpec(
         "mark",
         "save the present pose as a named place",
-        (ARM, SOCKET, PLACES, option("name", metavar="NAME", help="letters, digits, - and _")),
+        (ARM, SOCKET, PLACES, option("name NAME", "letters, digits, - and _")),
         module="moving",
     ),
     CommandSpec(
@@ -161,8 +133,8 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("file", metavar="FILE", help="CSV for `armwright run`; created if missing"),
-            option("--orientation", action="store_true", help="with the tip's orientation, in a new file"),
+            option("file FILE", "CSV for `armwright run`; created if missing"),
+            option("--orientation", "with the tip's orientation, in a new file"),
         ),
         (
             "Guide the arm by hand (`armwright guide`), teach, repeat; then `armwright hold`. `run` moves gently to the"
@@ -176,16 +148,15 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("file", metavar="FILE", help="a recording (.armlog) in which the arm was guided by hand"),
-            option("--run", type=int, metavar="N", help="its run (default: the last one guided by hand)"),
+            option("file FILE", "a recording (.armlog) in which the arm was guided by hand"),
+            option("--run N", "its run (default: the last one guided by hand)", type=int),
             option(
-                "--speed",
+                "--speed F",
+                "fraction of the limits that the motion may use (default: 1)",
                 type=finite,
                 default=1.0,
-                metavar="F",
-                help="fraction of the limits that the motion may use (default: 1)",
             ),
-            option("--plan-only", action="store_true", help="check and print the plan; needs no runtime"),
+            option("--plan-only", "check and print the plan; needs no runtime"),
         ),
         "It takes longer where the hand was faster than the limits.",
         module="script",
@@ -196,19 +167,13 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("--joint", type=int, metavar="J", help="a joint, from 1"),
+            option("--joint J", "a joint, from 1", type=int),
+            option("--axis", "along an axis; with r, about it", choices=("x", "y", "z", "rx", "ry", "rz")),
+            option("--frame", "whose axis (default: base)", choices=("base", "tip"), default="base"),
             option(
-                "--axis", choices=("x", "y", "z", "rx", "ry", "rz"), help="along an axis; with r, about it"
+                "--by STEP", "rad for a joint or about an axis, m along an axis", type=finite, required=True
             ),
-            option("--frame", choices=("base", "tip"), default="base", help="whose axis (default: base)"),
-            option(
-                "--by",
-                type=finite,
-                required=True,
-                metavar="STEP",
-                help="rad for a joint or about an axis, m along an axis",
-            ),
-            option("--speed", type=finite, metavar="V", help="rad/s or m/s (default: the limit for jogging)"),
+            option("--speed V", "rad/s or m/s (default: the limit for jogging)", type=finite),
         ),
         "The arm stops at once if the command is interrupted. Exit status 1 if the step could not be completed.",
         module="moving",
@@ -218,7 +183,7 @@ OPERATING = (
     CommandSpec(
         "override",
         "scale the speed of this and later motions",
-        (ARM, SOCKET, option("fraction", type=finite, metavar="F", help="0.01 to 1 of the planned speed")),
+        (ARM, SOCKET, option("fraction F", "0.01 to 1 of the planned speed", type=finite)),
         module="requests",
     ),
     CommandSpec(
@@ -227,7 +192,7 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("seconds", type=finite, nargs="?", metavar="S", help="default: until the arm is at rest"),
+            option("seconds S", "default: until the arm is at rest", type=finite, nargs="?"),
         ),
         module="requests",
     ),
@@ -237,8 +202,8 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("file", metavar="FILE", help="text, one command per line; - is standard input"),
-            option("--check", action="store_true", help="only print what would be done; needs no runtime"),
+            option("file FILE", "text, one command per line; - is standard input"),
+            option("--check", "only print what would be done; needs no runtime"),
             JSON,
         ),
         "All lines are checked before the first one runs. The script ends at the first failure. A line that ends"
@@ -248,11 +213,9 @@ OPERATING = (
         "stop",
         "controlled stop, then hold, for every runtime of this user or one",
         (
-            option("--arm", metavar="A", help="only this arm (default: all running arms)"),
+            option("--arm A", "only this arm (default: all running arms)"),
             SOCKET,
-            option(
-                "--take", action="store_true", help="end another client's control, too: for one that hangs"
-            ),
+            option("--take", "end another client's control, too: for one that hangs"),
         ),
         "Needs no valid file: if --arm cannot be read, all arms stop. Exit status 1 if a runtime does not answer or"
         " none runs.",
@@ -265,10 +228,9 @@ OPERATING = (
             SOCKET,
             option(
                 "--weightless",
-                action="store_true",
-                help="gravity compensation by the drives; only as good as the masses and the payload are known",
+                "gravity compensation by the drives; only as good as the masses and the payload are known",
             ),
-            option("--yes", action="store_true", help="do not ask: somebody holds the arm"),
+            option("--yes", "do not ask: somebody holds the arm"),
         ),
         "Asks before it releases the arm. Stays until Enter, or until `armwright hold` or `stop` ends it from elsewhere; Ctrl-C"
         " shorts the windings.",
@@ -282,10 +244,8 @@ OPERATING = (
         (
             ARM,
             SOCKET,
-            option("--quit", action="store_true", help="also end the runtime"),
-            option(
-                "--yes", action="store_true", help="do not ask: somebody holds an arm that its boards let go"
-            ),
+            option("--quit", "also end the runtime"),
+            option("--yes", "do not ask: somebody holds an arm that its boards let go"),
         ),
         "An arm that its boards held when the runtime connected falls when they let go: asks before.",
         module="requests",
@@ -294,10 +254,9 @@ OPERATING = (
 
 
 CELL_OF_CLIENT = option(
-    "--cell",
-    metavar="C",
+    "--cell C",
+    "the cell.toml that `serve` runs, or the name of a supplied cell (default: pair)",
     default="pair",
-    help="the cell.toml that `serve` runs, or the name of a supplied cell (default: pair)",
 )
 CELLS = (
     CommandSpec(
@@ -306,32 +265,25 @@ CELLS = (
         (
             CELL_OF_CLIENT,
             option(
-                "--to",
+                "--to ARM RAD",
+                "joint angles of an arm in rad, as --to left 0.6 0.1 0.7",
                 action="append",
                 nargs="+",
-                metavar=("ARM", "RAD"),
-                help="joint angles of an arm in rad, as --to left 0.6 0.1 0.7",
             ),
             option(
-                "--run",
-                action="append",
-                nargs=2,
-                metavar=("ARM", "FILE"),
-                help="way-points of an arm, as for `armwright run`",
+                "--run ARM FILE", "way-points of an arm, as for `armwright run`", action="append", nargs=2
             ),
             option(
-                "--beside",
+                "--beside ARM OTHER FILE",
+                "way-points of an arm from where OTHER's tip is at that moment; `keep` as FILE: as the tips are now",
                 action="append",
                 nargs=3,
-                metavar=("ARM", "OTHER", "FILE"),
-                help="way-points of an arm from where OTHER's tip is at that moment; `keep` as FILE: as the tips are now",
             ),
             option(
-                "--speed",
+                "--speed F",
+                "fraction of the joints' limits, with --to (default: 0.5)",
                 type=finite,
                 default=0.5,
-                metavar="F",
-                help="fraction of the joints' limits, with --to (default: 0.5)",
             ),
         ),
         "Give --to, --run or --beside for each arm. All is checked before anything moves, the arms against each other too.",
@@ -342,12 +294,10 @@ CELLS = (
         "one arm follows another, which a hand guides or a program moves",
         (
             CELL_OF_CLIENT,
-            option("--leader", required=True, metavar="ARM", help="the arm that is guided or moved"),
-            option("--follower", required=True, metavar="ARM", help="the arm that follows, jogged"),
+            option("--leader ARM", "the arm that is guided or moved", required=True),
+            option("--follower ARM", "the arm that follows, jogged", required=True),
             option(
-                "--mirrored",
-                action="store_true",
-                help="as in a mirror halfway between the two bases (default: the same joint angles)",
+                "--mirrored", "as in a mirror halfway between the two bases (default: the same joint angles)"
             ),
         ),
         "The follower first moves to where the leader is. It keeps to the limits of jogs, and away from the other arm.",
@@ -364,7 +314,7 @@ END_EFFECTOR = (
         (
             ARM,
             SOCKET,
-            option("name", metavar="NAME", nargs="?", help="a [[tool]] of arm.toml (default: list them)"),
+            option("name NAME", "a [[tool]] of arm.toml (default: list them)", nargs="?"),
             JSON,
         ),
         "The tip, the masses and the collision checks change with it. The arm must be at rest.",
@@ -376,12 +326,10 @@ END_EFFECTOR = (
         (
             ARM,
             SOCKET,
-            option("action", choices=("open", "close", "stop"), nargs="?", help="default: print its state"),
-            option("--to", type=finite, metavar="M", help="an opening in m, 0 is closed"),
-            option(
-                "--force", type=finite, metavar="N", help="gripping force in N (default: force_N of arm.toml)"
-            ),
-            option("--must-hold", action="store_true", help="exit status 1 if it holds nothing at the end"),
+            option("action", "default: print its state", choices=("open", "close", "stop"), nargs="?"),
+            option("--to M", "an opening in m, 0 is closed", type=finite),
+            option("--force N", "gripping force in N (default: force_N of arm.toml)", type=finite),
+            option("--must-hold", "exit status 1 if it holds nothing at the end"),
             JSON,
         ),
         "Returns when it has come to its end, or holds something. It stops with Ctrl-C, and with `armwright stop`.",
@@ -393,10 +341,10 @@ END_EFFECTOR = (
         (
             ARM,
             SOCKET,
-            option("name", metavar="NAME", nargs="?", help="a [[digital]] of arm.toml (default: list them)"),
-            option("level", choices=LEVELS, nargs="?", help="of an output"),
-            option("--until", choices=LEVELS, help="wait until the pin has this level"),
-            option("--timeout", type=finite, default=10.0, metavar="S", help="of --until (default: 10)"),
+            option("name NAME", "a [[digital]] of arm.toml (default: list them)", nargs="?"),
+            option("level", "of an output", choices=LEVELS, nargs="?"),
+            option("--until", "wait until the pin has this level", choices=LEVELS),
+            option("--timeout S", "of --until (default: 10)", type=finite, default=10.0),
             JSON,
         ),
         "Outputs go to their safe levels when the arm goes to FAULT or its drives go off, and stay there until they are set.",

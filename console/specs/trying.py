@@ -6,9 +6,9 @@ from control.model.board_kinds import KINDS
 
 FIRMWARE = option(
     "--firmware",
-    choices=("python", "c"),
-    help="what the mock's reference boards run: the mock's own in Python (default), or the firmware in C of"
+    "what the mock's reference boards run: the mock's own in Python (default), or the firmware in C of"
     " firmware_iface/firmware, which needs a C compiler",
+    choices=("python", "c"),
 )
 
 TRYING = (
@@ -18,44 +18,31 @@ TRYING = (
         (
             option(
                 "what",
+                "job: the full workflow (default); paper: the published experiment with its figures; gap: a"
+                " hidden effect, found and corrected; camera: the arm measured by a webcam; two-arms: two arms that touch",
                 nargs="?",
                 choices=("job", "paper", "gap", "camera", "two-arms"),
                 default="job",
-                help="job: the full workflow (default); paper: the published experiment with its figures; gap: a"
-                " hidden effect, found and corrected; camera: the arm measured by a webcam; two-arms: two arms that touch",
             ),
             option(
-                "--out",
-                metavar="DIR",
-                help="folder of the results; with something in it, the next free one: DIR-2 (default: out/demo, ...)",
+                "--out DIR",
+                "folder of the results; with something in it, the next free one: DIR-2 (default: out/demo, ...)",
             ),
+            option("--realtime", "run in real time: own processes, pty and UDP multicast"),
+            option("--seed N", "seed of the mock arm's hidden errors (default: the scenario's)", type=int),
             option(
-                "--realtime",
-                action="store_true",
-                help="run in real time: own processes, pty and UDP multicast",
+                "--scenario S",
+                "scenario of the mock arm: a file or a supplied name (default: demo, or paper)",
             ),
-            option(
-                "--seed",
-                type=int,
-                metavar="N",
-                help="seed of the mock arm's hidden errors (default: the scenario's)",
-            ),
-            option(
-                "--scenario",
-                metavar="S",
-                help="scenario of the mock arm: a file or a supplied name (default: demo, or paper)",
-            ),
-            option(
-                "--effect", metavar="NAME", help="demo gap: the hidden effect (default: drawn by the seed)"
-            ),
-            option("--joint", type=int, metavar="J", help="demo gap: its joint (default: drawn)"),
+            option("--effect NAME", "demo gap: the hidden effect (default: drawn by the seed)"),
+            option("--joint J", "demo gap: its joint (default: drawn)", type=int),
             option(
                 "--boards",
+                "drive the arm's joints with bought boards of this kind (docs/boards.md)",
                 choices=(*KINDS, "mixed"),
-                help="drive the arm's joints with bought boards of this kind (docs/boards.md)",
             ),
             ARM,
-            option("--cell", metavar="C", help="demo two-arms: a cell.toml with two arms (default: pair)"),
+            option("--cell C", "demo two-arms: a cell.toml with two arms (default: pair)"),
         ),
         "No hardware is connected and nothing real moves.",
     ),
@@ -64,13 +51,12 @@ TRYING = (
         "a fault on a mock arm: how soon it was noticed, what the arm did, what was lost",
         (
             option(
-                "name",
+                "name NAME",
+                "a drill of docs/drills.md, or how several begin (default: all, as a table)",
                 nargs="?",
-                metavar="NAME",
-                help="a drill of docs/drills.md, or how several begin (default: all, as a table)",
             ),
-            option("--mock", action="store_true", help="required: drills run on a mock arm only"),
-            option("--list", action="store_true", help="the names of all drills, and what each does"),
+            option("--mock", "required: drills run on a mock arm only"),
+            option("--list", "the names of all drills, and what each does"),
             FIRMWARE,
         ),
         "Exit status 1 if a promise of docs/safety.md was not kept.",
@@ -83,10 +69,9 @@ TRYING = (
             ARM,
             CELL,
             option(
-                "--scenario",
+                "--scenario S",
+                "scenario of the mock: a file or a supplied name (default: demo); docs/mock_robot.md",
                 default="demo",
-                metavar="S",
-                help="scenario of the mock: a file or a supplied name (default: demo); docs/mock_robot.md",
             ),
             FIRMWARE,
         ),
@@ -97,12 +82,12 @@ TRYING = (
 
 
 MOCK = (
-    option("--mock", action="store_true", help="use a mock arm on a stepped clock"),
+    option("--mock", "use a mock arm on a stepped clock"),
     scenario(),
-    option("--mock-arm", metavar="A", help="the arm that the mock simulates (default: --arm)"),
+    option("--mock-arm A", "the arm that the mock simulates (default: --arm)"),
 )
-NEW_ARM = option("--out", metavar="NEW.toml", required=True, help="the arm.toml to write; never overwritten")
-JOINTS = option("--joint", type=int, metavar="J", action="append", help="only this joint; may be repeated")
+NEW_ARM = option("--out NEW.toml", "the arm.toml to write; never overwritten", required=True)
+JOINTS = option("--joint J", "only this joint; may be repeated", type=int, action="append")
 
 BRINGUP = (
     CommandSpec(
@@ -110,54 +95,30 @@ BRINGUP = (
         "write a commented arm.toml from a few answers, a URDF or MJCF, or like a known arm; it runs on the mock at once",
         (
             NEW_ARM,
+            option("--like ARM", "copy a known arm (docs/arms.md), such as so101; with --name and --ports"),
+            option("--name NAME", "the arm's name (default: that of the file)"),
+            option("--joints N", "how many joints turn, 2 to 7"),
+            option("--axes zyy", "axis of each joint, stretched: z along the arm, y or x across"),
+            option("--lengths M", "in m: base to joint 2, joint to joint, last joint to tip", nargs="+"),
             option(
-                "--like",
-                metavar="ARM",
-                help="copy a known arm (docs/arms.md), such as so101; with --name and --ports",
-            ),
-            option("--name", metavar="NAME", help="the arm's name (default: that of the file)"),
-            option("--joints", metavar="N", help="how many joints turn, 2 to 7"),
-            option(
-                "--axes", metavar="zyy", help="axis of each joint, stretched: z along the arm, y or x across"
-            ),
-            option(
-                "--lengths",
-                metavar="M",
+                "--boards KIND",
+                "boards of the joints: one kind for all or one each (docs/boards.md)",
                 nargs="+",
-                help="in m: base to joint 2, joint to joint, last joint to tip",
             ),
+            option("--gears R", "motor turns per joint turn: one for all or one each", nargs="+"),
+            option("--counts C", "counts per turn of the encoder: one for all or one each", nargs="+"),
             option(
-                "--boards",
-                metavar="KIND",
+                "--encoders motor|joint", "the side of the gears on which the encoders are (default: motor)"
+            ),
+            option("--home yes|no", "whether every joint has a home switch and an index"),
+            option(
+                "--ports PORT",
+                "serial ports of encoder boards (three joints each), RoboClaws, and each kind of servos",
                 nargs="+",
-                help="boards of the joints: one kind for all or one each (docs/boards.md)",
             ),
-            option(
-                "--gears", metavar="R", nargs="+", help="motor turns per joint turn: one for all or one each"
-            ),
-            option(
-                "--counts",
-                metavar="C",
-                nargs="+",
-                help="counts per turn of the encoder: one for all or one each",
-            ),
-            option(
-                "--encoders",
-                metavar="motor|joint",
-                help="the side of the gears on which the encoders are (default: motor)",
-            ),
-            option("--home", metavar="yes|no", help="whether every joint has a home switch and an index"),
-            option(
-                "--ports",
-                metavar="PORT",
-                nargs="+",
-                help="serial ports of encoder boards (three joints each), RoboClaws, and each kind of servos",
-            ),
-            option("--can", metavar="I:C", help="CAN bus of the motor boards, such as socketcan:can0"),
+            option("--can I:C", "CAN bus of the motor boards, such as socketcan:can0"),
             *MODEL,
-            option(
-                "--yes", action="store_true", help="take the default of every question that no option answers"
-            ),
+            option("--yes", "take the default of every question that no option answers"),
         ),
         "Asks what no option answers; Enter takes the default. A model gives axes, lengths, masses and limits.",
     ),
@@ -169,17 +130,9 @@ BRINGUP = (
             *LINKS,
             RATE,
             *MOCK,
+            option("--seconds S", "how long to listen to the boards (default: 2)", type=finite, default=2.0),
             option(
-                "--seconds",
-                type=finite,
-                default=2.0,
-                metavar="S",
-                help="how long to listen to the boards (default: 2)",
-            ),
-            option(
-                "--log",
-                metavar="DIR",
-                help="folder of the recordings (default: log; with --mock an empty one of its own)",
+                "--log DIR", "folder of the recordings (default: log; with --mock an empty one of its own)"
             ),
             JSON,
         ),
@@ -196,22 +149,13 @@ BRINGUP = (
             NEW_ARM,
             JOINTS,
             option(
-                "--current",
+                "--current A",
+                "largest motor current in A (default: gravity load of the draft, with a margin for friction)",
                 type=finite,
-                metavar="A",
-                help="largest motor current in A (default: gravity load of the draft, with a margin for friction)",
             ),
-            option(
-                "--speed",
-                type=finite,
-                default=0.3,
-                metavar="RAD_S",
-                help="speed towards the end stops (default: 0.3)",
-            ),
-            option("--no-stops", action="store_true", help="do not approach the end stops"),
-            option(
-                "--yes", action="store_true", help="start motions without waiting for Enter; questions remain"
-            ),
+            option("--speed RAD_S", "speed towards the end stops (default: 0.3)", type=finite, default=0.3),
+            option("--no-stops", "do not approach the end stops"),
+            option("--yes", "start motions without waiting for Enter; questions remain"),
         ),
         "Stand beside the arm with the emergency stop in hand. After an interruption, the same command continues.",
         module="bringup",
@@ -226,26 +170,20 @@ BRINGUP = (
             NEW_ARM,
             JOINTS,
             option(
-                "--bandwidth",
+                "--bandwidth HZ",
+                "crossover frequency of the loop (default: as fast as the margins allow)",
                 type=finite,
-                metavar="HZ",
-                help="crossover frequency of the loop (default: as fast as the margins allow)",
             ),
             option(
-                "--amplitude",
+                "--amplitude F",
+                "signal amplitude as a fraction of the current limit (default: 0.25)",
                 type=finite,
                 default=0.25,
-                metavar="F",
-                help="signal amplitude as a fraction of the current limit (default: 0.25)",
             ),
             option(
-                "--pose",
-                type=finite,
-                nargs="+",
-                metavar="RAD",
-                help="joint angles to tune at (default: arm.toml's [rest])",
+                "--pose RAD", "joint angles to tune at (default: arm.toml's [rest])", type=finite, nargs="+"
             ),
-            option("--yes", action="store_true", help="start without asking"),
+            option("--yes", "start without asking"),
         ),
         (
             "Writes gains only with margins of at least 6 dB and 45 degrees, delay included. Starts its own runtime: end"
