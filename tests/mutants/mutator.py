@@ -38,7 +38,7 @@ class Mutant:
 
     @property
     def change(self) -> str:
-        """As tests/mutants/survivors.md lists it: without the line, which moves."""
+        """As tests/mutants/survivors.toml lists it: without the line, which moves."""
         return f"`{self.before}` to `{self.after}`"
 
     def __str__(self) -> str:

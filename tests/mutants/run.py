@@ -2,7 +2,7 @@
 `python -m tests.mutants.run --sample 300 --seed 1` (`make mutants SAMPLE=300`) of the whole product, changes drawn by chance.
 
 Each mutant runs in a forked process in which the mutated module is imported in place of the real one, with the tests of that
-module. One that no test fails has survived: tests/mutants/survivors.md lists the known ones of the safety layer with reasons;
+module. One that no test fails has survived: tests/mutants/survivors.toml lists the known ones of the safety layer with reasons;
 others are an error. A sample is an error where fewer than nine in ten are killed.
 """
 
@@ -17,6 +17,7 @@ import random
 import signal
 import sys
 import time
+import tomllib
 from collections.abc import Iterable, Sequence
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -30,7 +31,7 @@ from firmware_iface.installation import PACKAGES
 from tests.mutants.mutator import Mutant, mutants_of, sites_of
 
 ROOT = Path(__file__).parents[2]
-LIST = Path(__file__).with_name("survivors.md")
+LIST = Path(__file__).with_name("survivors.toml")
 TIMEOUT_s = 300
 TESTS: dict[str, tuple[str, ...]] = {
     "control.safety.limits": (
@@ -166,12 +167,13 @@ def _started(name: str, mutant: Mutant) -> int:
     os._exit(1)
 
 
-def _known() -> str:
-    return LIST.read_text("utf-8") if LIST.exists() else ""
+def _known() -> set[str]:
+    modules = tomllib.loads(LIST.read_text("utf-8")).values()
+    return {change for reasons in modules for changes in reasons.values() for change in changes}
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print the survivors; 1 if one is not listed in tests/mutants/survivors.md, or too many of a sample live."""
+    """Print the survivors; 1 if one is not listed in tests/mutants/survivors.toml, or too many of a sample live."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("modules", nargs="*", metavar="MODULE")
     parser.add_argument("--sample", type=int, help="how many changes of the whole product")
