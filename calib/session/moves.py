@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.arrays import Array
 from calib.boards import BoardPose
@@ -23,8 +24,10 @@ from calib.errors import SessionError
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
+from control.kinematics.rotation import logarithms
 from control.model.arm import Arm
 from control.model.table import board_cavities
+from control.motion.joint_limits import reach_m
 from control.tables import TableColumn, TableFormat, read_table
 
 # Interfaces of a session to the arm, the hand that seats the tip, and the camera. The runtime implements
@@ -384,19 +387,36 @@ MARGIN = 0.1  # of each joint's range, kept free at either end
 CLEARANCE_m = 0.12  # of tip and elbow above the floor and the board: an uncalibrated arm is some 3 cm off
 STILL_m = 1e-9  # a height that changes by less over all candidates does not depend on the joints
 REACH = 0.95  # of the longest reach among the candidates: a stretched arm is hard to see
+SEEN_CANDIDATES = 50_000  # of which few turn the last link so that a camera sees the target on it
+SEEN_TILT_rad = 0.7  # beyond it corners of a printed target are hard to find
+SEEN_SHARE = 0.4  # of the reach: a webcam that sees the whole arm sees so far around a place
 WAY_STEPS = 25
 UNLIMITED_rad = math.pi / 2  # range taken for a joint without limits
 
 
-def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
-    """`count` poses by name f1, f2, ..., in an order with short paths; SessionError if there is no room."""
+def chosen_free_poses(
+    arm: Arm, count: int, seen_rad: Sequence[float] | None = None
+) -> dict[str, tuple[float, ...]]:
+    """`count` poses by name f1, f2, ..., in an order with short paths; SessionError if there is no room.
+
+    `seen_rad`: a pose in which a camera sees the target on the last link from the front. It sees it also where that link is
+    turned by no more than SEEN_TILT_rad and has moved by no more than SEEN_SHARE of the reach; only such poses are taken.
+    """
     lower, upper = _ranges(arm)
-    unit = np.random.default_rng(count).uniform(0.0, 1.0, (CANDIDATES, arm.joint_count))
+    draw = np.random.default_rng(count)
+    unit = draw.uniform(0.0, 1.0, (CANDIDATES if seen_rad is None else SEEN_CANDIDATES, arm.joint_count))
+    if seen_rad is not None:
+        unit = unit[_is_seen(arm, lower + unit * (upper - lower), seen_rad)][:CANDIDATES]
     q_rad = lower + unit * (upper - lower)
+    if len(q_rad) < count:
+        raise SessionError(
+            f"--free {count}: only {len(q_rad)} candidate poses of arm {arm.name} show the target as that of --seen does: give"
+            " fewer, another pose, or the poses in a file"
+        )
     space = _Space(arm, q_rad)
     is_clear = space.clearance_m(q_rad) > 0.0
-    reach_m = np.linalg.norm(space.kinematics.tips(q_rad), axis=1)
-    is_clear &= reach_m < REACH * reach_m.max()
+    out_m = np.linalg.norm(space.kinematics.tips(q_rad), axis=1)
+    is_clear &= out_m < REACH * out_m.max()
     if is_clear.sum() < count:
         raise SessionError(
             f"--free {count}: only {int(is_clear.sum())} of {CANDIDATES} candidate poses of arm {arm.name} are"
@@ -405,6 +425,14 @@ def chosen_free_poses(arm: Arm, count: int) -> dict[str, tuple[float, ...]]:
     rows = _spread(unit[is_clear], count)
     ordered = _ordered(space, q_rad[is_clear][rows])
     return {f"f{k + 1}": tuple(round(float(q), 4) for q in pose) for k, pose in enumerate(ordered)}
+
+
+def _is_seen(arm: Arm, q_rad: Array, seen_rad: Sequence[float]) -> npt.NDArray[np.bool_]:
+    frames = ForwardKinematics(arm).link_transforms(np.vstack((seen_rad, q_rad)))[:, -1]
+    turned = logarithms(frames[1:, :3, :3] @ frames[0, :3, :3].T)
+    moved_m = np.linalg.norm(frames[1:, :3, 3] - frames[0, :3, 3], axis=1)
+    near_m = SEEN_SHARE * reach_m(arm)
+    return np.asarray((np.linalg.norm(turned, axis=1) <= SEEN_TILT_rad) & (moved_m <= near_m))
 
 
 FREE_POSES = TableFormat(

@@ -55,6 +55,12 @@ RECORDING = (
                 "free poses for pictures that you take with a webcam: angles alone, and the name of each picture",
                 default=None,
             ),
+            option(
+                "--seen RAD",
+                "with --free N: joint angles at which the camera sees the target from the front; poses that show it, too",
+                type=finite,
+                nargs="+",
+            ),
             option("--mock", "use a stepped mock arm with a mock hand that seats the tip"),
             scenario(),
             option("--replay SCRIPT", "read answers from a file, one per line"),

@@ -37,6 +37,7 @@ OPTIONS = (
     "board",
     "camera",
     "pictures",
+    "seen",
 )
 MOST_FREE = 500
 PLAN = TableFormat(
@@ -108,12 +109,24 @@ def _free(given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:
         count = int(given.free)
         if not 1 <= count <= MOST_FREE:
             raise SessionError(f"--free: expected 1 to {MOST_FREE} poses or a file, got {count}")
-        poses = chosen_free_poses(arm, count)
+        poses = chosen_free_poses(arm, count, _seen_rad(given, arm))
     else:
         poses = read_free_poses(Path(given.free), arm.joint_count)
         for name, q_rad in poses.items():
             _require_inside(f"{given.free}, pose {name}", arm, q_rad)
     return free_targets(poses, _positive(given.repeats, "--repeats"))
+
+
+def _seen_rad(given: argparse.Namespace, arm: Arm) -> list[float] | None:
+    """The pose of --seen."""
+    if given.seen is None:
+        return None
+    if len(given.seen) != arm.joint_count:
+        raise SessionError(
+            f"--seen: expected {arm.joint_count} joint angles in rad (`armwright status`), got {len(given.seen)}"
+        )
+    _require_inside("--seen", arm, given.seen)
+    return list(given.seen)
 
 
 def _from_file(path: Path, given: argparse.Namespace, arm: Arm) -> tuple[Target, ...]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.calibration.owned_arms import _pictured, _shows_board
 from calib.errors import SessionError
 from calib.points.writer import Record
 from calib.session.conduct import Boards
@@ -18,10 +19,12 @@ from calib.session.folder import SessionFolder
 from calib.session.moves import chosen_free_poses, read_free_poses
 from calib.session.plan import Mark, SessionPlan, SessionState, board_targets, free_targets
 from calib.session.residual_watch import RecordVerdict
+from console.main import main
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Link
 from control.model.description import load_arm
 from control.model.table import board_cavities, table_of
+from hil_mocks.scenario import load_scenario
 from procedures.session.operator import (
     HELP,
     Auto,
@@ -137,6 +140,29 @@ def test_free_poses_are_spread_clear_of_the_table_and_always_the_same() -> None:
     assert kinematics.tips(ways)[:, 2].min() > 0.05, "on the way from one to the next, too"
     apart = np.linalg.norm(q_rad[:, None] - q_rad[None], axis=2) + 9.0 * np.eye(12)
     assert apart.min() > 0.8
+
+
+def test_poses_around_one_that_a_webcam_sees_show_it_the_board_too() -> None:
+    """On an SO-101 in front of a webcam; without `seen_rad` some seven of 70 poses do."""
+    arm = load_arm("so101")
+    pictured = _pictured(arm, load_scenario("ideal"))
+    seen_rad = (0.55, -0.95, 1.24, 0.03, 1.38)
+    assert _shows_board(pictured, seen_rad)
+    shown = [
+        sum(_shows_board(pictured, pose) for pose in chosen_free_poses(arm, 70, around).values())
+        for around in (None, seen_rad)
+    ]
+    assert shown[0] < 12
+    assert shown[1] > 40
+
+
+@pytest.mark.parametrize(("seen", "said"), [("0.5 0.1", "expected 5 joint angles"), ("0 0 0 0 9", "--seen")])
+def test_a_seen_pose_that_cannot_be_is_refused(
+    seen: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"session --arm so101 --mock --free 5 --pictures --seen {seen} --out {tmp_path / 's'}"
+    assert main(line.split()) == 2
+    assert said in capsys.readouterr().err
 
 
 def in_modified_dh(arm: Arm) -> Arm:
