@@ -99,7 +99,10 @@ def board_points(roll_rad: float = 0.0, pitch_rad: float = 0.0) -> np.ndarray:
 
 
 def angles_for(model: ChainModel, dh: np.ndarray, tips_m: np.ndarray, seed_rad: np.ndarray) -> np.ndarray:
-    """Joint angles (m, n) that put the tip of an arm with parameters dh at tips_m, by Newton from one seed."""
+    """Joint angles (m, n) that put the tip of an arm with parameters dh at tips_m, by Newton from one seed.
+
+    A step after one of a nanoradian would be rounding: each leaves of the error its square.
+    """
     q = np.tile(seed_rad, (len(tips_m), 1)).astype(float)
     for _ in range(60):
         miss = tips_m - model.tips(dh, q)
@@ -108,6 +111,8 @@ def angles_for(model: ChainModel, dh: np.ndarray, tips_m: np.ndarray, seed_rad: 
         )
         step = np.einsum("mnk,mk->mn", np.linalg.pinv(jacobian), miss)
         q += step * np.minimum(1.0, 0.4 / np.maximum(1e-12, np.abs(step).max(axis=1, keepdims=True)))
+        if np.abs(step).max() < 1e-9:
+            break
     return q
 
 
