@@ -29,6 +29,8 @@ def seated(
         move = np.linalg.pinv(slopes.by_dh[:, :, list(model.theta_places)])
         step = np.einsum("mnk,mk->mn", move, tips_m - slopes.tips)
         q += step * np.minimum(1.0, 0.4 / np.maximum(1e-12, np.abs(step).max(axis=1, keepdims=True)))
+        if np.abs(step).max() < 1e-9:  # the next one would be rounding
+            break
     return q
 
 
