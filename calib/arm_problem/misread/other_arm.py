@@ -25,6 +25,7 @@ import numpy as np
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.misread.points import Doubt
 from calib.arm_problem.parameters import Bounds, dh_parameters
+from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, norms, slim_product
 from calib.points.points import Points
 from control.model.arm import Arm
@@ -98,8 +99,9 @@ def doubts_of_arm(arm: Arm, points: Points, choice: Choice | None = None) -> tup
         return ()
     some = points.chosen(range(0, len(points), -(-len(points) // ROWS_LIMIT)))
     candidates = [_Candidate(arm, "", ""), *_alternatives(arm, (choice or Choice()).bounds)]
-    size = min(_fitted(one.arm, some, choice, LARGEST).size for one in candidates)
-    own, *others = [_fitted(one.arm, some, choice, size) for one in candidates]
+    problems = [problem_of(one.arm, some, choice) for one in candidates]
+    size = min(_fitted(one, LARGEST).size for one in problems)
+    own, *others = [_fitted(one, size) for one in problems]
     rivals = [
         (c, fit) for c, fit in zip(candidates[1:], others, strict=True) if fit.left <= AS_GOOD * own.left
     ]
@@ -183,9 +185,8 @@ def _subsets(links: list[int]) -> Iterator[tuple[int, ...]]:
     return chain(((k,) for k in links), (tuple(links),))
 
 
-def _fitted(arm: Arm, points: Points, choice: Choice | None, size: float) -> _Fit:
-    """The most probable deviations of this arm: Gauss-Newton's steps with Student's weights."""
-    own = problem_of(arm, points, choice)
+def _fitted(own: ArmProblem, size: float) -> _Fit:
+    """The most probable deviations of an arm: Gauss-Newton's steps with Student's weights."""
     has_bound = np.array([one.has_bound for one in own.parameters])
     prior = np.diag(np.where(has_bound, size**-2, UNBOUNDED))
     x, scale_m, normal = np.zeros(len(prior)), np.inf, prior
