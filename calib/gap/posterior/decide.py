@@ -331,7 +331,7 @@ RIVAL_LEVEL, RIVAL_DEPARTURE = SIZE_LEVELS[2], DEPARTURES[2]  # a large one, of 
 
 def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
     """Every effect of the list, the middle one of its variants, with those that it cannot be told from."""
-    gram = evidence.gram.tip + evidence.gram.current
+    gram = evidence.gram
     names = {
         key: numbers[len(numbers) // 2]
         for key, numbers in evidence.of_key.items()
@@ -340,8 +340,8 @@ def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
     columns = [evidence.places[k][: evidence.terms[k].laws] for k in names.values()]
     every, ends = np.concatenate([*columns, []]).astype(int), np.cumsum([len(own) for own in columns])
     places = {key: slice(end - len(own), end) for key, own, end in zip(names, columns, ends, strict=True)}
-    alone = np.diagonal(gram)[every]
-    beside = {rival: alone - _taken(evidence, gram, every, k) for rival, k in names.items()}
+    alone = gram.tip[every, every] + gram.current[every, every]
+    beside = {rival: alone - _taken(evidence, every, k) for rival, k in names.items()}
     found = []
     for key, at in places.items():
         seen_sd = _detectability(alone[at])
@@ -354,13 +354,13 @@ def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
     return tuple(found)
 
 
-def _taken(evidence: Evidence, gram: Array, columns: Array, rival: int) -> Array:
+def _taken(evidence: Evidence, columns: Array, rival: int) -> Array:
     """What a rival takes at most of G's diagonal at `columns`: all that the root mean square of what is left needs."""
     at, one = evidence.places[rival], evidence.terms[rival]
     sd = np.full(len(at), RIVAL_LEVEL)
     sd[one.laws : one.laws + one.departures] *= RIVAL_DEPARTURE
-    across = sd[:, None] * gram[np.ix_(at, columns)]
-    inner = np.eye(len(at)) + sd[:, None] * gram[np.ix_(at, at)] * sd
+    across = sd[:, None] * evidence.gram.among(at, columns)
+    inner = np.eye(len(at)) + sd[:, None] * evidence.gram.among(at, at) * sd
     return np.asarray(np.einsum("ij,ij->j", across, np.linalg.solve(inner, across)))
 
 

@@ -50,6 +50,11 @@ class Gram:
     left: float
     freedom: float
 
+    def among(self, rows: Array, columns: Array, kappa: float = 1.0) -> Array:
+        """G of some columns with others, by tips whose noise is `kappa` times the floor and by currents; of all it is large."""
+        across = np.ix_(rows, columns)
+        return np.asarray(self.tip[across] / kappa**2 + self.current[across])
+
 
 @dataclass(frozen=True, slots=True)
 class Batch:
@@ -121,9 +126,9 @@ class Evidence:
 
     def _inner(self, at: Array, sd: Array, kappa: float) -> Array:
         """Cholesky factor of I + V^1/2 G V^1/2."""
-        across = np.ix_(at, at)
-        seen = self.gram.tip[across] / kappa**2 + self.gram.current[across]
-        return np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * seen * sd)
+        return np.asarray(
+            np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * self.gram.among(at, at, kappa) * sd)
+        )
 
     def added(self, members: Sequence[Member], kappa: float, key: Key | None = None) -> Added:
         """What every term (or only those of a key) would add to a set."""
@@ -132,8 +137,7 @@ class Evidence:
         pull = self.gram.pull[some] / kappa**2 + self.gram.current_pull[some]
         taken = np.zeros((0, len(pull)))
         if len(at):
-            across = np.ix_(at, some)
-            seen = self.gram.tip[across] / kappa**2 + self.gram.current[across]
+            seen = self.gram.among(at, some, kappa)
             own = sd * (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
             inner = self._inner(at, sd, kappa)
             both = np.linalg.inv(inner) @ np.column_stack((sd[:, None] * seen, own))

@@ -82,17 +82,16 @@ class Told:
         gram = evidence.gram
         if before is not None:
             gram = before.beside(gram, evidence.terms, evidence.places, -1.0)
-        seen = gram.tip / best.kappa**2 + gram.current
         pull = gram.pull / best.kappa**2 + gram.current_pull
-        inner = np.eye(len(p)) + sd[:, None] * seen[np.ix_(p, p)] * sd
-        across = np.column_stack((sd[:, None] * seen[np.ix_(p, s)], sd * pull[p]))
+        inner = np.eye(len(p)) + sd[:, None] * gram.among(p, p, best.kappa) * sd
+        across = np.column_stack((sd[:, None] * gram.among(p, s, best.kappa), sd * pull[p]))
         taken = across[:, :-1].T @ np.linalg.solve(inner, across)
         ends = np.cumsum([len(one) for one in laws])
         places = {
             key: np.arange(end - len(one), end)
             for key, one, end in zip(numbers, laws, ends.tolist(), strict=True)
         }
-        information = (seen[np.ix_(s, s)] - taken[:, :-1]) / np.outer(size, size)
+        information = (gram.among(s, s, best.kappa) - taken[:, :-1]) / np.outer(size, size)
         return cls(places, information, (pull[s] - taken[:, -1]) / size, size)
 
     def widened(self, name: EffectName, covariance: Array) -> Told:
