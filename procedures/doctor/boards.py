@@ -4,16 +4,19 @@ Each failure is a finding; the other boards are still checked. No drive is enabl
 """
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partialmethod
 
 from control.hardware.board_stop import knows_motor
 from control.hardware.connect import open_boards as open_kinds
+from control.hardware.interface import Feedback
 from control.hardware.opened import Opened
 from control.hardware.reference_encoders import start_stream
 from control.hardware.roles import Encoders
 from control.model.arm import Arm, Drive, EncoderBoardPort
+from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
 from firmware_iface.encoder import wire as encoder_wire
@@ -23,11 +26,13 @@ from firmware_iface.motor.board import MotorBoard, MotorBus
 from firmware_iface.motor.bus import BusScan, listen, scan_nodes
 from firmware_iface.motor.wire import MotorParameter, ResetCause
 from firmware_iface.serial_link import open_serial
-from procedures.doctor.finding import Finding, Level
+from procedures.doctor.finding import SUPPLY_LIMITS, Finding, Level, graded
 from procedures.doctor.host import CountedLink
 
 GROUP = "boards"
 LISTEN_S = 0.1
+# Of the 25 of a servo's spline. A joint that is off may rest on its end stop, a little beyond its range.
+HALF_A_TOOTH_rad = math.pi / 25
 ASKED = 50  # questions to a bought board, to see how fast it answers
 _RESETS = {
     ResetCause.WATCHDOG: (
@@ -133,6 +138,39 @@ def _open_bought(boards: AnsweringBoards, arm: Arm, clock: Clock, period_s: floa
             else "lower --rate, or raise the rate of the board's status messages"
         )
         boards.note(level, what, measured, expected, "" if level is Level.OK else remedy)
+    _look_at_values(boards, arm, opened)
+
+
+def _look_at_values(boards: AnsweringBoards, arm: Arm, opened: Opened) -> None:
+    """What the answers said of supply and place: of another version of a servo, or a zero that is not the joint's."""
+    counted = {joint for encoders in opened.encoders for joint in encoders.joints}
+    driven = {joint for drives in opened.drives for joint in drives.joints}
+    feedback = Feedback(1 + max(counted | driven, default=-1))
+    for encoders in opened.encoders:
+        encoders.take(feedback)
+    for drives in opened.drives:
+        drives.take(feedback)
+    for joint, drive in enumerate(arm.drives):
+        name = f"joint {drive.joint}"
+        if joint in driven and (supply_V := feedback.supply_V[joint]) > 0.0:
+            boards.findings.append(graded(GROUP, f"{name}: supply", abs(supply_V / drive.supply_V - 1.0), SUPPLY_LIMITS, (
+                f"{supply_V:.1f} V", f"{drive.supply_V:g} V",
+                "check the supply, and `servo` or supply_V in arm.toml",
+            )))  # fmt: skip
+        repeats_rad = arm.unique_rad(drive)
+        if joint not in counted or math.isinf(repeats_rad) or math.isinf(feedback.reported_at_s[joint]):
+            continue
+        q_rad = JointMap(drive).radians(feedback.count[joint])
+        lower, upper = drive.joint_lower_rad, drive.joint_upper_rad
+        places = (q_rad + turns * repeats_rad for turns in (-1, 0, 1))
+        if min(max(lower - place, place - upper) for place in places) > HALF_A_TOOTH_rad:
+            boards.warn(
+                f"{name}: where it stands",
+                f"{q_rad:.3f} rad",
+                f"{lower:.3f} to {upper:.3f} rad, its range",
+                "turn it into its range by hand; if it is there, its zero_count is not the count of its zero, or its horn is on"
+                " another tooth",
+            )
 
 
 def _took_s(encoders: Encoders, clock: Clock) -> float:

@@ -28,6 +28,9 @@ class Finding:
     remedy: str = ""
 
 
+SUPPLY_LIMITS = (0.1, 0.25)  # of the nominal
+
+
 def graded(
     group: str, what: str, value: float, limits: tuple[float, float], words: tuple[str, str, str]
 ) -> Finding:

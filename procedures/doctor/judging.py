@@ -10,14 +10,13 @@ from control.model.arm import Arm, Drive
 from control.model.can_bus import FRAME_bits
 from firmware_iface.encoder import wire
 from procedures.doctor.boards import BoardSamples, EncoderSamples, MotorSamples
-from procedures.doctor.finding import Finding, Level, graded, percentile
+from procedures.doctor.finding import SUPPLY_LIMITS, Finding, Level, graded, percentile
 
 REPLY_S = 0.0005  # within which a board replies
 CLOCK_LIMITS_ppm = (500.0, 5000.0)  # speeds are computed by board time: half a percent off is bad
 MOVED_counts = 20  # more than the dither of an encoder at rest
 NOISE_LIMITS_counts = (1.0, 3.0)
 OFFSET_LIMITS = (0.02, 0.1)  # of the current limit; it causes an unwanted torque
-SUPPLY_LIMITS = (0.1, 0.25)  # of the nominal
 TEMPERATURE_LIMITS_degC = (60.0, 80.0)
 LOST_LIMITS = (0.0, 0.01)  # of the frames
 MOST_NAMED = 3  # number of board messages shown

@@ -23,6 +23,8 @@ from procedures.doctor.boards import open_boards, sample
 from procedures.doctor.finding import Level, as_text, worst
 from procedures.doctor.judging import judge
 from tests.cell import open_cell, wired_to
+from tests.procedures.bringup.test_bought import SURVEY, brought
+from tests.procedures.bringup.test_bringup import said_of
 from tests.thirds import third_of
 
 OWNED = tuple(name for name in arm_names() if load_arm(name).boards)
@@ -93,13 +95,15 @@ def test_a_servo_gives_the_values_of_its_data_sheet_and_the_file_may_say_others(
     assert parse_arm(text.replace("XL330-M288", "XM430-W350"), Path("other.toml")).drives[2].supply_V == 12.0
 
 
-def found_bad(built: Arm, believed: Arm) -> str:
-    """What the doctor finds bad of boards that are those of another arm than the file says."""
+def found_bad(built: Arm, believed: Arm, level: Level = Level.BAD) -> str:
+    """What the doctor finds bad, or worth a warning, of boards that are those of another arm than the file says."""
     period_s = 1.0 / believed.usual_rate_Hz
     with SteppedRig(built, load_scenario("ideal")) as rig:
         boards = open_boards(wired_to(believed, rig), rig.clock, period_s)
         boards.close()
-    return "\n".join(finding.measured for finding in boards.findings if finding.level is Level.BAD)
+    return "\n".join(
+        f"{finding.what}: {finding.measured}" for finding in boards.findings if finding.level is level
+    )
 
 
 def test_servos_whose_ids_are_in_another_order_are_named_where_their_types_differ() -> None:
@@ -123,6 +127,33 @@ def test_servos_of_another_voltage_are_named_before_they_are_driven() -> None:
         in found_bad(weak, owned)
     )
     assert found_bad(weak, weak) == ""
+    assert found_bad(owned, weak).startswith("joint 1: supply: 12.0 V")
+
+
+def test_a_middle_that_is_not_at_its_zero_count_is_told_where_the_joint_then_reads_outside_its_range() -> (
+    None
+):
+    owned = load_arm("so101")
+    unset = dataclasses.replace(
+        owned.drives[1], zero_count=owned.drives[1].zero_count + 1700
+    )  # as it was screwed on
+    built = dataclasses.replace(owned, drives=(owned.drives[0], unset, *owned.drives[2:]))
+    assert found_bad(built, owned, Level.WARN) == "joint 2: where it stands: 2.207 rad"
+    assert found_bad(owned, owned, Level.WARN) == ""
+
+
+def test_bringup_finds_servos_of_one_type_whose_ids_are_in_another_order(tmp_path: Path) -> None:
+    draft = load_arm("so101")
+    first, second, *rest = draft.boards
+    swapped = (
+        dataclasses.replace(first, address=second.address),
+        dataclasses.replace(second, address=first.address),
+        *rest,
+    )
+    outcome, _ = brought(tmp_path, draft, SURVEY, real=dataclasses.replace(draft, boards=swapped))
+    said = said_of(outcome)
+    assert 'joint 1: SWAPPED MOTOR: board "shoulder_lift" (output 1) moves it' in said
+    assert 'joint 2: SWAPPED MOTOR: board "shoulder_pan" (output 1) moves it' in said
 
 
 @pytest.mark.parametrize(("joint", "teeth"), [(2, 1), pytest.param(3, -1, marks=pytest.mark.nightly)])
