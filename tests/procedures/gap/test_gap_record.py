@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibrationError
+from calib.gap.leads import gears_by_leads
 from calib.gap.log import Log, read_log
 from calib.gap.plan.collision_free_box import collision_free_box
 from calib.gap.plan.motions import MotionLimits, multisine
@@ -26,8 +27,17 @@ from control.model.description import load_arm
 from hil_mocks.devices.mocap import BASE_m, BASE_turn_rad, TARGET_turn_rad
 from hil_mocks.devices.mocap import rotation_of as turn_of
 from procedures.gap.recording import note, record
-from procedures.mock import SteppedBench
+from procedures.mock import SteppedBench, scenario_bytes
 from procedures.tour import Bench
+from tests.cell import scenario
+from tests.control.loop.test_encoder_places import (
+    BELT,
+    HIDDEN,
+    PLAY_rad,
+    arm_of_four,
+    slow,
+    with_both,
+)
 
 PLACE = tuple(quaternions(turn_of(BASE_turn_rad)[None])[0].tolist())
 STREAM = CameraStream("vicon", "tool", "base", origin_m=BASE_m, orientation=PLACE)
@@ -145,6 +155,34 @@ def test_runs_are_whole_on_one_clock_and_repeats_are_told_by_their_set_points(re
     both = min(len(first), len(second))
     assert np.abs(first.q_set_rad[:both] - second.q_set_rad[:both]).max() < 1e-6
     assert np.abs(first.q_rad - first.q_set_rad).max() < 0.01
+
+
+@pytest.mark.nightly
+def test_gears_between_two_encoders_are_named_from_what_was_recorded(tmp_path: Path) -> None:
+    """An arm that is not supplied, whose belt makes leads beyond the usual `transmission_slack_rad`, as its fault then says."""
+    both = with_both(slow(arm_of_four("joint")))
+    arm = dataclasses.replace(both, limits=dataclasses.replace(both.limits, transmission_slack_rad=0.1))
+    file = tmp_path / "scenario.toml"
+    file.write_bytes(scenario_bytes(scenario((0.1, 0.2, 0.3, 0.1), homed=True, effect=HIDDEN)))
+    room, limits = collision_free_box(arm), MotionLimits.of(arm)
+    swings = [multisine(room, limits, (0.1, 0.5), 1.0, 8.0, seed) for seed in (1, 2, 3)]
+    runs = tuple(PlannedRun(str(number), "swing", swing, 0.0) for number, swing in enumerate(swings, 1))
+    bench = SteppedBench(arm, file, tmp_path / "log")
+    try:
+        client = bench.start(arm)
+        client.enable()
+        client.home()
+        mine = Bench(client, next((tmp_path / "log").glob("*.armlog")), has_camera=False)
+        record(arm, mine, RecordingPlan(room, runs, 30.0), tmp_path / "out", lambda *_: None)
+        bench.stop()
+    finally:
+        bench.close()
+    log, warnings = read_log(tmp_path / "out" / "log.csv", 4)
+    assert warnings == ()
+    found = {str(effect.name): effect.parameters for effect in gears_by_leads(arm, log)}
+    assert found["belt_coupling on joint 3"]["ratio"][0] == pytest.approx(BELT, rel=0.03)
+    assert found["backlash on joint 3"]["width_rad"][0] == pytest.approx(PLAY_rad, rel=0.15)
+    assert found.keys() >= {"backlash on joint 2", "joint_compliance on joint 2"}
 
 
 def test_the_folder_of_another_plan_is_left_alone(recorded: Recorded) -> None:
