@@ -104,9 +104,10 @@ def filled(
     bent, alike = departures(sought.around.scene, series.departs, joint, laws)
     departs = [own for own in (bent, more or {}) if own]
     count, bends = (sum(next(iter(own.values())).shape[1] for own in some) for some in ([laws], departs))
+    now = term.now if term.now is None else np.insert(term.now, count, np.zeros(bends))
     yield dataclasses.replace(
         term, words=str(term.key), laws=count, departures=bends, variable=series.variable, traits=sought.record.traits,
-        response=stacked([laws, *departs, *nuisances]), alike=alike,
+        response=stacked([laws, *departs, *nuisances]), alike=alike, now=now,
         curve=None if towards is None else Curve(count + bends, *towards, term.size),
     )  # fmt: skip
 
@@ -167,7 +168,9 @@ FINER = (1.0, 1.2)  # times what was found, the next time: the second says how t
 
 @dataclass(frozen=True, slots=True)
 class Bent:
-    """A law that the rows follow in no straight line: starts of its first value, and steps of the others that are free."""
+    """A law that the rows follow in no straight line: starts of its first value; what the others are like, with the standard
+    deviations to which that is known before any data, and how large they may be.
+    """
 
     starts: tuple[float, ...]
     others: tuple[float, ...] = ()
@@ -183,7 +186,11 @@ def _stepped(values: tuple[float, ...], steps: Sequence[float]) -> list[tuple[fl
 
 
 def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
-    """The secant from nought to each start, how the next start's differs from it, and what the other values' steps do."""
+    """The secant from nought to each start, how the next start's differs from it, and what the other values' steps do.
+
+    These are counted from what the others are like before any data, wherever the model of this linearisation has them: else each
+    linearisation would add as much again to what is known of them.
+    """
     around, own, form = sought.around, sought.own, sought.series.form
     rows, (base, at) = around.scene.columns, around.without(sought.key)
     first = bent.starts if own is None else tuple(own.values[0] * k for k in FINER)
@@ -207,12 +214,15 @@ def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
         reach = SPEAKS_FOR[0] * value, min(SPEAKS_FOR[1] * value, bent.most)
 
         def law_of(c: Array, reach: tuple[float, float] = reach) -> Law:
-            more = np.array(others) + np.array(steps) * c[len(c) - len(steps) :]
+            more = np.array(bent.others) + np.array(steps) * c[len(c) - len(steps) :]
             return law.at((float(np.clip(c[0] * size, *reach)), *np.clip(more, 0.0, bent.upper).tolist()))
 
+        now = None
+        if own is not None and math.isclose(own.values[0], value):
+            now = np.array([value / size, 0.0, *((np.array(others) - bent.others) / steps)])
         term = SeriesTerm(
             sought.key, size=size, law=law_of, variant=value, is_positive=True, least=reach[0] / size, most=reach[1] / size,
-            now=np.array([value / size]) if own is not None and math.isclose(own.values[0], value) else None,
+            now=now,
         )  # fmt: skip
         yield from filled(sought, term, parts[0], parts[1:], towards=(value, first[near]))
 

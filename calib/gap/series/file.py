@@ -20,7 +20,7 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import known_laws, other_forms
 from calib.gap.finding import EffectName
 from calib.gap.residuals.rows import ResidualRows
-from calib.gap.series.linear import SeriesFit
+from calib.gap.series.linear import SeriesFit, without_each
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.series.validation import Member
 from calib.gap.signals.terms import Law
@@ -65,6 +65,7 @@ class _Laws:
     places: tuple[slice, ...]
     whole: Array
     parted: Array  # (groups, c)
+    bent: Mapping[int, Array]  # by number, of laws whose response bends: (groups, all their columns)
     grams: tuple[Array, ...]  # of columns and y, by group
     ridge: Array
 
@@ -88,7 +89,8 @@ class _Laws:
         )
         total = np.sum(grams, axis=0)
         parted = np.array([_solved(total - own, ridge) for own in grams] if len(grams) > 1 else [])
-        return cls(tuple(some), ways, places, _solved(total, ridge), parted, grams, ridge)
+        bent = _bent(fit, some, groups) if len(grams) > 1 else {}
+        return cls(tuple(some), ways, places, _solved(total, ridge), parted, bent, grams, ridge)
 
     def sizes(self) -> dict[int, Array]:
         """By number of the term, of all its columns."""
@@ -101,7 +103,10 @@ class _Laws:
         """The posterior's, which counts departures, or the spread between the groups of runs where that is larger."""
         found = {}
         for one, place in zip(self.members, self.places, strict=True):
-            covariance, spread = one.covariance.copy(), self._spread()[place]
+            covariance = one.covariance.copy()
+            spread = jackknife_variance(
+                self.bent[one.number] if one.number in self.bent else self.parted[..., place]
+            )
             for k, variance in enumerate(spread.tolist()):
                 factor = math.sqrt(max(1.0, variance / max(covariance[k, k], 1e-300)))
                 covariance[k, :] *= factor
@@ -120,13 +125,6 @@ class _Laws:
             apart = sizes[one.number][: one.term.laws] - one.size[: one.term.laws]
             found[one.number][: len(apart), : len(apart)] += np.outer(apart, apart)
         return found
-
-    def _spread(self) -> Array:
-        """Jackknife variance over the groups of runs, (c,)."""
-        groups = len(self.parted)
-        if groups < GROUPS_LEAST:
-            return np.zeros(len(self.whole))
-        return np.asarray((groups - 1) * np.var(self.parted, axis=0))
 
     def against(self) -> dict[EffectName, str]:
         """The name that stands least, if one does not, and why."""
@@ -162,6 +160,29 @@ class _Laws:
             size = np.append(-_solved((total - own)[across], self.ridge[keep[:-1]]), 1.0)
             missed += float(size @ own[across] @ size)
         return missed
+
+
+def _bent(fit: SeriesFit, some: Sequence[Member], groups: Sequence[Picked]) -> dict[int, Array]:
+    """Coefficients of laws whose response bends, as the posterior has them without one group of runs in turn."""
+    curved = {one.number for one in some if one.term.curve is not None}
+    found: dict[int, Array] = {}
+    if not curved:
+        return found
+    parted, first = without_each(fit, groups), fit.linear.first
+    for number in fit.numbers:
+        count = fit.linear.terms[number].count
+        if number in curved:
+            found[number] = parted[:, first : first + count]
+        first += count
+    return found
+
+
+def jackknife_variance(parted: Array) -> Array:
+    """Variance (c,) by values without one group of runs in turn, (groups, c); none where groups are few."""
+    groups = len(parted)
+    if groups < GROUPS_LEAST:
+        return np.zeros(parted.shape[-1])
+    return np.asarray((groups - 1) * np.var(parted, axis=0))
 
 
 def _is_listed(one: Member) -> bool:

@@ -276,6 +276,23 @@ def refitted(fit: SeriesFit, numbers: Sequence[int]) -> tuple[Array, Array]:
     return covariance @ pull, covariance
 
 
+def without_each(fit: SeriesFit, groups: Sequence[Picked]) -> Array:
+    """`refitted` of the best set without one of some groups of rows (k,) in turn: coefficients, (groups, c)."""
+    linear, scene, at = fit.linear, fit.around.scene, fit.linear.at(fit.numbers)
+    scales, across, noise = fit.evidence.scales, np.ix_(at, at), fit.best.kappa**2
+    sd = np.concatenate([np.ones(linear.first), *(scales[k][0][h] for k, h in fit.best.members)])
+    white = linear.whitened(np.column_stack((linear.thin_columns(at), linear.thin_y)), fit.noises)
+    found = []
+    for group in groups:
+        rows = white[scene.picked(group & scene.kept)]
+        own = rows.T @ rows
+        seen = (fit.gram.tip[across] - own[:-1, :-1]) / noise + fit.gram.current[across]
+        pull = (fit.gram.pull[at] - own[:-1, -1]) / noise + fit.gram.current_pull[at]
+        inner = np.eye(len(sd)) + sd[:, None] * seen * sd
+        found.append(sd * np.linalg.solve(inner, sd * pull))
+    return np.array(found)
+
+
 def left(fit: SeriesFit, numbers: Sequence[int], drop: Collection[int] = ()) -> Array:
     """What terms of the best set leave of all rows (rows,), refitted beside nuisances, without those of `drop`."""
     linear, (size, _) = fit.linear, refitted(fit, numbers)

@@ -10,12 +10,22 @@ import pytest
 from benchmarks.gap.dynamic.cases import Asked, made
 from benchmarks.gap.dynamic.score import arm_of
 from benchmarks.gap.dynamic.score import log_of as log_of_case
+from calib.gap.effects.catalogue import known_laws, series_terms
 from calib.gap.effects.gear import SPRING
 from calib.gap.finding import EffectName
+from calib.gap.posterior.evidence import Weighed
+from calib.gap.residuals.rows import ResidualRows
+from calib.gap.residuals.scene import OperatingPoint, SeriesScene
 from calib.gap.residuals.term import Curve, SeriesTerm
+from calib.gap.residuals.whitening import Noise
 from calib.gap.series.answer import covariance_of_values
+from calib.gap.series.file import jackknife_variance
 from calib.gap.series.find import examine, find
+from calib.gap.series.linear import SeriesLinear, refitted, weighed, without_each
+from calib.gap.series.split import split
 from calib.gap.series.validation import Member
+from calib.gap.signals.physics import Physics
+from calib.gap.signals.recording import prepare
 from calib.gap.signals.terms import Law
 from tests.calib.gap.series.prescribed import LONG, log_of
 
@@ -44,6 +54,48 @@ def test_a_value_at_the_end_of_its_range_is_known_no_better_for_that() -> None:
     """The coefficient says 9, the law stays at 4: between them nothing tells."""
     found = covariance_of_values(soft(9.0, 0.2))
     assert np.sqrt(found[0, 0]) == pytest.approx(np.hypot(0.2, 5.0) * UNIT_rad_Nm)
+
+
+@pytest.fixture(scope="module")
+def around() -> OperatingPoint:
+    """A model that has a spring on joint 2."""
+    known = known_laws(LONG)
+    rows = ResidualRows(Physics(LONG, prepare(LONG, log_of(LONG))), known)
+    law = Law(SPRING_2, SPRING, (1e-3, 2.3, 0.1))
+    return OperatingPoint.of(SeriesScene(rows, known), known, {SPRING_2: law})
+
+
+def test_each_linearisation_counts_a_damping_from_what_dampings_are_like(around: OperatingPoint) -> None:
+    """Counted from what was found, each would allow it to go as far again."""
+    spring = next(series_terms(around, keys={SPRING_2}))
+    assert spring.law is not None
+    assert spring.now is not None
+    assert len(spring.now) == spring.count
+    assert spring.now[-2:] == pytest.approx([(2.3 - 0.8) / 0.5, 0.1 / 0.5])
+    assert spring.law(spring.now).values == pytest.approx((1e-3, 2.3, 0.1))
+    assert spring.law(np.eye(spring.count)[0]).values[1:] == pytest.approx((0.8, 0.0))
+
+
+def test_a_group_of_runs_is_left_out_as_if_it_had_not_been_recorded(around: OperatingPoint) -> None:
+    scene = around.scene
+    linear = SeriesLinear.around(around, list(series_terms(around, keys={SPRING_2})))
+    parts = split(scene.recording, scene.rows.table)
+    noises = [Noise.white(len(scene.recording.runs))] * len(scene.cells)
+    fit = weighed(around, linear, noises, parts, [])
+    fit = replace(fit, decision=replace(fit.decision, best=Weighed(((0, 5),), 1.0, 0.0)))
+    first = parts.groups[0]
+    rest = replace(fit, gram=linear.gram(noises, scene.picked(parts.deciding & ~first)))
+    whole, without = without_each(fit, [np.zeros_like(first), first])
+    assert whole == pytest.approx(refitted(fit, [0])[0])
+    assert without == pytest.approx(refitted(rest, [0])[0])
+    assert without != pytest.approx(whole, rel=1e-3)
+
+
+def test_the_variance_of_a_mean_follows_from_the_means_of_all_groups_but_one() -> None:
+    values = np.random.default_rng(5).normal(size=(9, 2))
+    parted = np.array([np.delete(values, k, axis=0).mean(axis=0) for k in range(9)])
+    assert jackknife_variance(parted) == pytest.approx(values.var(axis=0, ddof=1) / 9)
+    assert not jackknife_variance(parted[:2]).any()
 
 
 def test_a_rotor_that_the_file_does_not_know_is_said_and_taken_for_no_other_effect() -> None:
