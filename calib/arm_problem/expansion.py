@@ -196,11 +196,10 @@ def frame_curvature(arms: Array, weight: Array, turn_rad: Array) -> Array:
 
 def crossed(weight: Array, axes: Array) -> Array:
     """Weight x axes along the coordinate: (3, m) and (..., 3, m)."""
-    found = np.empty_like(axes)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.multiply(weight[j], axes[..., k, :], out=found[..., i, :])
-        found[..., i, :] -= weight[k] * axes[..., j, :]
-    return found
+    about, around = np.concatenate((weight, weight[:2])), np.concatenate((axes, axes[..., :2, :]), axis=-2)
+    found = about[1:4] * around[..., 2:5, :]
+    found -= about[2:5] * around[..., 1:4, :]
+    return np.asarray(found)
 
 
 def _order(k: int, is_modified: bool) -> Order:

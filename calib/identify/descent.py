@@ -225,8 +225,10 @@ class _Descent:
 
     def _merit(self, there: Quadratic) -> float:
         """The merit function: the objective with the present smoothing, plus regularisation."""
-        value = self._sample.value_of(there.residuals, self._here.smoothing_m)
-        return value + 0.5 * float(there.x @ self._held @ there.x)
+        return self._sample.value_of(there.residuals, self._here.smoothing_m) + self._regularisation(there)
+
+    def _regularisation(self, there: Quadratic) -> float:
+        return 0.5 * float(there.x @ self._held @ there.x)
 
     def ended(self) -> SearchEnd:
         """Take steps until the predicted decrease is too small."""
@@ -234,7 +236,7 @@ class _Descent:
             here = self._here
             if float(np.max(np.abs(here.residuals))) < NOTHING_M:
                 return SearchEnd(here.x, steps, True)
-            value, excess_m = self._merit(here), self._excess()
+            value, excess_m = self._value()
             d, promise = self._step()
             if promise > max(self._goal.tolerance * value, LAGS * excess_m):
                 self._try(d, promise, value, self._less() if promise < AHEAD * excess_m else here.smoothing_m)
@@ -248,13 +250,14 @@ class _Descent:
                 return SearchEnd(here.x, steps, False)
         return SearchEnd(self._here.x, self._goal.step_limit, False)
 
-    def _excess(self) -> float:
-        """What the smoothing adds to the objective, if it will be reduced further."""
-        here = self._here
-        if here.smoothing_m <= self._last_m or self._sample.objective.is_smooth:
-            return 0.0
-        smoothed = self._sample.value_of(here.residuals, here.smoothing_m)
-        return smoothed - self._sample.value_of(here.residuals, 0.0)
+    def _value(self) -> tuple[float, float]:
+        """The merit function here, and what the smoothing adds to it, if it will be reduced further."""
+        here, objective = self._here, self._sample.objective
+        distances = objective.distances(here.residuals)
+        smoothed = objective.value(distances, here.smoothing_m)
+        is_last = here.smoothing_m <= self._last_m or objective.is_smooth
+        excess_m = 0.0 if is_last else smoothed - objective.value(distances, 0.0)
+        return smoothed + self._regularisation(here), excess_m
 
     def _less(self) -> float:
         """The next smoothing."""

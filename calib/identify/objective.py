@@ -65,7 +65,8 @@ class _Rounded:
 
     def value(self, distances_m: Array, smoothing_m: float) -> float:
         """Sum of sqrt(s^2 + smoothing^2)."""
-        return float(np.sum(np.hypot(distances_m, smoothing_m)))
+        lengths = np.hypot(distances_m, smoothing_m) if smoothing_m else np.abs(distances_m)
+        return float(np.sum(lengths))
 
     def weights(self, distances_m: Array, smoothing_m: float) -> tuple[Array, Array]:
         """1/sqrt(s^2 + e^2) and e^2/sqrt(s^2 + e^2)^3, of s and smoothing e."""

@@ -156,7 +156,8 @@ def _concentrated(fit: LinearFit, distances: Array, count: int) -> Array:
         chosen = np.zeros(len(fit), dtype=bool)
         chosen[np.argpartition(distances, count - 1)[:count]] = True
         distances = norms(fit.fitted(chosen))
-        value = float(np.partition(distances, count - 1)[:count] @ np.partition(distances, count - 1)[:count])
+        nearest = np.partition(distances, count - 1)[:count]
+        value = float(nearest @ nearest)
         if value >= before * (1.0 - 1e-9):
             break
         before = value
