@@ -5,7 +5,7 @@ for this arm's numbers (see `control.kinematics.tracing`); their derivatives are
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from control.errors import ArmError, MissingModel
 from control.kinematics import chain
 from control.kinematics.chain import tips_and_dh_jacobian
-from control.kinematics.tracing import Graph, Scalar, Symbol, compile_function, derivative, shared
+from control.kinematics.tracing import KEPT, Graph, Scalar, Symbol, compile_function, derivative, shared
 from control.model.arm import Arm, Convention, Vector3
 
 Array = NDArray[np.float64]
@@ -218,7 +218,7 @@ class Corners:
     """Corner positions [m] in the base frame, from the base to the tip: of the moving link frames, and the tip.
 
     The body runs in straight lines between them, as thick as [[link]] radius_m says. Scalar for the cycle, and in batches for
-    the check of a whole motion; from the same chain as the tip.
+    the check of a whole motion; from the same chain as the tip. Equal where the numbers are.
 
     `first_free`: index of the first corner that is not on the base or on the link that joint 2 hangs on to it.
     `radii_m`: of the body that ends at each corner. `joints`: how many joints move each. `start_m`: where the first of these
@@ -227,79 +227,86 @@ class Corners:
 
     def __init__(self, arm: Arm) -> None:
         """MissingModel if nothing of the arm moves: the tip and all frames lie on all axes."""
-        self._arm = arm
-        graph = Graph()
-        names = [graph.variable(f"q{i}") for i in range(1, arm.joint_count + 1)]
-        self._inputs = names
-        self._traced, self.first_free, self.radii_m = _traced(arm, names)
-        if not self._traced:
+        rows, radii = tuple(map(tuple, arm.dh.tolist())), tuple(link.radius_m for link in arm.links)
+        self._numbers = rows, arm.joints, arm.dh_convention, arm.tool.position_m, radii
+        self._inputs, self._outputs, self.first_free, self.radii_m, self.joints, self.start_m = _traced(
+            *self._numbers
+        )
+        if not self._outputs:
             raise MissingModel(
                 f"arm {arm.name}: no joint moves its tip or a link: check d_m and L_m of its links, and the tip"
             )
-        self.joints, self.start_m = _carried(arm, names)
 
-    @cached_property
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Corners) and self._numbers == other._numbers
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
+
+    @shared
     def at(self) -> Callable[..., tuple[Vector3, ...]]:
         """`at(q1, ..., qn)` -> the corners."""
-        return self._compiled("corners", None)
+        return compile_function("corners", self._inputs, self._outputs)
 
     def batch(self, q_rad: ArrayLike) -> list[NDArray[np.float64]]:
         """Corners of poses (m, n): one array (3, m) a corner."""
-        poses = chain.checked_poses(q_rad, self._arm.joint_count)
+        poses = chain.checked_poses(q_rad, len(self._inputs))
         found = self._batch(*poses.T)
         return [np.stack([np.broadcast_to(x, len(poses)) for x in corner]) for corner in found]
 
-    @cached_property
+    @shared
     def _batch(self) -> Callable[..., Any]:
-        return self._compiled("corners", np)
-
-    def _compiled(self, name: str, library: Any) -> Callable[..., Any]:
-        q, outputs = self._inputs, tuple(self._traced)
-        return (
-            compile_function(name, q, outputs)
-            if library is None
-            else compile_function(name, q, outputs, library)
-        )
+        return compile_function("corners", self._inputs, self._outputs, np)
 
 
-def _traced(arm: Arm, q: list[Symbol]) -> tuple[list[tuple[Any, ...]], int, tuple[float, ...]]:
-    """The corners as expressions, without those that never move or equal the one before; `first_free` and `radii_m`."""
+class TracedCorners(NamedTuple):
+    """The angles' symbols, the corners as expressions of them, and what `Corners` says of these."""
+
+    inputs: list[Symbol]
+    outputs: tuple[tuple[Any, ...], ...]
+    first_free: int
+    radii_m: tuple[float, ...]
+    joints: tuple[int, ...]
+    start_m: Vector3
+
+
+@lru_cache(maxsize=KEPT)
+def _traced(
+    rows: tuple[tuple[float, ...], ...],
+    turns: tuple[bool, ...],
+    convention: Convention,
+    tool_m: Vector3,
+    link_radii_m: tuple[float, ...],
+) -> TracedCorners:
+    """Without corners that never move or equal the one before."""
+    graph = Graph()
+    q = [graph.variable(f"q{i}") for i in range(1, sum(turns) + 1)]
     found: list[tuple[Any, ...]] = []
     radii: list[float] = []
-    rows, turns = arm.dh.tolist(), arm.joints
-    first_free: int | None = None
-    for count in range(1, len(rows) + 1):
-        steps = chain.steps(rows[:count], turns[:count], arm.dh_convention)
-        corner = chain.tip(steps, q, (0.0, 0.0, 0.0))
-        if any(isinstance(x, Symbol) for x in corner) and not (found and _is_same(rows[count - 1])):
-            found.append(corner)
-            radii.append(arm.links[count - 1].radius_m)
-        if first_free is None and sum(turns[:count]) >= 2:
-            first_free = max(len(found) - 1, 0)
-        if count == len(rows) and any(arm.tool.position_m):
-            found.append(chain.tip(steps, q, arm.tool.position_m))
-            radii.append(arm.links[count - 1].radius_m)
-    return found, len(found) if first_free is None else first_free, tuple(radii)
-
-
-def _carried(arm: Arm, q: list[Symbol]) -> tuple[tuple[int, ...], Vector3]:
-    """The number of joints before each corner, and the last origin of a frame that never moves."""
-    rows, turns = arm.dh.tolist(), arm.joints
     joints: list[int] = []
     start_m: Vector3 = (0.0, 0.0, 0.0)
-    for count in range(1, len(rows) + 1):
-        corner = chain.tip(chain.steps(rows[:count], turns[:count], arm.dh_convention), q, (0.0, 0.0, 0.0))
+    first_free: int | None = None
+    for count, (row, radius_m) in enumerate(zip(rows, link_radii_m, strict=True), start=1):
+        steps = chain.steps(rows[:count], turns[:count], convention)
+        corner, before = chain.tip(steps, q, (0.0, 0.0, 0.0)), sum(turns[:count])
         if not any(isinstance(x, Symbol) for x in corner):
             x, y, z = (float(value) for value in corner)
             start_m = (x, y, z)
-        elif not (joints and _is_same(rows[count - 1])):
-            joints.append(sum(turns[:count]))
-    if any(arm.tool.position_m):
+        elif not (found and _is_same(row)):
+            found.append(corner)
+            radii.append(radius_m)
+            joints.append(before)
+        if first_free is None and before >= 2:
+            first_free = max(len(found) - 1, 0)
+    if any(tool_m):
+        found.append(chain.tip(chain.steps(rows, turns, convention), q, tool_m))
+        radii.append(link_radii_m[-1])
         joints.append(sum(turns))
-    return tuple(joints), start_m
+    free = len(found) if first_free is None else first_free
+    return TracedCorners(q, tuple(found), free, tuple(radii), tuple(joints), start_m)
 
 
-def _is_same(row: list[float]) -> bool:
+def _is_same(row: Sequence[float]) -> bool:
     """Whether a link has no length, so that its frame's origin is that of the link before."""
     d_m, _, length_m, _ = row
     return d_m == 0.0 and length_m == 0.0

@@ -58,7 +58,12 @@ def content_of(arm: Arm) -> dict[str, str]:
 
 def fingerprint(arm: Arm) -> str:
     """A short hash of the arm's content."""
-    return hashlib.sha256(repr(sorted(content_of(arm).items())).encode()).hexdigest()[:16]
+    return fingerprint_of(content_of(arm))
+
+
+def fingerprint_of(content: Mapping[str, str]) -> str:
+    """The fingerprint of an arm with this content."""
+    return hashlib.sha256(repr(sorted(content.items())).encode()).hexdigest()[:16]
 
 
 def places_of(cell: "Cell") -> dict[str, str]:

@@ -15,7 +15,7 @@ from control.hardware.averaging import Averaging
 from control.loop.jogging import JogRequest, JointSpeeds, JointStep, TipStep, TipVelocity
 from control.loop.runtime import Runtime
 from control.model.arm import Arm
-from control.model.fingerprint import content_of, fingerprint
+from control.model.fingerprint import content_of, fingerprint_of
 from control.motion.joint_limits import JointLimits
 from control.motion.pace import Limited
 from control.motion.setpoint import Motion
@@ -72,11 +72,9 @@ class Requests:
     def __init__(self, runtime: Runtime, limits: JointLimits, arm: Arm, about: Message) -> None:
         self._runtime = runtime
         self._motions = PlannedMotions(runtime, limits)
-        self._about: Message = {"arm": arm.name, "fingerprint": fingerprint(arm), **about}
-        self._arm: Message = {
-            "file": str(arm.path.absolute()) if arm.path else "",
-            "content": content_of(arm),
-        }
+        content = content_of(arm)
+        self._about: Message = {"arm": arm.name, "fingerprint": fingerprint_of(content), **about}
+        self._arm: Message = {"file": str(arm.path.absolute()) if arm.path else "", "content": content}
         self._right = ControlRight()
         self._grips: int | None = None  # the client that moved the gripper last
         self.events: Listener | None = None
