@@ -47,19 +47,18 @@ class OnBus(Protocol):
     def kind_of(self, drive: Drive) -> BoardKind: ...
 
 
-def bus_load(arms: Sequence[OnBus], rate_Hz: float, with_bought: bool = True) -> float:
-    """Worst-case share of the busiest CAN bus, for all that its boards are sent and send."""
+def bus_load(arms: Sequence[OnBus], rate_Hz: float, with_unasked: bool = True) -> float:
+    """Worst-case share of the busiest CAN bus, for all that its boards are sent and send, or only for what they are asked."""
     loads: dict[tuple[str, str], float] = {}
     for arm in arms:
         if arm.can is not None:
             bus = (arm.can.interface, arm.can.channel)
-            kinds = [arm.kind_of(drive) for drive in arm.motors if with_bought or not drive.board]
-            on_can = [kind for kind in kinds if kind.line == "can"]
+            on_can = [kind for kind in map(arm.kind_of, arm.motors) if kind.line == "can"]
             cycle_bits = sum(kind.cycle_bits for kind in on_can) + max(
                 (kind.shared_bits for kind in on_can), default=0
             )
-            bits_s = cycle_bits * rate_Hz + sum(kind.sent_bits_s for kind in on_can)
-            bits_s += _end_frames_Hz(arm) * FRAME_bits
+            bits_s = cycle_bits * rate_Hz + _end_frames_Hz(arm) * FRAME_bits
+            bits_s += with_unasked * sum(kind.sent_bits_s for kind in on_can)
             loads[bus] = loads.get(bus, 0.0) + bits_s / arm.can.bitrate
     return max(loads.values(), default=0.0)
 
@@ -74,10 +73,10 @@ def good_rate_Hz(arms: Sequence[OnBus], rate_Hz: float) -> float:
 def usual_rate_Hz(arms: Sequence[OnBus]) -> float:
     """The loop's rate if none is asked for: what the slowest boards of all arms carry, and their buses.
 
-    Most of what bought boards send comes at rates of their own, which a slower loop does not change: `serve` tells of it.
+    What bought boards send unasked comes at rates of their own, which a slower loop does not change: `serve` tells of it.
     """
     rate_Hz = min(arm.boards_rate_Hz for arm in arms)
-    while bus_load(arms, rate_Hz, with_bought=False) > USUAL_LOAD and rate_Hz > RATE_STEP_Hz:
+    while bus_load(arms, rate_Hz, with_unasked=False) > USUAL_LOAD and rate_Hz > RATE_STEP_Hz:
         rate_Hz = max(RATE_STEP_Hz, RATE_STEP_Hz * math.ceil(rate_Hz / RATE_STEP_Hz - 1.0))
     return rate_Hz
 

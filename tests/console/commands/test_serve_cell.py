@@ -44,6 +44,21 @@ def test_six_boards_of_one_arm_are_served_as_fast_as_those_of_two(tmp_path: Path
     assert not [said for said in warnings(sheet(cell.arms[0].arm)) if "bus" in said]
 
 
+def test_two_arms_of_bought_boards_on_one_bus_are_served_as_fast_as_it_carries(
+    tmp_path: Path, served: list[Any]
+) -> None:
+    arm = ["--joints", "6", "--boards", "cia402", "--yes"]
+    for name in ("a", "b"):
+        assert main(["new", "--out", str(tmp_path / f"{name}.toml"), *arm]) == 0
+    b = tmp_path / "b.toml"
+    b.write_text(b.read_text().replace("\naddress = ", "\naddress = 1"))
+    cell = tmp_path / "cell.toml"
+    arms = '[[arm]]\nfile = "a.toml"\n[[arm]]\nfile = "b.toml"\norigin_m = [2.0, 0.0, 0.0]\n'
+    cell.write_text(f'name = "two"\n[can]\ninterface = "socketcan"\nchannel = "can0"\n{arms}')
+    assert main(["serve", "--cell", str(cell)]) == 0
+    assert 1.0 / served[0][1].period_s == pytest.approx(100.0)
+
+
 def test_with_a_bus_for_each_arm_nothing_is_slower() -> None:
     left, right = PAIR.arms
     assert right.arm.can is not None

@@ -189,3 +189,19 @@ def test_a_can_bus_is_loaded_by_what_bought_boards_send_and_are_sent(
     shared = 310 * (len(arms) - 1) if kind == "vesc" else 55 * (len(arms) - 1) if kind == "cia402" else 0
     assert bus_load(arms, rate_Hz) == pytest.approx((share + rate_Hz * shared) * 1e-6)
     assert usual_rate_Hz(arms) == arms[0].boards_rate_Hz
+
+
+@pytest.mark.parametrize(
+    ("kind", "boards", "rate_Hz"),
+    [
+        ("cia402", 6, 200.0),
+        ("cia402", 12, 100.0),
+        ("moteus", 12, 150.0),
+        ("odrive", 7, 250.0),
+        ("vesc", 6, 200.0),
+    ],
+)
+def test_the_loop_is_as_slow_as_the_frames_that_it_asks_for_need(
+    kind: str, boards: int, rate_Hz: float
+) -> None:
+    assert usual_rate_Hz(on_one_bus(kind, boards)) == rate_Hz
