@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 from control.model.arm import Drive
 from control.model.description import Arm
 from firmware_iface.link import CanFormat
-from hil_mocks.devices import cia402_drive, dynamixel, moteus, odrive, vesc
+from hil_mocks.devices import cia402_drive, dynamixel, moteus, odrive, roboclaw, vesc
 from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup
 from hil_mocks.devices.dynamixel import (
     CURRENT_BASED,
@@ -24,18 +24,6 @@ from hil_mocks.devices.feetech import FeetechLineMock, FeetechMock, StsSetup
 from hil_mocks.devices.moteus import MoteusMock, MoteusSetup
 from hil_mocks.devices.motor_inputs import BRAKE, Frame, Output
 from hil_mocks.devices.odrive import OdriveMock, OdriveSetup
-from hil_mocks.devices.roboclaw import (
-    DRIVER_FAULT,
-    E_STOP,
-    FORWARD_PIN,
-    FULL,
-    OVER_HEATED,
-    PIN_MODES,
-    REVERSE_PIN,
-    SWITCH_PIN,
-    RoboClawLineMock,
-    RoboClawMock,
-)
 from hil_mocks.devices.vesc import VescMock, VescSetup
 from hil_mocks.scenario import FaultTable
 from hil_mocks.wiring import OWN_INPUT, JointWiring, limit_switches
@@ -334,7 +322,10 @@ class Servos:
         return lambda: encoder_rad(j) * turns_per_rad + zero_turns
 
 
-LIMIT_PINS = {True: SWITCH_PIN | FORWARD_PIN, False: SWITCH_PIN | REVERSE_PIN}
+LIMIT_PINS = {
+    True: roboclaw.SWITCH_PIN | roboclaw.FORWARD_PIN,
+    False: roboclaw.SWITCH_PIN | roboclaw.REVERSE_PIN,
+}
 
 
 class RoboClaws:
@@ -346,19 +337,19 @@ class RoboClaws:
         self.names = [f"roboclaw{i + 1}" for i in range(len(drawn))]
         self.ports = list(dict.fromkeys(board.port for board in drawn))
         self._joints = {board.name: self._channels_of(arm, board.name) for board in drawn}
-        self._mocks = [RoboClawMock(board.address, self._reader(board.name)) for board in drawn]
+        self._mocks = [roboclaw.RoboClawMock(board.address, self._reader(board.name)) for board in drawn]
         self._of_mock = [self._joints[board.name] for board in drawn]
         self._limits = {j: _own_limits(drive) for j, drive in enumerate(arm.drives) if _own_limits(drive)}
         for mock, joints in zip(self._mocks, self._of_mock, strict=True):
             for channel, j in joints.items():
                 for _, side, _ in self._limits.get(j, ()):
                     mode = LIMIT_PINS[side * arm.drives[j].motor_direction > 0.0]
-                    pins = bytearray(mock.saved[PIN_MODES])
+                    pins = bytearray(mock.saved[roboclaw.PIN_MODES])
                     pins[1 + channel] = mode
-                    mock.saved[PIN_MODES] = bytes(pins)
+                    mock.saved[roboclaw.PIN_MODES] = bytes(pins)
             mock.power_up()
         self.lines = [
-            RoboClawLineMock(
+            roboclaw.RoboClawLineMock(
                 [mock for mock, board in zip(self._mocks, drawn, strict=True) if board.port == port],
                 next(board.baud for board in drawn if board.port == port),
             )
@@ -371,7 +362,7 @@ class RoboClaws:
         """The joints that they drive."""
         return [joint for joints in self._of_mock for joint in joints.values()]
 
-    def mock(self, name: str) -> RoboClawMock:
+    def mock(self, name: str) -> roboclaw.RoboClawMock:
         """A board by its name in faults, `roboclaw1` ..."""
         return self._mocks[self.names.index(name)]
 
@@ -395,7 +386,7 @@ class RoboClaws:
                 )
             mock.tick(now_s, measured, supply, limited)
             for channel, joint in joints.items():
-                volts = mock.duty[channel] / FULL * supply
+                volts = mock.duty[channel] / roboclaw.FULL * supply
                 output = Output("voltage", volts) if volts else BRAKE
                 outputs.append((joint, output, mock.current_limits_A[channel]))
         return outputs
@@ -404,15 +395,17 @@ class RoboClaws:
         """Begin or end a fault of a board itself."""
         mock = self.mock(fault.board)
         errors = {
-            "e_stop": E_STOP, "over_temperature": OVER_HEATED, "over_current": DRIVER_FAULT[fault.channel % 2]
-        }  # fmt: skip
+            "e_stop": roboclaw.E_STOP,
+            "over_temperature": roboclaw.OVER_HEATED,
+            "over_current": roboclaw.DRIVER_FAULT[fault.channel % 2],
+        }
         if fault.kind in errors:
             bit = errors[fault.kind]
             mock.forced_errors = mock.forced_errors | bit if is_on else mock.forced_errors & ~bit
         elif fault.kind == "board_reset" and is_on:
             mock.power_up()
         elif fault.kind in SWITCHED and is_on:
-            mock.movements = [{"u": FULL // 8 if SWITCHED[fault.kind] else 0} for _ in (0, 1)]
+            mock.movements = [{"u": roboclaw.FULL // 8 if SWITCHED[fault.kind] else 0} for _ in (0, 1)]
         elif fault.kind == "stuck_encoder":
             mock.stuck.pop(fault.channel, None)
             if is_on and (joint := self.joint(fault)) is not None:

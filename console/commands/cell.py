@@ -33,16 +33,8 @@ from hil_mocks.scenario import load_scenario
 from procedures.folders import require_writable
 from procedures.guiding import Following, mirror_signs, require_alike
 from procedures.ports import move_together
+from procedures.session import operator
 from procedures.session.mock_session import SCENARIO, MockPairHand, Names, mock_pair, pair_station
-from procedures.session.operator import (
-    SPEED,
-    ContactWords,
-    Interface,
-    last_s,
-    ready,
-    require_same,
-    since_start_s,
-)
 from procedures.session.planning import OPTIONS
 
 KEEP = "keep"  # instead of a file of offsets
@@ -211,7 +203,7 @@ def session_of_contacts(given: argparse.Namespace) -> int:
         raise SessionError("--arm is for one arm at a board: the arms are those of --cell")
     cell = load_cell(given.cell)
     names = pair_of(cell, given.arms)
-    identity, interface = _identity(cell, names), Interface.of(given)
+    identity, interface = _identity(cell, names), operator.Interface.of(given)
     wanted = _wanted(given, cell, names, identity)
     require_writable(Path(given.out))
     if given.mock:
@@ -221,8 +213,8 @@ def session_of_contacts(given: argparse.Namespace) -> int:
             _introduce(folder, interface)
             with mock_pair(cell, folder, given.scenario) as bench:
                 hand = MockPairHand(cell, names, bench) if folder.plan.seat == "hand" else None
-                station = pair_station(cell, names, bench.clients, 1.0, last_s(folder), hand)
-                words = ContactWords(folder.plan, names)
+                station = pair_station(cell, names, bench.clients, 1.0, operator.last_s(folder), hand)
+                words = operator.ContactWords(folder.plan, names)
                 interface.conduct(folder, words, conduct(folder, station), hand is not None)
     else:
         if (Path(given.out) / SCENARIO).exists():
@@ -239,21 +231,23 @@ def _with_arms(
     clients: Mapping[str, ArmClient],
     wanted: SessionPlan | None,
     identity: str,
-    interface: Interface,
+    interface: operator.Interface,
 ) -> None:
     for client in clients.values():
         client.take_control()
-    status = {name: ready(clients[name], name) for name in names}[names[0]]
+    status = {name: operator.ready(clients[name], name) for name in names}[names[0]]
     with _folder(given, wanted, identity) as folder:
         _introduce(folder, interface)
-        station = pair_station(cell, names, clients, SPEED, since_start_s(folder, status))
-        interface.conduct(folder, ContactWords(folder.plan, names), conduct(folder, station), may_auto=False)
+        station = pair_station(cell, names, clients, operator.SPEED, operator.since_start_s(folder, status))
+        interface.conduct(
+            folder, operator.ContactWords(folder.plan, names), conduct(folder, station), may_auto=False
+        )
 
 
 def _folder(given: argparse.Namespace, wanted: SessionPlan | None, identity: str) -> SessionFolder:
     folder = SessionFolder(Path(given.out), wanted)
     try:
-        require_same(folder, identity)
+        operator.require_same(folder, identity)
     except SessionError:
         folder.close()
         raise
@@ -280,6 +274,6 @@ def _identity(cell: Cell, names: Names) -> str:
     return hashlib.sha256("".join(fingerprint(cell.placed(name).arm) for name in names).encode()).hexdigest()
 
 
-def _introduce(folder: SessionFolder, interface: Interface) -> None:
+def _introduce(folder: SessionFolder, interface: operator.Interface) -> None:
     plan = folder.plan
     interface.introduce(folder, f"contacts of {plan.arm}, tips brought together by {plan.seat}")

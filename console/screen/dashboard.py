@@ -11,32 +11,9 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import Input, Static
 
-from console.screen.drawing import (
-    BinnedSeries,
-    DrawnScene,
-    History,
-    Panel,
-    Plot,
-    Row,
-    Skeleton,
-    clock,
-    plot_rows,
-    row,
-    side_view,
-    top_view,
-)
+from console.screen import drawing, texts
 from console.screen.jogging import Jogger
 from console.screen.operator import JogTarget, RuntimeLink, ScreenOperator
-from console.screen.texts import (
-    Event,
-    end_rows,
-    events_between,
-    headline,
-    joint_rows,
-    stale_s,
-    status_rows,
-    tip_row,
-)
 from console.user_config import shows_degrees
 from control.model.arm import Arm
 from control.server.channel import Message as Status
@@ -106,7 +83,7 @@ class JogPad(Vertical):
             yield PressButton("■ STOP", "app.stop", id="stop")
             yield PressButton("pause", "pause")
             yield PressButton("home", "home")
-            yield Panel("jog")
+            yield drawing.Panel("jog")
         with Horizontal(id="targets"):
             for target in self._targets:
                 with Horizontal(classes="target"):
@@ -168,7 +145,7 @@ class CommandBox(Input):
 TEXT_S, VIEW_S, PLOT_S = 0.3, 0.3, 0.9  # multiples, so that updates coincide and are drawn in one pass
 STILL_rad = 1e-3  # smaller changes of pose are not redrawn
 PanelSize = Callable[[str], tuple[int, int]]  # columns and rows inside a panel
-Drawn = tuple[str, Sequence[Row]]  # a panel's name and its rows
+Drawn = tuple[str, Sequence[drawing.Row]]  # a panel's name and its rows
 
 
 class Dashboard:
@@ -179,35 +156,39 @@ class Dashboard:
         self.in_degrees = shows_degrees()
         self._arm, self._operator, self._jogger = arm, operator, jogger
         self._link: RuntimeLink = operator.link
-        self._skeleton = Skeleton(arm)
-        self._history = History()
+        self._skeleton = drawing.Skeleton(arm)
+        self._history = drawing.History()
         self._last: Status | None = None
         self._drawn_s: dict[str, float] = {}
         self._view: tuple[object, ...] = ()
         joints = tuple(str(j + 1) for j in range(arm.joint_count))
-        self._plots: dict[str, tuple[BinnedSeries, Callable[[BinnedSeries, int], Plot]]] = {
+        self._plots: dict[
+            str, tuple[drawing.BinnedSeries, Callable[[drawing.BinnedSeries, int], drawing.Plot]]
+        ] = {
             "error": (self._history.error_mrad, functools.partial(_plot, joints, 1.0, True)),
             "current": (self._history.current_A, functools.partial(_plot, joints, 0.5, True)),
             "speed": (self._history.tip_mm_s, functools.partial(_plot, ("",), 10.0, False)),
             "late": (self._history.late_us, functools.partial(_plot, ("",), 100.0, False)),
         }
 
-    def panels(self) -> Iterator[Panel]:
+    def panels(self) -> Iterator[drawing.Panel]:
         """The panels of the arm and of its values over time."""
-        yield Panel("side", "Side: x, z m")
-        yield Panel("top", "Top: x, y m")
-        yield Panel("error", f"Error mrad, limit {1e3 * self._arm.limits.following_error_rad:g}")
-        yield Panel("current", f"Current A, limit {max(d.current_limit_A for d in self._arm.drives):g}")
-        yield Panel("speed", "Tip speed mm/s")
-        yield Panel("late", "Loop lateness p99 us")
+        yield drawing.Panel("side", "Side: x, z m")
+        yield drawing.Panel("top", "Top: x, y m")
+        yield drawing.Panel("error", f"Error mrad, limit {1e3 * self._arm.limits.following_error_rad:g}")
+        yield drawing.Panel(
+            "current", f"Current A, limit {max(d.current_limit_A for d in self._arm.drives):g}"
+        )
+        yield drawing.Panel("speed", "Tip speed mm/s")
+        yield drawing.Panel("late", "Loop lateness p99 us")
 
     def hurry(self) -> None:
         """Update all panels with the next status, after a key."""
         self._drawn_s.clear()
 
-    def events(self, status: Status | None) -> list[Event]:
+    def events(self, status: Status | None) -> list[texts.Event]:
         """Events since the last status; stores this one."""
-        events = events_between(self._last, status, self._link.why_lost)
+        events = texts.events_between(self._last, status, self._link.why_lost)
         self._last = status
         return events
 
@@ -231,35 +212,35 @@ class Dashboard:
 
     def _texts(self, status: Status | None, room: PanelSize) -> Iterator[Drawn]:
         arm, selected, why_lost = self._arm, self._jogger.selected.name, self._link.why_lost
-        yield "head", [headline(status, arm, why_lost, room("head")[0], clock())]
-        yield "status", status_rows(status, why_lost, room("status")[0])
+        yield "head", [texts.headline(status, arm, why_lost, room("head")[0], drawing.clock())]
+        yield "status", texts.status_rows(status, why_lost, room("status")[0])
         if status is not None:
             width = room("joints")[0]
-            joints = joint_rows(status, arm, selected, width, self.in_degrees)
-            yield "joints", [*joints, tip_row(status, selected), *end_rows(status, width)]
+            joints = texts.joint_rows(status, arm, selected, width, self.in_degrees)
+            yield "joints", [*joints, texts.tip_row(status, selected), *texts.end_rows(status, width)]
         yield "jog", [self._jog_row()]
 
-    def _jog_row(self) -> Row:
+    def _jog_row(self) -> drawing.Row:
         command = self._operator.running.partition(" ")[0]
-        running = row(("  running: ", "muted"), command) if command else ()
+        running = drawing.row(("  running: ", "muted"), command) if command else ()
         return (
             *self._jogger.describe(),
-            *row(("  override ", "muted"), f"{100 * self.override:g} %"),
+            *drawing.row(("  override ", "muted"), f"{100 * self.override:g} %"),
             *running,
         )
 
     def _views(self, status: Status, room: PanelSize) -> Iterator[Drawn]:
-        is_stale = [age is not None for age in stale_s(status)]
+        is_stale = [age is not None for age in texts.stale_s(status)]
         pose = [round(q / STILL_rad) for q in status["joint_rad"]] if status["is_homed"] else []
         selected = self._jogger.selected.joint
         view = (pose, is_stale, selected, room("side"), room("top"))
         if view == self._view:
             return
         self._view = view
-        scene = DrawnScene([], [], self._skeleton.board)
+        scene = drawing.DrawnScene([], [], self._skeleton.board)
         if status["is_homed"]:
             scene = self._skeleton.scene(status["joint_rad"], selected and selected - 1, is_stale)
-        for name, draw in (("side", side_view), ("top", top_view)):
+        for name, draw in (("side", drawing.side_view), ("top", drawing.top_view)):
             columns, rows = room(name)
             if columns > 8 and rows > 2:
                 yield name, draw(scene, columns, rows, self._skeleton.reach_m)
@@ -267,8 +248,13 @@ class Dashboard:
     def _drawn_plots(self, room: PanelSize) -> Iterator[Drawn]:
         for name, (series, plot) in self._plots.items():
             if room(name)[0]:
-                yield name, plot_rows(plot(series, (self._jogger.selected.joint or 1) - 1), *room(name))
+                yield (
+                    name,
+                    drawing.plot_rows(plot(series, (self._jogger.selected.joint or 1) - 1), *room(name)),
+                )
 
 
-def _plot(signs: Sequence[str], least: float, is_signed: bool, series: BinnedSeries, chosen: int) -> Plot:
-    return Plot(series.bins, signs, chosen if len(signs) > 1 else 0, least, is_signed)
+def _plot(
+    signs: Sequence[str], least: float, is_signed: bool, series: drawing.BinnedSeries, chosen: int
+) -> drawing.Plot:
+    return drawing.Plot(series.bins, signs, chosen if len(signs) > 1 else 0, least, is_signed)

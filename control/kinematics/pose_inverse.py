@@ -10,20 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from control.errors import NearSingular, OutOfReach
+from control.kinematics import pose_solver
 from control.kinematics import reach as problems
 from control.kinematics import rotation as rotations
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.numeric_inverse import Array, descended, seeds
-from control.kinematics.pose_solver import (
-    POSITION_TOLERANCE_M,
-    TURN_LENGTH_M,
-    SolvedPoses,
-    Targets,
-    Task,
-    margins,
-    solve,
-    task_of,
-)
 from control.kinematics.reach import JointRange, travel_rad
 from control.kinematics.rotation import Quaternion, checked_quaternion
 from control.model.arm import Arm, Vector3
@@ -47,12 +38,12 @@ class TipPose:
         turned = None if orientation is None else checked_quaternion(orientation)
         return TipPose(problems.checked_point(position_m), turned)
 
-    def targets(self) -> Targets:
+    def targets(self) -> pose_solver.Targets:
         """This pose as a batch of one."""
         position = np.array([self.position_m])
         if self.orientation is None:
-            return Targets(position, None)
-        return Targets(position, rotations.matrices(np.array([self.orientation])))
+            return pose_solver.Targets(position, None)
+        return pose_solver.Targets(position, rotations.matrices(np.array([self.orientation])))
 
     def __str__(self) -> str:
         turned = "" if self.orientation is None else f" at {_spelled_turn(self.orientation)}"
@@ -68,9 +59,9 @@ class PoseInverse:
         self._range = JointRange(arm)
         self._limits = np.array(arm.limits_rad)
         self._rest = arm.rest.q_rad if arm.rest is not None else (0.0,) * arm.joint_count
-        self._tasks = {turned: task_of(self.kinematics, turned) for turned in (False, True)}
+        self._tasks = {turned: pose_solver.task_of(self.kinematics, turned) for turned in (False, True)}
 
-    def task(self, has_orientation: bool) -> Task:
+    def task(self, has_orientation: bool) -> pose_solver.Task:
         """What the arm's joints hold of a tip pose."""
         return self._tasks[has_orientation]
 
@@ -99,11 +90,11 @@ class PoseInverse:
         if not found:
             raise problems.most_telling(failures)
 
-    def _descended(self, target: TipPose, start: Sequence[float]) -> SolvedPoses:
+    def _descended(self, target: TipPose, start: Sequence[float]) -> pose_solver.SolvedPoses:
         """The best pose near `start`: all rows weighed against each other first, then the exact ones exactly."""
         aim = target.targets()
         rows = 3 if target.orientation is None else 6
-        length = np.array([1.0] * 3 + [TURN_LENGTH_M] * 3)[:rows]
+        length = np.array([1.0] * 3 + [pose_solver.TURN_LENGTH_M] * 3)[:rows]
 
         def residual(q: Array) -> tuple[Array, Array]:
             position, rotation, jacobian = self.kinematics.at(*q.tolist())
@@ -114,20 +105,20 @@ class PoseInverse:
             return length * error, length[:, None] * np.array(jacobian[:rows])
 
         near = np.array([descended(residual, start, self._limits).q])
-        return solve(self.kinematics, self._tasks[target.orientation is not None], aim, near)
+        return pose_solver.solve(self.kinematics, self._tasks[target.orientation is not None], aim, near)
 
-    def _failure(self, target: TipPose, solved: SolvedPoses) -> OutOfReach | NearSingular | None:
+    def _failure(self, target: TipPose, solved: pose_solver.SolvedPoses) -> OutOfReach | NearSingular | None:
         """Why a descent did not lead to a usable pose, or None."""
         name, q = self._name, solved.q_rad[0].tolist()
         off_m, off_rad = (float(np.linalg.norm(part)) for part in (solved.error[0, :3], solved.error[0, 3:]))
-        if off_m > POSITION_TOLERANCE_M or not solved.is_solved[0]:
+        if off_m > pose_solver.POSITION_TOLERANCE_M or not solved.is_solved[0]:
             return problems.out_of_reach(name, target.position_m, off_m)
         if off_rad > ORIENTATION_TOLERANCE_RAD:
             return problems.not_turned(name, str(target), len(q), off_rad)
         if not self._range.is_inside(q):
             return problems.beyond_range(name, str(target), self._range.excess_rad(q))
         task = self._tasks[target.orientation is not None]
-        margin, limit = float(margins(task, solved.tip.jacobian)[0]), SINGULAR_MARGIN_M
+        margin, limit = float(pose_solver.margins(task, solved.tip.jacobian)[0]), SINGULAR_MARGIN_M
         if margin < limit:
             pose = "losing a direction of motion"
             return problems.near_singular(name, target.position_m, "arm", margin, limit, "m/rad", pose)

@@ -14,14 +14,7 @@ from control.hardware.measurement import Measurement, MotorLeads
 from control.hardware.tip_camera import TipCamera
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
-from control.loop.cross_checks import (
-    CrossChecks,
-    IndexWatch,
-    LeadWatch,
-    LimitSwitchWatch,
-    MotorCountWatch,
-    SwitchWatch,
-)
+from control.loop import cross_checks
 from control.loop.homing_sequence import HomingSequence
 from control.loop.jogging import Jogging
 from control.loop.watch import Watch
@@ -111,12 +104,12 @@ class Checks:
     """What is checked in each cycle: measured values against limits, and sensors against each other."""
 
     watch: Watch
-    motors: CrossChecks
-    indices: IndexWatch
-    switches: SwitchWatch
-    motor_counts: MotorCountWatch
-    leads: LeadWatch
-    limit_switches: LimitSwitchWatch
+    motors: cross_checks.CrossChecks
+    indices: cross_checks.IndexWatch
+    switches: cross_checks.SwitchWatch
+    motor_counts: cross_checks.MotorCountWatch
+    leads: cross_checks.LeadWatch
+    limit_switches: cross_checks.LimitSwitchWatch
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from control.errors import ArmError, MissingModel
+from control.model import rules
 from control.model.board_kinds import KINDS, REFERENCE, BoardKind
 from control.model.camera import Camera as Camera
 from control.model.can_bus import CanBus as CanBus
@@ -28,32 +29,6 @@ from control.model.end_effector import NO_TOOL, Digital, Gripper
 from control.model.end_effector import Tool as Tool
 from control.model.end_effector import Vector3 as Vector3
 from control.model.maps import CorrectionMap
-from control.model.rules import (
-    ANGLE,
-    BOARD_SIZE,
-    CLEARANCE,
-    FOLLOWING,
-    GRAVITY,
-    HEIGHT,
-    JOINT_SPEED,
-    KIND,
-    LAG,
-    LENGTH,
-    LIMIT,
-    NAME,
-    ONE_OR_MORE,
-    PART_NAME,
-    PAYLOAD,
-    POSITION,
-    ROTATE_BYTES,
-    SHARE_ABOVE_1,
-    SHARE_BELOW_1,
-    STALE,
-    TILT,
-    TIP_SPEED,
-    WATCHDOG,
-    ZERO_OR_MORE,
-)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,42 +39,42 @@ if TYPE_CHECKING:
 class Limits:
     """Limits that the loop enforces (docs/safety.md)."""
 
-    tip_speed_m_s: Annotated[Positive, TIP_SPEED, "of the tip, in plans"] = 1.0
-    tip_turn_speed_rad_s: Annotated[Positive, JOINT_SPEED, "of the tip's orientation, in plans"] = 2.0
+    tip_speed_m_s: Annotated[Positive, rules.TIP_SPEED, "of the tip, in plans"] = 1.0
+    tip_turn_speed_rad_s: Annotated[Positive, rules.JOINT_SPEED, "of the tip's orientation, in plans"] = 2.0
     tip_turn_acceleration_rad_s2: Annotated[Positive, "of the tip's orientation, in plans"] = 20.0
-    following_error_rad: Annotated[float, FOLLOWING, "largest error of a joint at rest"] = 0.05
+    following_error_rad: Annotated[float, rules.FOLLOWING, "largest error of a joint at rest"] = 0.05
     following_error_per_speed_s: Annotated[
-        float, LAG, "this much more with every rad/s of set-point speed; dies away in this time"
+        float, rules.LAG, "this much more with every rad/s of set-point speed; dies away in this time"
     ] = 0.05
-    floor_z_m: Annotated[float, HEIGHT, "height in the base frame that the arm stays above"] = 0.0
-    floor_clearance_m: Annotated[NonNegative, CLEARANCE, "distance kept from the floor"] = 0.0
-    floor_tolerance_m: Annotated[NonNegative, CLEARANCE, "error of the model before calibration"] = 0.01
+    floor_z_m: Annotated[float, rules.HEIGHT, "height in the base frame that the arm stays above"] = 0.0
+    floor_clearance_m: Annotated[NonNegative, rules.CLEARANCE, "distance kept from the floor"] = 0.0
+    floor_tolerance_m: Annotated[NonNegative, rules.CLEARANCE, "error of the model before calibration"] = 0.01
     base_radius_m: Annotated[
-        NonNegative, BOARD_SIZE, "of the arm's own base about axis 1, up to joint 2; 0: not checked"
+        NonNegative, rules.BOARD_SIZE, "of the arm's own base about axis 1, up to joint 2; 0: not checked"
     ] = 0.0
     watchdog_s: Annotated[
         float,
-        WATCHDOG,
+        rules.WATCHDOG,
         "a board without commands for this long goes to FAULT; hosts pause for 40 to 170 ms",
     ] = 0.2
-    stale_s: Annotated[float, STALE, "an older value is a fault"] = 0.02
+    stale_s: Annotated[float, rules.STALE, "an older value is a fault"] = 0.02
     jog_tip_speed_m_s: Annotated[
-        Positive, TIP_SPEED, "reduced speed for people beside the arm (ISO 10218-1)"
+        Positive, rules.TIP_SPEED, "reduced speed for people beside the arm (ISO 10218-1)"
     ] = 0.25
-    payload_limit_kg: Annotated[NonNegative, PAYLOAD, "largest that a client may state"] = 5.0
+    payload_limit_kg: Annotated[NonNegative, rules.PAYLOAD, "largest that a client may state"] = 5.0
     jog_silence_s: Annotated[
         Positive, "a jog that is not renewed for this long comes to rest; at most 0.5"
     ] = 0.2
     speed_contradiction_rad_s: Annotated[
-        Positive, JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md)"
+        Positive, rules.JOINT_SPEED, "between motor and encoder, at rest (docs/safety.md)"
     ] = 0.02
     transmission_slack_rad: Annotated[
         NonNegative,
         "play and springs between motor and joint: by so much they may differ, where an encoder is on the joint",
     ] = 0.05
     unexplained_torque: Annotated[Positive, "share of the torque at the current limit (docs/safety.md)"] = 0.3
-    supply_low: Annotated[float, SHARE_BELOW_1, "of the drive's supply_V"] = 0.75
-    supply_high: Annotated[float, SHARE_ABOVE_1, "of the drive's supply_V"] = 1.4
+    supply_low: Annotated[float, rules.SHARE_BELOW_1, "of the drive's supply_V"] = 0.75
+    supply_high: Annotated[float, rules.SHARE_ABOVE_1, "of the drive's supply_V"] = 1.4
     temperature_degC: Annotated[Positive, "of a power stage; boards also trip at their own rating"] = 95.0
 
 
@@ -107,10 +82,10 @@ class Limits:
 class RecordingPolicy:
     """Size of recordings, and what happens while the disk takes none."""
 
-    rotate_bytes: Annotated[int, ROTATE_BYTES, "size at which a new file begins"] = 500_000_000
+    rotate_bytes: Annotated[int, rules.ROTATE_BYTES, "size at which a new file begins"] = 500_000_000
     keep_bytes: Annotated[
         int,
-        ZERO_OR_MORE,
+        rules.ZERO_OR_MORE,
         "above this total the oldest recordings of this arm are removed; 0: none is ever removed; at least"
         " twice rotate_bytes",
     ] = 0
@@ -125,7 +100,7 @@ USUAL_LIMITS, USUAL_RECORDING = Limits(), RecordingPolicy()
 
 
 Convention = Literal["standard", "modified"]
-Position = Annotated[Vector3, POSITION]
+Position = Annotated[Vector3, rules.POSITION]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +110,10 @@ class Link:
     joint: Annotated[
         Literal["revolute", "fixed"], "what moves the row: a joint, numbered from the base, or nothing"
     ]
-    d_m: Annotated[float, LENGTH, "offset along z"]
-    theta_rad: Annotated[float, ANGLE, "angle about z; a joint's angle adds to it"]
-    L_m: Annotated[float, LENGTH, "length along x"]
-    alpha_rad: Annotated[float, ANGLE, "twist about x"]
+    d_m: Annotated[float, rules.LENGTH, "offset along z"]
+    theta_rad: Annotated[float, rules.ANGLE, "angle about z; a joint's angle adds to it"]
+    L_m: Annotated[float, rules.LENGTH, "length along x"]
+    alpha_rad: Annotated[float, rules.ANGLE, "twist about x"]
     mass_kg: Annotated[NonNegative | None, "mass of all that moves with this frame"] = None
     com_m: Annotated[Position | None, "its centre, in this link's frame"] = None
     inertia_kg_m2: Annotated[
@@ -149,9 +124,9 @@ class Link:
         NonNegative,
         "of its body, for floor, table and own base; 0: a line. The tip is a point",
     ] = 0.0
-    joint_name: Annotated[str, PART_NAME, "in messages and exported models", '"joint N"'] = ""
+    joint_name: Annotated[str, rules.PART_NAME, "in messages and exported models", '"joint N"'] = ""
     link_name: Annotated[
-        str, PART_NAME, "of its body in exported models; of a fixed first or last row, base or tip"
+        str, rules.PART_NAME, "of its body in exported models; of a fixed first or last row, base or tip"
     ] = ""
 
 
@@ -162,12 +137,12 @@ class Table:
     origin_m: Annotated[
         Position | None, "the board's centre in the base frame; required unless known_pose is false"
     ] = None
-    circle_radius_m: Annotated[Positive | None, BOARD_SIZE, "of the circle of cavities"] = None
-    circle_points: Annotated[int, ZERO_OR_MORE, "cavities on it, counter-clockwise from +x"] = 0
-    line_points: Annotated[int, ZERO_OR_MORE, "cavities on the line along x"] = 0
-    line_pitch_m: Annotated[Positive | None, BOARD_SIZE, "between two of them"] = None
-    roll_tilt_rad: Annotated[float, TILT, "of the setup `roll`, about the board's x axis"] = 0.0
-    pitch_tilt_rad: Annotated[float, TILT, "of the setup `pitch`, about its y axis"] = 0.0
+    circle_radius_m: Annotated[Positive | None, rules.BOARD_SIZE, "of the circle of cavities"] = None
+    circle_points: Annotated[int, rules.ZERO_OR_MORE, "cavities on it, counter-clockwise from +x"] = 0
+    line_points: Annotated[int, rules.ZERO_OR_MORE, "cavities on the line along x"] = 0
+    line_pitch_m: Annotated[Positive | None, rules.BOARD_SIZE, "between two of them"] = None
+    roll_tilt_rad: Annotated[float, rules.TILT, "of the setup `roll`, about the board's x axis"] = 0.0
+    pitch_tilt_rad: Annotated[float, rules.TILT, "of the setup `pitch`, about its y axis"] = 0.0
     known_pose: Annotated[bool, "false: where the board stands is identified, per setup"] = True
     cavities_m: Annotated[
         Mapping[str, Position], "further cavities in the board's frame, `{ name = [x, y, z], ... }`"
@@ -179,7 +154,7 @@ class Effect:
     """An effect of the model; docs/formats.md#effects lists names and parameters."""
 
     effect: Annotated[str, "its name"]
-    joint: Annotated[Annotated[int, ONE_OR_MORE] | None, "joint or link on which it acts"] = None
+    joint: Annotated[Annotated[int, rules.ONE_OR_MORE] | None, "joint or link on which it acts"] = None
     parameters: Annotated[Mapping[str, float], "`{ name = value, ... }`"] = field(default_factory=dict)
 
 
@@ -189,21 +164,21 @@ class EncoderBoardPort:
 
     name: Annotated[str, "in messages; each board's own"]
     port: Annotated[str, "a device or any pyserial URL"]
-    baud: Annotated[int, ONE_OR_MORE, "of the port"] = 1_000_000
-    serial_number: Annotated[Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"] = (
-        None
-    )
+    baud: Annotated[int, rules.ONE_OR_MORE, "of the port"] = 1_000_000
+    serial_number: Annotated[
+        Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
 class Board:
     """A bought board that drives joints: a kind, and where it is. docs/boards.md has the kinds."""
 
-    name: Annotated[str, NAME, "drives name it; each board's own"]
-    kind: Annotated[str, KIND, "docs/boards.md"]
-    address: Annotated[int, ZERO_OR_MORE, "on its line: an address, a node id or a servo's id"]
+    name: Annotated[str, rules.NAME, "drives name it; each board's own"]
+    kind: Annotated[str, rules.KIND, "docs/boards.md"]
+    address: Annotated[int, rules.ZERO_OR_MORE, "on its line: an address, a node id or a servo's id"]
     port: Annotated[str, "on a serial line: a device or any pyserial URL; boards may share it"] = ""
-    baud: Annotated[int, ONE_OR_MORE, "of that port"] = 115_200
+    baud: Annotated[int, rules.ONE_OR_MORE, "of that port"] = 115_200
     absolute: Annotated[
         bool,
         "its encoder knows the joint's angle at power-up, which its kind does not ensure: see the kind's page",
@@ -219,7 +194,7 @@ class Board:
 class Rest:
     """A pose in which the arm can wait: inside its limits, clear of the table, with little gravity torque."""
 
-    q_rad: Annotated[tuple[Annotated[float, LIMIT], ...], "one angle per joint"]
+    q_rad: Annotated[tuple[Annotated[float, rules.LIMIT], ...], "one angle per joint"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,9 +212,9 @@ class Calibration:
 class Arm:
     """An arm: geometry, masses, drives, boards and limits, read from the file `path`. `tool` is the one that is on."""
 
-    name: Annotated[str, NAME, "sockets and recordings carry it"]
+    name: Annotated[str, rules.NAME, "sockets and recordings carry it"]
     links: Annotated[tuple[Link, ...], "base to tip"] = field(metadata={"key": "link"})
-    gravity_m_s2: Annotated[Vector3, GRAVITY, "in the base frame"] = (0.0, 0.0, -9.81)
+    gravity_m_s2: Annotated[Vector3, rules.GRAVITY, "in the base frame"] = (0.0, 0.0, -9.81)
     as_given: Annotated[
         bool,
         "overrides guesses about units that refuse the file",

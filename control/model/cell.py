@@ -15,19 +15,12 @@ import tomli_w
 
 from control.errors import ArmError, ArmFileError
 from control.files import parsed_toml, read_text, write_whole
+from control.model import rules
 from control.model.arm import Arm, Camera, CanBus
 from control.model.board_kinds import KINDS, bus_conflict
 from control.model.description import load_arm, save_arm, syntax_error
 from control.model.end_effector import Vector3
 from control.model.reader import Rejected, read_table
-from control.model.rules import (
-    CLEARANCE,
-    NAME,
-    NODE,
-    NOT_NEGATIVE,
-    POSITION,
-    UDP_PORT,
-)
 from control.model.toml_lines import key_lines, nearest_line
 
 SUPPLIED = Path(__file__).parents[1] / "cells"
@@ -41,8 +34,8 @@ class ArmEntry:
     """One `[[arm]]` of a cell.toml: its file, its base, and what differs from the file beside another arm."""
 
     file: Annotated[str, "an arm.toml, relative to this file, or the name of a supplied arm"]
-    name: Annotated[str, NAME, "in commands, sockets and recordings; absent: that of its file"] = ""
-    origin_m: Annotated[Vector3, POSITION, "of the arm's base frame, in the frame of the cell"] = (
+    name: Annotated[str, rules.NAME, "in commands, sockets and recordings; absent: that of its file"] = ""
+    origin_m: Annotated[Vector3, rules.POSITION, "of the arm's base frame, in the frame of the cell"] = (
         0.0,
         0.0,
         0.0,
@@ -58,19 +51,20 @@ class ArmEntry:
         tuple[str, ...], "instead of those of its [[board]]s, one per serial port, in the order of the file"
     ] = ()
     motor_nodes: Annotated[
-        tuple[Annotated[int, NODE], ...], "instead of those in its file, one per drive; for a shared bus"
+        tuple[Annotated[int, rules.NODE], ...],
+        "instead of those in its file, one per drive; for a shared bus",
     ] = ()
-    camera_port: Annotated[Annotated[int, UDP_PORT] | None, "instead of the one in its file"] = None
+    camera_port: Annotated[Annotated[int, rules.UDP_PORT] | None, "instead of the one in its file"] = None
 
 
 @dataclass(frozen=True, slots=True)
 class _File:
     """The keys of a cell.toml."""
 
-    name: Annotated[str, NAME]
+    name: Annotated[str, rules.NAME]
     entries: tuple[ArmEntry, ...] = field(metadata={"key": "arm"})
-    clearance_m: Annotated[float, CLEARANCE, NOT_NEGATIVE] = 0.02
-    tool_length_m: Annotated[float, CLEARANCE, NOT_NEGATIVE] = 0.0
+    clearance_m: Annotated[float, rules.CLEARANCE, rules.NOT_NEGATIVE] = 0.02
+    tool_length_m: Annotated[float, rules.CLEARANCE, rules.NOT_NEGATIVE] = 0.0
     can: CanBus | None = None
 
 

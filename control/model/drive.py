@@ -4,22 +4,11 @@ import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Final, Literal
 
-from control.model.rules import (
-    BACKOFF,
-    DIRECTION,
-    ENCODER_BITS,
-    JOINT_SPEED,
-    LIMIT,
-    NODE,
-    NOT_NEGATIVE,
-    ONE_OR_MORE,
-    POSITIVE,
-    ZERO_OR_MORE,
-)
+from control.model import rules
 
-Direction = Annotated[int, DIRECTION]
-NonNegative = Annotated[float, NOT_NEGATIVE]
-Positive = Annotated[float, POSITIVE]
+Direction = Annotated[int, rules.DIRECTION]
+NonNegative = Annotated[float, rules.NOT_NEGATIVE]
+Positive = Annotated[float, rules.POSITIVE]
 ENCODER_CHANNELS = 3  # an encoder board reads three encoders
 
 
@@ -50,8 +39,8 @@ class Home:
 
     switch_rad: Annotated[float, "where the home switch changes"]
     index_rad: Annotated[float, "the index pulse after it, best half a motor turn further"]
-    speed_rad_s: Annotated[Positive, JOINT_SPEED, "towards the switch"] = 0.2
-    backoff_rad: Annotated[Positive, BACKOFF, "back off an active switch"] = 0.05
+    speed_rad_s: Annotated[Positive, rules.JOINT_SPEED, "towards the switch"] = 0.2
+    backoff_rad: Annotated[Positive, rules.BACKOFF, "back off an active switch"] = 0.05
     switch: Annotated[
         Literal["own", "lower", "upper"],
         "the joint's home switch, or one of its limit switches, which takes its place",
@@ -80,8 +69,8 @@ class LimitSwitches:
         str, 'name of the [[digital]] of the one at the lower end, or "drive": its own input'
     ] = ""
     upper: Annotated[str, "and at the upper end"] = ""
-    lower_rad: Annotated[float | None, LIMIT, "where it changes", "a little beyond the range"] = None
-    upper_rad: Annotated[float | None, LIMIT, "where it changes", "a little beyond the range"] = None
+    lower_rad: Annotated[float | None, rules.LIMIT, "where it changes", "a little beyond the range"] = None
+    upper_rad: Annotated[float | None, rules.LIMIT, "where it changes", "a little beyond the range"] = None
     active: Annotated[Literal["high", "low"], "the level of an active one"] = "high"
 
 
@@ -89,9 +78,11 @@ class LimitSwitches:
 class Drive:
     """A joint's motor, gear and encoder; a missing limit is infinite."""
 
-    joint: Annotated[int, ONE_OR_MORE, "from 1 at the base"]
+    joint: Annotated[int, rules.ONE_OR_MORE, "from 1 at the base"]
     gear_ratio: Annotated[Positive, "motor turns per joint turn, belts included"]
-    encoder_counts_per_rev: Annotated[int, ONE_OR_MORE, "per turn of the encoder, after quadrature decoding"]
+    encoder_counts_per_rev: Annotated[
+        int, rules.ONE_OR_MORE, "per turn of the encoder, after quadrature decoding"
+    ]
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
     resistance_ohm: Annotated[Positive, "of the winding, between terminals"]
     supply_V: Annotated[Positive, "of the motor board"]
@@ -101,41 +92,46 @@ class Drive:
     ] = "motor"
     encoder_ratio: Annotated[Positive, "turns of the encoder per turn of that motor or joint"] = 1.0
     motor_counts_per_rev: Annotated[
-        Annotated[int, ONE_OR_MORE] | None,
+        Annotated[int, rules.ONE_OR_MORE] | None,
         'per motor turn, of a second encoder that the motor board reads: with encoder_on = "joint"',
     ] = None
-    encoder_bits: Annotated[int, ENCODER_BITS, "width of the counter"] = 32
+    encoder_bits: Annotated[int, rules.ENCODER_BITS, "width of the counter"] = 32
     inductance_H: Annotated[NonNegative, "of the winding"] = 0.0
     rotor_inertia_kg_m2: Annotated[NonNegative, "of the rotor; counts gear_ratio^2 times at the joint"] = 0.0
     current_limit_A: Annotated[Positive, "of the motor"] = math.inf
-    joint_lower_rad: Annotated[float, LIMIT, "lower end of the joint's range"] = -math.inf
-    joint_upper_rad: Annotated[float, LIMIT, "upper end"] = math.inf
+    joint_lower_rad: Annotated[float, rules.LIMIT, "lower end of the joint's range"] = -math.inf
+    joint_upper_rad: Annotated[float, rules.LIMIT, "upper end"] = math.inf
     joint_speed_limit_rad_s: Annotated[Positive, "of plans and set-points"] = math.inf
     joint_acceleration_limit_rad_s2: Annotated[Positive, "of plans and set-points"] = math.inf
     joint_jerk_limit_rad_s3: Annotated[Positive, "of plans"] = math.inf
     encoder_board: Annotated[
-        int, ZERO_OR_MORE, "which [[encoder_board]], from 0", "joints fill the boards in order, three each"
+        int,
+        rules.ZERO_OR_MORE,
+        "which [[encoder_board]], from 0",
+        "joints fill the boards in order, three each",
     ] = -1
-    encoder_channel: Annotated[int, ZERO_OR_MORE, "its channel, 0 to 2", "in order"] = -1
+    encoder_channel: Annotated[int, rules.ZERO_OR_MORE, "its channel, 0 to 2", "in order"] = -1
     encoder_direction: Annotated[
         Direction, "-1: counts down while the joint turns in its positive direction"
     ] = 1
-    motor_node: Annotated[int, NODE, "CAN node of the motor board", "the joint's number"] = -1
+    motor_node: Annotated[int, rules.NODE, "CAN node of the motor board", "the joint's number"] = -1
     motor_direction: Annotated[Direction, "-1: a positive voltage turns the joint backwards"] = 1
     motor_serial_number: Annotated[
-        Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"
+        Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"
     ] = None
     zero_count: Annotated[int, "the encoder's count at joint angle 0"] = 0
     board: Annotated[
         str, "name of the [[board]] that drives it; else a motor board of docs/motor_board.md"
     ] = ""
-    board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
+    board_channel: Annotated[int, rules.ONE_OR_MORE, "which motor of that board, from 1"] = 1
     servo: Annotated[
         str,
         "a smart servo of docs/arms.md: default of gear_ratio to supply_V and current_limit_A",
     ] = ""
     servos: Annotated[
-        int, ONE_OR_MORE, "that turn the joint together: a shadow has the board's address as its secondary id"
+        int,
+        rules.ONE_OR_MORE,
+        "that turn the joint together: a shadow has the board's address as its secondary id",
     ] = 1
     board_holds: Annotated[
         bool,

@@ -4,27 +4,13 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
+from control.model import rules
 from control.model.reader import Rejected, read_table
-from control.model.rules import (
-    DIRECTION,
-    FINGER_SPEED,
-    NODE,
-    NOT_NEGATIVE,
-    ONE_OR_MORE,
-    PIN,
-    POSITION,
-    POSITIVE,
-    ROTOR,
-    TOOL_MASS,
-    TRAVEL,
-    WORD,
-    ZERO_OR_MORE,
-)
 
 Vector3 = tuple[float, float, float]
-Positive = Annotated[float, POSITIVE]
-NonNegative = Annotated[float, NOT_NEGATIVE]
-Position = Annotated[Vector3, POSITION]
+Positive = Annotated[float, rules.POSITIVE]
+NonNegative = Annotated[float, rules.NOT_NEGATIVE]
+Position = Annotated[Vector3, rules.POSITION]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +22,8 @@ class Tool:
 
     position_m: Annotated[Position, "the tip (tool centre point) in the last link's frame"] = (0.0, 0.0, 0.0)
     known: Annotated[bool, "false: `calibrate` identifies it"] = True
-    name: Annotated[str, WORD, "required and unique where there are several"] = ""
-    mass_kg: Annotated[NonNegative, TOOL_MASS, "a point mass, beyond the masses of the links"] = 0.0
+    name: Annotated[str, rules.WORD, "required and unique where there are several"] = ""
+    mass_kg: Annotated[NonNegative, rules.TOOL_MASS, "a point mass, beyond the masses of the links"] = 0.0
     com_m: Annotated[Position | None, "where it is, in the last link's frame", "at the tip"] = None
 
     @property
@@ -56,26 +42,26 @@ class Gripper:
     The opening is the distance that the motor moves them: 0 closed, `travel_m` open.
     """
 
-    travel_m: Annotated[Positive, TRAVEL, "from closed to open"]
-    travel_per_turn_m: Annotated[Positive, TRAVEL, "of the opening, per motor turn"]
+    travel_m: Annotated[Positive, rules.TRAVEL, "from closed to open"]
+    travel_per_turn_m: Annotated[Positive, rules.TRAVEL, "of the opening, per motor turn"]
     torque_constant_Nm_A: Annotated[Positive, "of the motor; equals its back-EMF constant in V s/rad"]
     resistance_ohm: Annotated[Positive, "of the winding, between terminals"]
     supply_V: Annotated[Positive, "of the motor board"]
     current_limit_A: Annotated[Positive, "continuous, of the motor"]
-    speed_limit_m_s: Annotated[Positive, FINGER_SPEED, "of the opening"]
-    motor_node: Annotated[int, NODE, "CAN node of its motor board; or `board`", "none"] = -1
+    speed_limit_m_s: Annotated[Positive, rules.FINGER_SPEED, "of the opening"]
+    motor_node: Annotated[int, rules.NODE, "CAN node of its motor board; or `board`", "none"] = -1
     board: Annotated[str, "name of the [[board]] that drives it"] = ""
-    board_channel: Annotated[int, ONE_OR_MORE, "which motor of that board, from 1"] = 1
+    board_channel: Annotated[int, rules.ONE_OR_MORE, "which motor of that board, from 1"] = 1
     servo: Annotated[
         str, "as in [[drive]]; it does not give current_limit_A, which a held object needs lower"
     ] = ""
     encoder_counts_per_rev: Annotated[
-        int, ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
+        int, rules.ZERO_OR_MORE, "per motor turn; 0: no encoder, so it can only open and close"
     ] = 0
-    rotor_inertia_kg_m2: Annotated[NonNegative, ROTOR, "of the rotor; for the mock"] = 0.0
-    motor_direction: Annotated[int, DIRECTION, "-1: a positive voltage closes"] = 1
+    rotor_inertia_kg_m2: Annotated[NonNegative, rules.ROTOR, "of the rotor; for the mock"] = 0.0
+    motor_direction: Annotated[int, rules.DIRECTION, "-1: a positive voltage closes"] = 1
     motor_serial_number: Annotated[
-        Annotated[int, ZERO_OR_MORE] | None, "compared with the board's, if given"
+        Annotated[int, rules.ZERO_OR_MORE] | None, "compared with the board's, if given"
     ] = None
     force_N: Annotated[
         Positive | None, "where no force is asked for", "half of that at the current limit"
@@ -105,9 +91,9 @@ class Gripper:
 class Digital:
     """A spare pin of a motor board, by name (docs/tools.md)."""
 
-    name: Annotated[str, WORD, "unique"]
-    board: Annotated[int, NODE, "CAN node of the motor board, of a joint or the gripper"]
-    pin: Annotated[int, PIN, "its number on the board"]
+    name: Annotated[str, rules.WORD, "unique"]
+    board: Annotated[int, rules.NODE, "CAN node of the motor board, of a joint or the gripper"]
+    pin: Annotated[int, rules.PIN, "its number on the board"]
     direction: Annotated[Literal["input", "output"], "seen from the board"]
     safe: Annotated[
         Literal["low", "high", "keep"],

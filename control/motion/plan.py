@@ -29,20 +29,8 @@ from control.kinematics.kinematics import ForwardKinematics
 from control.kinematics.pose_inverse import PoseInverse
 from control.model.arm import Arm
 from control.model.cell import Cell
-from control.motion import checks
+from control.motion import checks, following
 from control.motion.checks import Array, JointSamples, TipSamples
-from control.motion.following import (
-    BOUND_M,
-    BOUND_RAD,
-    BranchFollower,
-    Followed,
-    Follower,
-    PathStart,
-    Pose,
-    PostureFollower,
-    joint_sections,
-    turns_rad,
-)
 from control.motion.joint_limits import JointLimits
 from control.motion.joint_path import JointPath
 from control.motion.pace import Stretched
@@ -85,7 +73,7 @@ class PlannedPath:
     """A path that this arm can run: of the tip, and the joints' own, which the loop runs. Poses are at the spline's times."""
 
     spline: CartesianSpline
-    q_waypoints_rad: tuple[Pose, ...]
+    q_waypoints_rad: tuple[following.Pose, ...]
     joints: JointPath
     branch: str = ""
     slowdowns: tuple[Slowdown, ...] = ()
@@ -156,7 +144,7 @@ def _named(waypoints: Waypoints | Sequence[Sequence[float]]) -> Waypoints:
     return Waypoints(tuple(checked_points(waypoints)), None)
 
 
-def _each(starts: Iterable[PathStart], plan: Callable[[PathStart], T]) -> Iterator[T]:
+def _each(starts: Iterable[following.PathStart], plan: Callable[[following.PathStart], T]) -> Iterator[T]:
     """The plan from each start that can be run. If there is none, the first start's error."""
     problems: list[ArmError] = []
     is_any = False
@@ -182,13 +170,13 @@ class _Planner:
         self._limits = JointLimits.of(arm)
         self._inverse = inverse or InverseKinematics(arm)
         # Positions of three joints have branches or scalar solutions; everything else follows a posture.
-        self._follower: Follower
+        self._follower: following.Follower
         if waypoints.orientations is None and self._inverse.follows_position:
-            self._follower = BranchFollower(self._inverse, waypoints)
+            self._follower = following.BranchFollower(self._inverse, waypoints)
         else:
-            self._follower = PostureFollower(arm, PoseInverse(arm, self._inverse.poses), waypoints)
+            self._follower = following.PostureFollower(arm, PoseInverse(arm, self._inverse.poses), waypoints)
 
-    def starts(self, q_near_rad: Sequence[float] | None) -> Iterator[PathStart]:
+    def starts(self, q_near_rad: Sequence[float] | None) -> Iterator[following.PathStart]:
         """Poses to begin in, the nearest first; by default those near the rest pose."""
         rest = self._arm.rest.q_rad if self._arm.rest else (0.0,) * self._arm.joint_count
         return islice(self._follower.starts(rest if q_near_rad is None else q_near_rad), _STARTS)
@@ -196,10 +184,10 @@ class _Planner:
     def recipe(self, speeds: float | Sequence[float] | None, pace_m_s: float) -> TimedWaypoints:
         """The way-points with their times, as asked for."""
         turned = self._waypoints.orientations
-        turns = turns_rad(turned) if turned is not None else ()
+        turns = following.turns_rad(turned) if turned is not None else ()
         return timed(self._waypoints.points, speeds, pace_m_s=pace_m_s, turns_rad=turns)
 
-    def plan(self, recipe: TimedWaypoints, start: PathStart) -> PlannedPath:
+    def plan(self, recipe: TimedWaypoints, start: following.PathStart) -> PlannedPath:
         """Check, slow, check again; PathError if the path cannot be run from `start`."""
         self._follower.check(start)
         asked = np.diff(recipe.spline().times_s)
@@ -221,7 +209,7 @@ class _Planner:
         return PlannedPath(spline, seen.at_waypoints, joints, str(start.branch or ""), slowdowns)
 
     def as_timed(
-        self, recipe: TimedWaypoints, spline: CartesianSpline, start: PathStart
+        self, recipe: TimedWaypoints, spline: CartesianSpline, start: following.PathStart
     ) -> tuple[PlannedPath, float, str]:
         """Check, and slow the whole path by one factor; with the factor and the limit. PathError if it cannot be run."""
         self._follower.check(start)
@@ -236,21 +224,21 @@ class _Planner:
         self,
         recipe: TimedWaypoints,
         spline: CartesianSpline,
-        start: PathStart,
+        start: following.PathStart,
         causes: dict[int, tuple[float, int, str]],
-    ) -> tuple[Followed, float]:
+    ) -> tuple[following.Followed, float]:
         """The whole path followed and checked, and how many times slower it must be, at least 1."""
         seen = self._follower.follow(recipe, spline, start, _CHECK_RATE_HZ)
         self._check(spline, seen.tip, seen.joints)
         return seen, max(float(self._factors(spline, seen.tip, seen.joints, causes).max()), 1.0)
 
-    def _joint_path(self, seen: Followed, stretch: float) -> JointPath:
+    def _joint_path(self, seen: following.Followed, stretch: float) -> JointPath:
         """The joints' own path."""
-        sections = joint_sections(seen.tip, seen.joints, stretch)
-        if sections.off_m > BOUND_M or sections.off_rad > BOUND_RAD:
+        sections = following.joint_sections(seen.tip, seen.joints, stretch)
+        if sections.off_m > following.BOUND_M or sections.off_rad > following.BOUND_RAD:
             raise PathError(
                 f"the path turns so sharply that joint sections miss it by {sections.off_m:.2g} m and {sections.off_rad:.2g} rad"
-                f" (at most {BOUND_M:g} m and {BOUND_RAD:g} rad): run it slower; nothing was moved"
+                f" (at most {following.BOUND_M:g} m and {following.BOUND_RAD:g} rad): run it slower; nothing was moved"
             )
         return sections.path
 

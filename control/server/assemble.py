@@ -20,18 +20,8 @@ from control.hardware.tip_camera import TipCamera
 from control.hardware.words import LOWER_LIMIT, UPPER_LIMIT
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics
+from control.loop import cross_checks
 from control.loop.cell import CellRuntime
-from control.loop.cross_checks import (
-    CrossCheckLimits,
-    CrossChecks,
-    IndexWatch,
-    LeadWatch,
-    LimitSwitch,
-    LimitSwitchWatch,
-    MotorCountWatch,
-    SwitchPlace,
-    SwitchWatch,
-)
 from control.loop.homing_sequence import TURN_TOLERANCE, HomingSequence, JointHome
 from control.loop.jogging import Jogging
 from control.loop.neighbours import guard_itself
@@ -99,12 +89,12 @@ def assemble(
         servo=servo,
         checks=Checks(
             watch=Watch(_watch_limits(arm, period_s), names),
-            motors=CrossChecks(_motors(arm), _cross_check_limits(arm), names),
+            motors=cross_checks.CrossChecks(_motors(arm), _cross_check_limits(arm), names),
             indices=_indices(arm, measurement, names),
-            switches=SwitchWatch([_switch_place(drive) for drive in arm.drives]),
+            switches=cross_checks.SwitchWatch([_switch_place(drive) for drive in arm.drives]),
             motor_counts=_motor_counts(arm, names),
-            leads=LeadWatch(arm.limits.transmission_slack_rad, names),
-            limit_switches=LimitSwitchWatch(list(_limit_switches(arm, names))),
+            leads=cross_checks.LeadWatch(arm.limits.transmission_slack_rad, names),
+            limit_switches=cross_checks.LimitSwitchWatch(list(_limit_switches(arm, names))),
         ),
         set_point_limits=tuple(
             SetPointLimits(
@@ -194,11 +184,13 @@ def _tool_parts(arm: Arm, limits: JointLimits) -> ToolParts:
     )
 
 
-def _motor_counts(arm: Arm, names: Sequence[str]) -> MotorCountWatch:
+def _motor_counts(arm: Arm, names: Sequence[str]) -> cross_checks.MotorCountWatch:
     """The comparison of both boards' counts."""
     per_radian = [JointMap(drive).counts_per_radian for drive in arm.drives]
     has_two = [drive.motor_counts_per_rev is not None for drive in arm.drives]
-    return MotorCountWatch(per_radian, [drive.encoder_bits for drive in arm.drives], names, has_two)
+    return cross_checks.MotorCountWatch(
+        per_radian, [drive.encoder_bits for drive in arm.drives], names, has_two
+    )
 
 
 def _motor_leads(arm: Arm) -> MotorLeads:
@@ -237,8 +229,8 @@ def _unseen_s(drive: Drive) -> float:
     return half_rad / (OVERSPEED * drive.joint_speed_limit_rad_s)
 
 
-def _indices(arm: Arm, measurement: Measurement, names: Sequence[str]) -> IndexWatch:
-    return IndexWatch(
+def _indices(arm: Arm, measurement: Measurement, names: Sequence[str]) -> cross_checks.IndexWatch:
+    return cross_checks.IndexWatch(
         [drive.encoder_counts_per_rev for drive in arm.drives],
         [JointMap(drive).count(drive.home.index_rad) if drive.home else None for drive in arm.drives],
         measurement.unwrapped_count,
@@ -246,14 +238,14 @@ def _indices(arm: Arm, measurement: Measurement, names: Sequence[str]) -> IndexW
     )
 
 
-def _switch_place(drive: Drive) -> SwitchPlace | None:
+def _switch_place(drive: Drive) -> cross_checks.SwitchPlace | None:
     if (home := drive.home) is None:
         return None
     tolerance_rad = _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
-    return SwitchPlace(f"joint {drive.joint}", home.switch_rad, home.sense, tolerance_rad)
+    return cross_checks.SwitchPlace(f"joint {drive.joint}", home.switch_rad, home.sense, tolerance_rad)
 
 
-def _limit_switches(arm: Arm, names: Sequence[str]) -> Iterator[LimitSwitch]:
+def _limit_switches(arm: Arm, names: Sequence[str]) -> Iterator[cross_checks.LimitSwitch]:
     for joint, drive in enumerate(arm.drives):
         if (switches := drive.limit_switches) is None:
             continue
@@ -266,7 +258,9 @@ def _limit_switches(arm: Arm, names: Sequence[str]) -> Iterator[LimitSwitch]:
                 is_high, edge_rad = switches.active == "high", _edge_tolerance_rad(drive) + SWITCH_SLACK_rad
                 flag = own if pin == OWN_INPUT else 0
                 says = "its drive's own input" if flag else pin
-                yield LimitSwitch(joint, names[joint], says, side, is_high, is_home, edge_rad, flag)
+                yield cross_checks.LimitSwitch(
+                    joint, names[joint], says, side, is_high, is_home, edge_rad, flag
+                )
 
 
 def _edge_tolerance_rad(drive: Drive) -> float:
@@ -274,9 +268,9 @@ def _edge_tolerance_rad(drive: Drive) -> float:
     return TURN_TOLERANCE * min(drive.encoder_turn_rad, 2.0 * math.pi / drive.gear_ratio)
 
 
-def _cross_check_limits(arm: Arm) -> CrossCheckLimits:
+def _cross_check_limits(arm: Arm) -> cross_checks.CrossCheckLimits:
     limits = arm.limits
-    return CrossCheckLimits(
+    return cross_checks.CrossCheckLimits(
         limits.speed_contradiction_rad_s,
         limits.unexplained_torque,
         limits.supply_low,

@@ -11,19 +11,10 @@ import os
 import re
 from collections.abc import Callable, Sequence
 
+from hil_mocks.devices import motor_inputs
 from hil_mocks.devices.encoder_board import EncoderBoardMock
 from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, Latched, deframe, frame
 from hil_mocks.devices.motor_board import MotorBoardMock
-from hil_mocks.devices.motor_inputs import (
-    HIGHEST_SUPPLY_V,
-    LOWEST_SUPPLY_V,
-    OPEN,
-    Frame,
-    MotorBoardHardware,
-    MotorBoardSetup,
-    MotorState,
-    Output,
-)
 from hil_mocks.errors import ScenarioError
 from hil_mocks.firmware.library import PROTOCOL, library, require_size, size_of
 from hil_mocks.scenario import Scenario
@@ -246,10 +237,10 @@ class _Pins:
         return int(library().aw_motor_pin_levels(self._board)) | self.outside & ~outputs & self._pins
 
 
-class MotorBoardFirmware(MotorBoardHardware):
+class MotorBoardFirmware(motor_inputs.MotorBoardHardware):
     """A motor board that runs the firmware in C. Faults that falsify what it says are made on its frames."""
 
-    def __init__(self, setup: MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
+    def __init__(self, setup: motor_inputs.MotorBoardSetup, read_shaft: Callable[[], int]) -> None:
         self._code = library()
         for what, mirror in (
             ("motor_setup", _MotorSetup),
@@ -270,16 +261,16 @@ class MotorBoardFirmware(MotorBoardHardware):
         return int(self._code.aw_motor_count(self._board, self._read_shaft() & _U32))
 
     @property
-    def state(self) -> MotorState:
+    def state(self) -> motor_inputs.MotorState:
         """State of CiA 402."""
-        return MotorState(self._code.aw_motor_state(self._board))
+        return motor_inputs.MotorState(self._code.aw_motor_state(self._board))
 
     @property
     def faults(self) -> int:
         """Bits of a REPLY."""
         return int(self._code.aw_motor_faults(self._board))
 
-    def receive(self, can_id: int, payload: bytes, now_s: float) -> list[Frame]:
+    def receive(self, can_id: int, payload: bytes, now_s: float) -> list[motor_inputs.Frame]:
         """Process a frame from the bus; return the immediate replies."""
         heard, inputs = self._heard, self._inputs
         heard.id, heard.size = can_id, len(payload)
@@ -298,8 +289,8 @@ class MotorBoardFirmware(MotorBoardHardware):
             setup.serial_number,
             setup.counts_per_turn,
             setup.rating_mA,
-            round(LOWEST_SUPPLY_V * 1e3),
-            round(HIGHEST_SUPPLY_V * 1e3),
+            round(motor_inputs.LOWEST_SUPPLY_V * 1e3),
+            round(motor_inputs.HIGHEST_SUPPLY_V * 1e3),
             round(setup.rated_degC * 1e3),
             setup.firmware,
             setup.period_us,
@@ -311,7 +302,7 @@ class MotorBoardFirmware(MotorBoardHardware):
         self._code.aw_motor_init(self._board, ctypes.byref(given), self._at[0])
         self._obey()
 
-    def _period(self, now_s: float, step_s: float) -> list[Frame]:
+    def _period(self, now_s: float, step_s: float) -> list[motor_inputs.Frame]:
         self._look(now_s)
         is_announced = self._code.aw_motor_tick(self._board, self._at[0], self._at[2])
         self._obey()
@@ -336,14 +327,14 @@ class MotorBoardFirmware(MotorBoardHardware):
         if (kind, value) != self._obeyed:
             self._obeyed = kind, value
             if kind == _IS_VOLTAGE:
-                self.output = Output("voltage", value / 1e6)
+                self.output = motor_inputs.Output("voltage", value / 1e6)
             elif kind == _IS_CURRENT:
-                self.output = Output("current", value / 1e3)
+                self.output = motor_inputs.Output("current", value / 1e3)
             else:
-                self.output = OPEN
+                self.output = motor_inputs.OPEN
         self.current_limit_A = self._code.aw_motor_current_limit_mA(self._board) * 1e-3
 
-    def _sent(self) -> Frame:
+    def _sent(self) -> motor_inputs.Frame:
         return self._said.id, self._falsified(self._said.id, bytes(self._said.data))
 
     def _falsified(self, can_id: int, payload: bytes) -> bytes:

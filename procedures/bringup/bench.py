@@ -29,18 +29,7 @@ from firmware_iface.motor.board import DigitalPins, MotorBoard, MotorBus
 from firmware_iface.motor.cia402 import DriveState
 from firmware_iface.motor.wire import IdleOutput, MotorParameter
 from firmware_iface.serial_link import open_serial
-from procedures.bringup.workbench import (
-    HOMED_ON,
-    BringupOperator,
-    Channel,
-    DriveLimits,
-    SafetyTrip,
-    Sample,
-    Stopped,
-    Workbench,
-    channel_of,
-    limits_of,
-)
+from procedures.bringup import workbench
 from procedures.link_options import link_options
 
 if TYPE_CHECKING:
@@ -66,11 +55,11 @@ class ReferenceBench(Closing):
     has_index = True
     has_volts = limits_current = True
 
-    def __init__(self, arm: Arm, clock: Clock, operator: BringupOperator) -> None:
+    def __init__(self, arm: Arm, clock: Clock, operator: workbench.BringupOperator) -> None:
         self.clock = clock
         self.operator = operator
-        self.latest: Sample | None = None
-        self.before: Sample | None = None
+        self.latest: workbench.Sample | None = None
+        self.before: workbench.Sample | None = None
         self._arm = arm
         self._closers: list[Callable[[], None]] = []
         try:
@@ -81,10 +70,10 @@ class ReferenceBench(Closing):
         self._pins = self._switch_pins(arm)
         self._asked_at_s = -math.inf
         self._driven: MotorBoard | None = None
-        self._limits = DriveLimits(0.0, 0.0)
-        self._origin: dict[Channel, int] = {}
-        self._unwrappers: dict[Channel, Unwrapper] = {}
-        self._speeds: dict[Channel, float] = {}
+        self._limits = workbench.DriveLimits(0.0, 0.0)
+        self._origin: dict[workbench.Channel, int] = {}
+        self._unwrappers: dict[workbench.Channel, Unwrapper] = {}
+        self._speeds: dict[workbench.Channel, float] = {}
         self._last_t_s: dict[int, float] = {}
         self._deadline_s = clock.now_s()
 
@@ -135,7 +124,7 @@ class ReferenceBench(Closing):
     def prepare(self) -> None:
         """Nothing: boards that do not drive short their windings."""
 
-    def channels(self) -> list[Channel]:
+    def channels(self) -> list[workbench.Channel]:
         """All channels of all encoder boards."""
         return [
             (board, channel)
@@ -144,7 +133,7 @@ class ReferenceBench(Closing):
         ]
 
     @contextlib.contextmanager
-    def driving(self, node: int, limits: DriveLimits) -> Iterator[None]:
+    def driving(self, node: int, limits: workbench.DriveLimits) -> Iterator[None]:
         """Enable one motor board at 0 V under these limits; on every exit, it is braked and switched off."""
         motor = self.motors[node]
         self._set_up(motor, limits)
@@ -160,7 +149,7 @@ class ReferenceBench(Closing):
             self._driven = None
             self._switch_off(motor)
 
-    def _set_up(self, motor: MotorBoard, limits: DriveLimits) -> None:
+    def _set_up(self, motor: MotorBoard, limits: workbench.DriveLimits) -> None:
         motor.acknowledge_fault()  # the operator has just allowed the motion
         motor.go_to(DriveState.SWITCH_ON_DISABLED)
         for index, value in (
@@ -189,7 +178,7 @@ class ReferenceBench(Closing):
                 self._bus.emergency_stop(1)
             raise
 
-    def cycle(self, volts: float) -> Sample:
+    def cycle(self, volts: float) -> workbench.Sample:
         """Send a voltage (board's sign), wait for the next cycle, read all boards. Raises SafetyTrip or Stopped."""
         motor, limits = self._driven, self._limits
         if motor is None:
@@ -204,10 +193,10 @@ class ReferenceBench(Closing):
         sample = self._sampled(motor, volts)
         self._watch(motor, sample)
         if self.operator.wants_stop():
-            raise Stopped("stopped by the operator")
+            raise workbench.Stopped("stopped by the operator")
         return sample
 
-    def observe(self, duration_s: float) -> Sample:
+    def observe(self, duration_s: float) -> workbench.Sample:
         """Read all boards for a while with all drives off."""
         end_s = self.clock.now_s() + duration_s
         while self.clock.now_s() < end_s:
@@ -219,18 +208,18 @@ class ReferenceBench(Closing):
                 self._sampled(None, 0.0)
         return self._newest()
 
-    def _newest(self) -> Sample:
+    def _newest(self) -> workbench.Sample:
         if self.latest is None:
-            raise SafetyTrip("encoder boards: no report received; run `armwright doctor`")
+            raise workbench.SafetyTrip("encoder boards: no report received; run `armwright doctor`")
         return self.latest
 
-    def _sampled(self, motor: MotorBoard | None, volts: float) -> Sample:
-        counts: dict[Channel, int] = {}
-        flags: dict[Channel, int] = {}
+    def _sampled(self, motor: MotorBoard | None, volts: float) -> workbench.Sample:
+        counts: dict[workbench.Channel, int] = {}
+        flags: dict[workbench.Channel, int] = {}
         for board, encoder in enumerate(self.encoders):
             report = encoder.latest
             if report is None or encoder.identity is None:
-                raise SafetyTrip(f"{encoder.where}: no report received; run `armwright doctor`")
+                raise workbench.SafetyTrip(f"{encoder.where}: no report received; run `armwright doctor`")
             span_s = encoder.board_time_s - self._last_t_s.get(board, -math.inf)
             for channel in range(encoder.identity.channels):
                 at = (board, channel)
@@ -246,14 +235,16 @@ class ReferenceBench(Closing):
         time_s = self.encoders[0].board_time_s
         self.before = self.latest
         levels = self._levels()
-        limits = {drive.joint: limits_of(drive, levels) for drive in self._arm.drives}
+        limits = {drive.joint: workbench.limits_of(drive, levels) for drive in self._arm.drives}
         for drive in self._arm.drives:
-            if drive.home is not None and limits[drive.joint] & HOMED_ON.get(drive.home.switch, 0):
-                flags[channel_of(drive)] |= HOME_SWITCH
-        self.latest = Sample(time_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits)
+            if drive.home is not None and limits[drive.joint] & workbench.HOMED_ON.get(drive.home.switch, 0):
+                flags[workbench.channel_of(drive)] |= HOME_SWITCH
+        self.latest = workbench.Sample(
+            time_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits
+        )
         return self.latest
 
-    def _follow_speed(self, at: Channel, step: int, span_s: float) -> None:
+    def _follow_speed(self, at: workbench.Channel, step: int, span_s: float) -> None:
         if span_s == 0.0:
             return
         speed = self._speeds.get(at, 0.0)
@@ -262,34 +253,36 @@ class ReferenceBench(Closing):
             speed + span_s / (span_s + SPEED_FILTER_S) * (wanted - speed) if span_s < 1.0 else wanted
         )
 
-    def _watch(self, motor: MotorBoard, sample: Sample) -> None:
+    def _watch(self, motor: MotorBoard, sample: workbench.Sample) -> None:
         now_s, limits = self.clock.now_s(), self._limits
         stale_s = self._arm.limits.stale_s
         for encoder in self.encoders:
             encoder.require_fresh(now_s, stale_s)
         motor.require_fresh(now_s, stale_s)
         if motor.state is not DriveState.OPERATION_ENABLED or motor.reply is None:
-            raise SafetyTrip(
+            raise workbench.SafetyTrip(
                 f"{motor.where}: left the state OPERATION ENABLED without a command ({_fault_names(motor)}); run"
                 " `armwright doctor`"
             )
         if abs(sample.current_A) > CURRENT_MARGIN * limits.current_A + CURRENT_MARGIN_A:
-            raise SafetyTrip(
+            raise workbench.SafetyTrip(
                 f"{motor.where}: {sample.current_A:+.2f} A measured, limit {limits.current_A:.2f} A: the board does"
                 " not enforce its current limit; do not use it"
             )
         for at, origin in self._origin.items():
             speed, travel = abs(sample.speed_count_s[at]), abs(sample.counts[at] - origin)
             if speed > limits.speed_count_s:
-                raise SafetyTrip(self._too_fast(at, sample, limits))
+                raise workbench.SafetyTrip(self._too_fast(at, sample, limits))
             if travel > limits.travel_count:
-                raise SafetyTrip(
+                raise workbench.SafetyTrip(
                     f"encoder channel {at[1]} of board {at[0]} moved {travel} counts, limit"
                     f" {limits.travel_count:.0f}: the drive was switched off; check for an obstacle, and that the"
                     " other joints are supported"
                 )
 
-    def _too_fast(self, at: Channel, sample: Sample, limits: DriveLimits) -> str:
+    def _too_fast(
+        self, at: workbench.Channel, sample: workbench.Sample, limits: workbench.DriveLimits
+    ) -> str:
         """A motor accelerates gradually; a count that jumps within one cycle is not motion."""
         before = self.before
         channel = f"encoder channel {at[1]} of board {at[0]}"
@@ -304,7 +297,7 @@ class ReferenceBench(Closing):
             " the drive was switched off; check gear and encoder against the draft, and the load"
         )
 
-    def index_latch(self, at: Channel) -> int | None:
+    def index_latch(self, at: workbench.Channel) -> int | None:
         """The unwrapped count that the index latched since `arm_index`, or None."""
         latch = self.encoders[at[0]].index_latch(at[1])
         if latch is None:
@@ -314,7 +307,7 @@ class ReferenceBench(Closing):
         half = 1 << (identity.encoder_bits - 1 if identity else 31)
         return present + ((latch - present + half & 2 * half - 1) - half)
 
-    def arm_index(self, at: Channel) -> None:
+    def arm_index(self, at: workbench.Channel) -> None:
         """Arm the index latch."""
         self.encoders[at[0]].arm_index(at[1])
         self._deadline_s = self.clock.now_s()
@@ -323,7 +316,7 @@ class ReferenceBench(Closing):
         """The motor board's own count of its encoder; counts up with positive voltage if both are wired correctly."""
         return self.motors[node].read(MotorParameter.POSITION_COUNT)
 
-    def counts_per_turn(self, at: Channel) -> int | None:
+    def counts_per_turn(self, at: workbench.Channel) -> int | None:
         """What the encoder's board says of it."""
         identity = self.encoders[at[0]].identity
         return identity.counts_per_turn[at[1]] if identity else None
@@ -360,8 +353,8 @@ class Setting:
 
 @contextmanager
 def open_bench(
-    arm: Arm, clock: Clock, operator: BringupOperator, currents_A: Mapping[int, float]
-) -> Iterator[Workbench]:
+    arm: Arm, clock: Clock, operator: workbench.BringupOperator, currents_A: Mapping[int, float]
+) -> Iterator[workbench.Workbench]:
     """The boards of an arm, whose drives get at most `currents_A` by joint. ArmError where not all are of one sort."""
     bought = [drive.board for drive in arm.drives if drive.board]
     if bought and len(bought) < len(arm.drives):

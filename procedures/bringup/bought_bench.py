@@ -24,16 +24,7 @@ from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock
 from firmware_iface.errors import LinkError, MisuseError
 from firmware_iface.link import Closing
-from procedures.bringup.workbench import (
-    HOMED_ON,
-    BringupOperator,
-    Channel,
-    DriveLimits,
-    SafetyTrip,
-    Sample,
-    Stopped,
-    limits_of,
-)
+from procedures.bringup import workbench
 
 ENABLE_S = 1.0
 SETTLE_S = 0.05  # after enabling, and until values have come
@@ -59,7 +50,7 @@ class BoughtBench(Closing):
     has_index = False
 
     def __init__(
-        self, arm: Arm, clock: Clock, operator: BringupOperator, currents_A: Mapping[int, float]
+        self, arm: Arm, clock: Clock, operator: workbench.BringupOperator, currents_A: Mapping[int, float]
     ) -> None:
         """`currents_A`: by joint, what its drive may draw. Raises the errors of `connect`."""
         self.clock, self.operator = clock, operator
@@ -71,11 +62,11 @@ class BoughtBench(Closing):
         self._hardware = self._connection.hardware
         self._maps = [JointMap(drive) for drive in self._arm.drives]
         self._joint: int | None = None  # that is driven, from 0
-        self._limits = DriveLimits(0.0, 0.0)
-        self._origin: dict[Channel, int] = {}
+        self._limits = workbench.DriveLimits(0.0, 0.0)
+        self._origin: dict[workbench.Channel, int] = {}
         self._target = 0.0  # of the driven joint in counts, where its board closes the loop
-        self._last: dict[Channel, tuple[float, int]] = {}
-        self._speeds: dict[Channel, float] = {}
+        self._last: dict[workbench.Channel, tuple[float, int]] = {}
+        self._speeds: dict[workbench.Channel, float] = {}
         self._wanted = Wanted.AS_FOUND
         self._kept_at_s = clock.now_s()  # when the driven motor's current was last within its limit
         self.observe(SETTLE_S)
@@ -94,12 +85,12 @@ class BoughtBench(Closing):
             self._exchanged(0.0)
             if self.clock.now_s() > end_s:
                 self._switch_off()
-                raise SafetyTrip(
+                raise workbench.SafetyTrip(
                     f"not all boards went into operation within {ENABLE_S:g} s; run `armwright doctor`"
                 )
         self._wanted = Wanted.ENABLED
 
-    def observe(self, duration_s: float) -> Sample:
+    def observe(self, duration_s: float) -> workbench.Sample:
         """Read all boards for a while; nothing is driven, and boards that are on hold. Before `prepare` nothing is commanded."""
         end_s = self.clock.now_s() + duration_s
         sample = self._exchanged(0.0)
@@ -108,7 +99,7 @@ class BoughtBench(Closing):
         return sample
 
     @contextlib.contextmanager
-    def driving(self, node: int, limits: DriveLimits) -> Iterator[None]:
+    def driving(self, node: int, limits: workbench.DriveLimits) -> Iterator[None]:
         """Drive the motor of a joint of the draft; the others hold, or brake. On every exit it stands still."""
         self.prepare()
         joint = next(k for k, drive in enumerate(self._arm.drives) if drive.joint == node)
@@ -124,20 +115,20 @@ class BoughtBench(Closing):
         finally:
             self._joint = None
 
-    def cycle(self, volts: float) -> Sample:
+    def cycle(self, volts: float) -> workbench.Sample:
         """Send a voltage (board's sign), wait for the next cycle, read all boards. Raises SafetyTrip or Stopped."""
         if self._joint is None:
             raise MisuseError("bring-up: a voltage was commanded while no motor is driven")
         sample = self._exchanged(min(max(volts, -self._limits.voltage_V), self._limits.voltage_V))
         self._watch(self._joint, sample)
         if self.operator.wants_stop():
-            raise Stopped("stopped by the operator")
+            raise workbench.Stopped("stopped by the operator")
         return sample
 
-    def arm_index(self, at: Channel) -> None:
+    def arm_index(self, at: workbench.Channel) -> None:
         """No index is known."""
 
-    def index_latch(self, at: Channel) -> int | None:
+    def index_latch(self, at: workbench.Channel) -> int | None:
         """No index is known."""
         return None
 
@@ -146,7 +137,7 @@ class BoughtBench(Closing):
         joint = next(k for k, drive in enumerate(self._arm.drives) if drive.joint == node)
         return self._hardware.feedback.count[joint]
 
-    def counts_per_turn(self, at: Channel) -> int | None:
+    def counts_per_turn(self, at: workbench.Channel) -> int | None:
         """Boards do not say."""
         return None
 
@@ -156,7 +147,7 @@ class BoughtBench(Closing):
 
     # ---- cycles
 
-    def _exchanged(self, volts: float) -> Sample:
+    def _exchanged(self, volts: float) -> workbench.Sample:
         """Command all boards, wait, and read them."""
         hardware, joint = self._hardware, self._joint
         modes = [OutputMode.VOLTAGE if self.has_volts else OutputMode.HOLD] * len(self._arm.drives)
@@ -190,7 +181,7 @@ class BoughtBench(Closing):
         self._target = allowed
         return allowed != wanted
 
-    def _sampled(self, joint: int | None, volts: float, is_limited: bool) -> Sample:
+    def _sampled(self, joint: int | None, volts: float, is_limited: bool) -> workbench.Sample:
         feedback = self._hardware.feedback
         counts = {(0, k): count for k, count in enumerate(feedback.count)}
         for at, count in counts.items():
@@ -198,14 +189,19 @@ class BoughtBench(Closing):
         sign = 1.0 if joint is None else float(self._arm.drives[joint].motor_direction)
         current_A = 0.0 if joint is None else sign * feedback.current_A[joint]
         flags = {(0, k): flags for k, flags in enumerate(feedback.channel_flags)}
-        limits = {drive.joint: limits_of(drive, {}, flags[0, k]) for k, drive in enumerate(self._arm.drives)}
+        limits = {
+            drive.joint: workbench.limits_of(drive, {}, flags[0, k])
+            for k, drive in enumerate(self._arm.drives)
+        }
         for k, drive in enumerate(self._arm.drives):
-            if drive.home is not None and limits[drive.joint] & HOMED_ON.get(drive.home.switch, 0):
+            if drive.home is not None and limits[drive.joint] & workbench.HOMED_ON.get(drive.home.switch, 0):
                 flags[0, k] |= HOME_SWITCH
         now_s = self.clock.now_s() if joint is None else feedback.counted_at_s[joint]
-        return Sample(now_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits)
+        return workbench.Sample(
+            now_s, counts, flags, dict(self._speeds), volts, current_A, is_limited, limits
+        )
 
-    def _follow_speed(self, at: Channel, count: int, counted_at_s: float) -> None:
+    def _follow_speed(self, at: workbench.Channel, count: int, counted_at_s: float) -> None:
         if at not in self._last:
             self._last[at], self._speeds[at] = (counted_at_s, count), 0.0
         before_s, before = self._last[at]
@@ -215,22 +211,22 @@ class BoughtBench(Closing):
             share = span_s / (span_s + SPEED_FILTER_S)
             self._speeds[at] += share * ((count - before) / span_s - self._speeds[at])
 
-    def _watch(self, joint: int, sample: Sample) -> None:
+    def _watch(self, joint: int, sample: workbench.Sample) -> None:
         feedback, limits, now_s = self._hardware.feedback, self._limits, self.clock.now_s()
         stale_s, name = self._arm.limits.stale_s, f"joint {self._arm.drives[joint].joint} in the draft"
         oldest_s = min(feedback.reported_at_s[joint], feedback.reply_at_s[joint])
         if now_s - oldest_s > stale_s:
-            raise SafetyTrip(
+            raise workbench.SafetyTrip(
                 f"{name}: no values for {now_s - oldest_s:.3f} s (limit {stale_s} s); run `armwright doctor`"
             )
         if feedback.statusword[joint] & STATE_MASK != OPERATION_ENABLED:
-            raise SafetyTrip(
+            raise workbench.SafetyTrip(
                 f"{name}: its board left operation by itself (faults 0x{feedback.drive_faults[joint]:x})"
             )
         if abs(sample.current_A) <= CURRENT_MARGIN * limits.current_A + CURRENT_MARGIN_A:
             self._kept_at_s = now_s
         elif now_s - self._kept_at_s > EXCESS_S:
-            raise SafetyTrip(
+            raise workbench.SafetyTrip(
                 f"{name}: {sample.current_A:+.2f} A measured for {EXCESS_S} s, limit {limits.current_A:.2f} A: limit the current"
                 " on the board"
             )
@@ -238,12 +234,12 @@ class BoughtBench(Closing):
             speed, travel = abs(sample.speed_count_s[at]), abs(sample.counts[at] - origin)
             which = f"the encoder of joint {at[1] + 1}"
             if speed > limits.speed_count_s:
-                raise SafetyTrip(
+                raise workbench.SafetyTrip(
                     f"{which} RAN AWAY at {speed:.0f} counts/s, limit {limits.speed_count_s:.0f}: the drives were switched"
                     " off; check gear and encoder against the draft, and the load"
                 )
             if travel > limits.travel_count:
-                raise SafetyTrip(
+                raise workbench.SafetyTrip(
                     f"{which} moved {travel} counts, limit {limits.travel_count:.0f}: the drives were switched off; check"
                     " for an obstacle, and that the other joints are supported"
                 )

@@ -23,19 +23,7 @@ from control.files import write_whole
 from control.model import table as tables
 from control.model.arm import Arm, Table
 from control.plain_text import Advance
-from procedures.demo.paper_models import (
-    SETUPS,
-    GentlePose,
-    Goal,
-    Mover,
-    commands,
-    free_poses,
-    models_of,
-    other_trajectory,
-    table_says,
-    verification_targets,
-    with_friction,
-)
+from procedures.demo import paper_models
 from procedures.demo.paper_page import PaperReplay, document, paper_page
 from procedures.mock import MockBench
 
@@ -54,29 +42,29 @@ class PaperOutcome:
 def run(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> PaperOutcome:
     """Run the whole experiment on the bench's arm; results are in the folder `out`."""
     table = tables.table_of(arm)
-    targets = (*verification_targets(table), *other_trajectory(table))
+    targets = (*paper_models.verification_targets(table), *paper_models.other_trajectory(table))
     advance("homing", 0.0)
     client = bench.start(arm)
     client.enable()
     client.home()
-    mover = Mover(arm, bench, client)
+    mover = paper_models.Mover(arm, bench, client)
     visits = _Visits(mover, targets, out, advance)
     before_m = visits.visit(arm, "before", 0.02, BEFORE_SHARE)
     _record(arm, table, mover, out / "points.csv", advance)
     points, _ = read_points(out / "points.csv", arm.joint_count)
     advance("identification", FREE_SHARE)
-    models = models_of(arm, points)
+    models = paper_models.models_of(arm, points)
     reached = {}
     for k, model in enumerate(models):
         shares = FREE_SHARE + (0.98 - FREE_SHARE) * np.array([k, k + 1]) / len(models)
-        commanded_arm = with_friction(model, arm, points) if model.backlash else model.arm
+        commanded_arm = paper_models.with_friction(model, arm, points) if model.backlash else model.arm
         reached[model.name] = visits.visit(commanded_arm, model.name, *shares.tolist())
     if arm.rest is not None:
         client.move_joints(arm.rest.q_rad, bench.speed)
     bench.stop()
     advance("report", 0.98)
     replay = PaperReplay(
-        targets, before_m, models, reached, _table_error_m(arm, points), table_says(arm, points)
+        targets, before_m, models, reached, _table_error_m(arm, points), paper_models.table_says(arm, points)
     )
     outcome = _written(arm, replay, out)
     advance("done", 1.0)
@@ -87,14 +75,14 @@ def run(arm: Arm, bench: MockBench, out: Path, advance: Advance) -> PaperOutcome
 class _Visits:
     """Moves the tip to the targets by a model of the arm and measures it with the camera."""
 
-    mover: Mover
-    targets: Sequence[Goal]
+    mover: paper_models.Mover
+    targets: Sequence[paper_models.Goal]
     out: Path
     advance: Advance
 
     def visit(self, arm: Arm, name: str, start: float, end: float) -> Array:
         """Measured tips (m, 3); the records go to verification_NAME.csv, the progress from `start` to `end`."""
-        poses = commands(arm, self.targets, self.mover.q_rad)
+        poses = paper_models.commands(arm, self.targets, self.mover.q_rad)
         seen = []
         with PointsWriter(self.out / f"verification_{_in_file(name)}.csv", arm.joint_count) as writer:
             for record in self.mover.visit(poses, writer):
@@ -104,12 +92,14 @@ class _Visits:
         return np.array(seen)
 
 
-def _record(arm: Arm, table: Table, mover: Mover, file: Path, advance: Advance) -> None:
+def _record(arm: Arm, table: Table, mover: paper_models.Mover, file: Path, advance: Advance) -> None:
     """The session: every cavity on every tilt by hand, then the free poses, each from both sides."""
-    cavities = [point for setup in SETUPS for point in board_points(setup, tables.cavities(table, setup))]
+    cavities = [
+        point for setup in paper_models.SETUPS for point in board_points(setup, tables.cavities(table, setup))
+    ]
     free = [
-        GentlePose("free", f"f{k}", tuple(q.tolist()), (side,) * arm.joint_count, repeat)
-        for k, q in enumerate(free_poses(arm), 1)
+        paper_models.GentlePose("free", f"f{k}", tuple(q.tolist()), (side,) * arm.joint_count, repeat)
+        for k, q in enumerate(paper_models.free_poses(arm), 1)
         for repeat, side in ((1, 1), (2, -1))
     ]
     with PointsWriter(file, arm.joint_count) as writer:
@@ -122,7 +112,7 @@ def _record(arm: Arm, table: Table, mover: Mover, file: Path, advance: Advance) 
 
 def _table_error_m(arm: Arm, points: Points) -> float:
     """Mean distance of the nominal model's tips from the cavities of the level board."""
-    level = points.chosen([k for k, setup in enumerate(points.setup) if setup == SETUPS[0]])
+    level = points.chosen([k for k, setup in enumerate(points.setup) if setup == paper_models.SETUPS[0]])
     return float(norms(level.tip_m - ArmModel(arm).tips(arm.dh, level.q_rad)).mean())
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.arrays import Array, frozen, norms
+from calib.closed_chain import planning
 from calib.closed_chain.calibrate import (
     PairFound,
     PairPlan,
@@ -29,18 +30,6 @@ from calib.closed_chain.calibrate import (
 )
 from calib.closed_chain.conduct import conduct, contact_plan
 from calib.closed_chain.pair_problem import Contacts, read_contacts
-from calib.closed_chain.planning import (
-    APART,
-    CAVITY,
-    Candidates,
-    ContactPlan,
-    Poses,
-    SharedRoom,
-    base_of,
-    pair_of,
-    plan_contacts,
-    write_contacts,
-)
 from calib.design.planning import short_path
 from calib.errors import CalibrationError
 from calib.identify.open_combinations import open_in_words
@@ -94,7 +83,7 @@ class PairOutcome:
     """What was found. Errors [m] of contacts that were not used: as the files say, bases placed alone, calibrated."""
 
     cell: Cell
-    plan: ContactPlan
+    plan: planning.ContactPlan
     found: PairFound
     by_files_m: Array
     placed_m: Array
@@ -107,11 +96,11 @@ class PairOutcome:
 
 def run(cell: Cell, scenario_file: Path, out: Path, advance: Advance) -> PairOutcome:
     """Run everything on a mock of the cell; results are in the folder `out`."""
-    names = pair_of(cell)
+    names = planning.pair_of(cell)
     scenario = load_scenario(scenario_file)
     advance("planning contacts", 0.0)
-    plan = plan_contacts(cell, names, (0.0, BAR_m), FITTED)
-    write_contacts(out / "planned.csv", plan.chosen.contacts)
+    plan = planning.plan_contacts(cell, names, (0.0, BAR_m), FITTED)
+    planning.write_contacts(out / "planned.csv", plan.chosen.contacts)
     bench = CellBench(as_bolted_down(cell, scenario.seed), scenario, out / "log")
     try:
         advance("homing", 0.02)
@@ -127,7 +116,7 @@ def run(cell: Cell, scenario_file: Path, out: Path, advance: Advance) -> PairOut
             after = pair.circle_beside()
     finally:
         bench.close()
-    base = base_of(cell, (cell.names[0], cell.names[1]))
+    base = planning.base_of(cell, (cell.names[0], cell.names[1]))
     placed = calibrate_pair(plan.arms, fitted, PairPlan(fixed=_geometry(found)))
     files = {
         "contacts": out / "contacts" / POINTS,
@@ -158,7 +147,7 @@ def _homed(cell: Cell, names: tuple[str, str], bench: CellBench) -> Iterator[Moc
     bench.stop()
 
 
-def _take(pair: MockPair, plan: ContactPlan, out: Path, advance: Advance) -> None:
+def _take(pair: MockPair, plan: planning.ContactPlan, out: Path, advance: Advance) -> None:
     """Record the planned contacts in one session, and some others, which the calibration does not get, in another."""
     rest = len(plan.others.contacts)
     rows = np.random.default_rng(CHECK_SEED).permutation(rest)[:CHECKED].tolist()
@@ -173,7 +162,7 @@ def _take(pair: MockPair, plan: ContactPlan, out: Path, advance: Advance) -> Non
                     advance(f"contact {saying.record.point}", 0.1 + 0.7 * done / (FITTED + CHECKED))
 
 
-def _read(file: Path, plan: ContactPlan) -> Contacts:
+def _read(file: Path, plan: planning.ContactPlan) -> Contacts:
     return read_contacts(file, plan.arms)[0]
 
 
@@ -182,7 +171,9 @@ def _geometry(found: PairFound) -> list[str]:
     return [one.parameter.name for one in found.estimates if one.parameter.has_bound]
 
 
-def _written(cell: Cell, names: tuple[str, str], plan: ContactPlan, found: PairFound, out: Path) -> Cell:
+def _written(
+    cell: Cell, names: tuple[str, str], plan: planning.ContactPlan, found: PairFound, out: Path
+) -> Cell:
     """Both arms, pair.json and the calibrated cell as files; the cell as loaded from them."""
     folder, made = out / "pair", made_today(input_file(out / "contacts" / POINTS, "contacts"))
     folder.mkdir()
@@ -207,7 +198,7 @@ TURNS = 20  # steps to the best turn
 HELD_m = (0.4, 0.06, 0.4)  # where the first tip holds meanwhile, in the frame of the cell
 
 
-def in_order(planned: Candidates, room: SharedRoom) -> list[int]:
+def in_order(planned: planning.Candidates, room: planning.SharedRoom) -> list[int]:
     """The order of the contacts from the rest poses with little joint travel, and few detours."""
     here_rad = room.rest_rad
     both = np.hstack((planned.first_away_rad, planned.second_away_rad))
@@ -225,14 +216,14 @@ class MockPair:
 
     def __init__(self, cell: Cell, names: tuple[str, str], bench: CellBench) -> None:
         self.cell, self.names, self.bench = cell, names, bench
-        self.room = SharedRoom(cell, (cell.placed(names[0]), cell.placed(names[1])))
+        self.room = planning.SharedRoom(cell, (cell.placed(names[0]), cell.placed(names[1])))
 
     @property
-    def here_rad(self) -> Poses:
+    def here_rad(self) -> planning.Poses:
         """Where the arms are."""
         return [self.bench.clients[name].status()["joint_rad"] for name in self.names]
 
-    def go(self, goal_rad: Poses) -> bool:
+    def go(self, goal_rad: planning.Poses) -> bool:
         """Move both together on a way that is clear; False, and nothing moves, if there is none."""
         way = self.room.way(self.here_rad, goal_rad)
         for poses in way or ():
@@ -368,7 +359,7 @@ def _parts(outcome: PairOutcome) -> Iterator[Section | str]:
 
 def _steps(outcome: PairOutcome) -> Iterator[str]:
     plan = outcome.plan
-    kinds = [outcome.fitted.setup.count(kind) for kind in (CAVITY, APART)]
+    kinds = [outcome.fitted.setup.count(kind) for kind in (planning.CAVITY, planning.APART)]
     yield "Both arms were homed, one after the other, and drew the circle with the models of their files."
     yield (
         f"Of {plan.candidates_count} contacts that both arms reach, clear of each other, {len(plan.chosen.contacts)} were chosen"

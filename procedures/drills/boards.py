@@ -28,20 +28,7 @@ from hil_mocks.devices.odrive import OdriveMock
 from hil_mocks.devices.roboclaw import RoboClawLineMock
 from hil_mocks.devices.vesc import VescMock
 from hil_mocks.scenario import FaultTable
-from procedures.drills.drill import (
-    GOES_ON,
-    LOOKED,
-    REST,
-    UNDER_WAY_S,
-    WATCHED_S,
-    DrillOutcome,
-    Promise,
-    Stage,
-    TO_rad,
-    length_m,
-    stage,
-    stood_s,
-)
+from procedures.drills import drill
 from procedures.on_boards import on_boards
 
 HOLDING = ("dynamixel", "feetech", "odrive", "cia402", "moteus")
@@ -87,23 +74,23 @@ RAISED_m = 0.1  # of the floor over the tip
 
 
 @dataclass(frozen=True, slots=True)
-class BoardsDrill(Promise):
+class BoardsDrill(drill.Promise):
     """Something that befalls an arm on boards of one kind."""
 
     kind: str = HOLDING[0]
-    act: Callable[[Stage], str] = field(default=lambda played: "")  # what was wrong afterwards, as text
+    act: Callable[[drill.Stage], str] = field(default=lambda played: "")  # what was wrong afterwards, as text
 
-    def run(self) -> DrillOutcome:
+    def run(self) -> drill.DrillOutcome:
         """Run it on a fresh arm."""
-        with stage(on_boards(load_arm("right"), self.kind)) as played:
+        with drill.stage(on_boards(load_arm("right"), self.kind)) as played:
             played.run(0.1)
             played.way = played.way[-1:]
             wrong = self.act(played)
             way = played.way  # from what befell it on
             begun_s, before = way[0]
-            return DrillOutcome(
-                self, max(dist(before, tip) for _, tip in way) * 1e3, length_m(way) * 1e3,
-                None if played.noticed_s is None else played.noticed_s - begun_s, stood_s(way, begun_s, LOOKED),
+            return drill.DrillOutcome(
+                self, max(dist(before, tip) for _, tip in way) * 1e3, drill.length_m(way) * 1e3,
+                None if played.noticed_s is None else played.noticed_s - begun_s, drill.stood_s(way, begun_s, drill.LOOKED),
                 "nothing", played.found, played.message, 0.0, wrong,
             )  # fmt: skip
 
@@ -121,38 +108,38 @@ class BoardsDrill(Promise):
             )
         )
         for name, says, codes, most_mm, act, kinds in (
-            ("off-at-once", "off pressed 4 ms after enable", GOES_ON, FALLS_mm, off_at_once, HOLDING),
-            ("restarted", "loop killed while it holds the arm, another started", GOES_ON, HELD_mm, restarted, HOLDING),
-            ("restarted-at-once", "another loop started before the time-out of any board", GOES_ON, HELD_mm, restarted_at_once,
-             HOLDING),
+            ("off-at-once", "off pressed 4 ms after enable", drill.GOES_ON, FALLS_mm, off_at_once, HOLDING),
+            ("restarted", "loop killed while it holds the arm, another started", drill.GOES_ON, HELD_mm, restarted, HOLDING),
+            ("restarted-at-once", "another loop started before the time-out of any board", drill.GOES_ON, HELD_mm,
+             restarted_at_once, HOLDING),
             ("torque-lost", "another program switches a drive off that holds", lost, FALLS_mm, torque_lost, HOLDING),
-            ("torque-in-off", "another program switches a drive on while the arm is off", GOES_ON, FALLS_mm, torque_in_off,
+            ("torque-in-off", "another program switches a drive on while the arm is off", drill.GOES_ON, FALLS_mm, torque_in_off,
              HOLDING),
-            ("turn-off", "encoder 1 reads a turn too much", GOES_ON, FALLS_mm, a_turn_off, ("dynamixel", "odrive")),
-            ("below-floor", "moves of an arm that stands below the floor", GOES_ON, FALLS_mm, below_floor, HOLDING[:1]),
+            ("turn-off", "encoder 1 reads a turn too much", drill.GOES_ON, FALLS_mm, a_turn_off, ("dynamixel", "odrive")),
+            ("below-floor", "moves of an arm that stands below the floor", drill.GOES_ON, FALLS_mm, below_floor, HOLDING[:1]),
             ("brown-out", "the supply of one board sags to 60 %", sagged, HELD_mm, brown_out, HOLDING_ON),
             ("brown-out", "the supply of one board sags to 60 %", sagged, SINKS_mm, brown_out, (*HOLDING[-1:], *BRAKING)),
             ("own-error", "one board is too hot", own, FALLS_mm, own_error, (*HOLDING, *BRAKING)),
             ("overload", "a servo is overloaded, and keeps a share of its torque", own, HELD_mm, overloaded, ("feetech",)),
-            ("asked", "another program asks a board in each cycle", GOES_ON, HELD_mm, asked, (*HOLDING, *BRAKING[:1])),
+            ("asked", "another program asks a board in each cycle", drill.GOES_ON, HELD_mm, asked, (*HOLDING, *BRAKING[:1])),
             ("asked", "another program asks a board in each cycle", silent, SINKS_mm, asked, BRAKING[1:]),
-            ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", GOES_ON, STOPS_mm, host_gone, HOLDING),
-            ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", GOES_ON, SINKS_mm, host_gone, BRAKING),
-            ("restarted", "loop killed while it holds the arm, another started", GOES_ON, SINKS_mm, restarted, BRAKING),
+            ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", drill.GOES_ON, STOPS_mm, host_gone, HOLDING),
+            ("host-gone", "loop killed while joint 1 moves (jogged if not homed)", drill.GOES_ON, SINKS_mm, host_gone, BRAKING),
+            ("restarted", "loop killed while it holds the arm, another started", drill.GOES_ON, SINKS_mm, restarted, BRAKING),
             ("torque-in-hold", "another program commands a drive of a held arm now and then", moved, SINKS_mm, torque_in_hold,
              BRAKING),
-            ("old-firmware", "other firmware is found when serve starts again", GOES_ON, HELD_mm, old_firmware, HOLDING),
-            ("old-firmware", "other firmware is found when serve starts again", GOES_ON, SINKS_mm, old_firmware, BRAKING),
+            ("old-firmware", "other firmware is found when serve starts again", drill.GOES_ON, HELD_mm, old_firmware, HOLDING),
+            ("old-firmware", "other firmware is found when serve starts again", drill.GOES_ON, SINKS_mm, old_firmware, BRAKING),
         ):  # fmt: skip
             for kind in kinds:
-                yield cls(f"{name}-{kind}", f"{says}, on {kind}", REST, codes, 0.1, most_mm, kind, act)
+                yield cls(f"{name}-{kind}", f"{says}, on {kind}", drill.REST, codes, 0.1, most_mm, kind, act)
 
 
-def _torques(played: Stage) -> list[bool]:
+def _torques(played: drill.Stage) -> list[bool]:
     return [kind in ("voltage", "current") and value != 0.0 for kind, value in played.rig.robot.outputs]
 
 
-def off_at_once(played: Stage) -> str:
+def off_at_once(played: drill.Stage) -> str:
     """`off` crosses an enabling: in OFF no joint has torque, and none gets it."""
     played.client.ask("enable")
     played.run(ASKED_AFTER_S)
@@ -166,20 +153,20 @@ def off_at_once(played: Stage) -> str:
     return "a joint had torque in OFF" if any(_torques(played)) else ""
 
 
-def restarted(played: Stage) -> str:
+def restarted(played: drill.Stage) -> str:
     """Boards that hold are left so, let go by no mere `off`, and taken over without a step; others wait for `enable`."""
     return _restarted(played, AWAY_S, LOOKED_AROUND_S)
 
 
-def restarted_at_once(played: Stage) -> str:
+def restarted_at_once(played: drill.Stage) -> str:
     """The same, of boards that are still in operation."""
     return _restarted(played, 0.0, 0.0)
 
 
-def _restarted(played: Stage, away_s: float, looked_s: float) -> str:
+def _restarted(played: drill.Stage, away_s: float, looked_s: float) -> str:
     holds = played.arm.boards[0].kind in HOLDING
     expected = Mode.HELD if holds else Mode.OFF
-    played.begin(REST)
+    played.begin(drill.REST)
     played.way = played.way[-1:]
     played.away(away_s)
     torques = [any(_torques(played))]
@@ -197,9 +184,9 @@ def _restarted(played: Stage, away_s: float, looked_s: float) -> str:
     return "" if played.mode is Mode.HOLDING else f"it was not taken over: {played.mode.name}"
 
 
-def torque_in_hold(played: Stage) -> str:
+def torque_in_hold(played: drill.Stage) -> str:
     """A board that obeys whoever spoke last is taken back by the next cycle's command; what the joint did then is noticed."""
-    played.begin(REST)
+    played.begin(drill.REST)
     played.way = played.way[-1:]
     for _ in range(5):
         played.inject("switched_on", played.rig.robot.drive_names[1], at_s=played.now_s + DURING_A_CYCLE_S)
@@ -207,9 +194,9 @@ def torque_in_hold(played: Stage) -> str:
     return "" if played.mode is Mode.FAULT else f"the arm was {played.mode.name}"
 
 
-def torque_lost(played: Stage) -> str:
+def torque_lost(played: drill.Stage) -> str:
     """A drive that somebody else has switched off stays off, until a person enables it."""
-    played.begin(REST)
+    played.begin(drill.REST)
     played.way = played.way[-1:]
     played.inject("switched_off", played.rig.robot.drive_names[1], at_s=played.now_s + DURING_A_CYCLE_S)
     for _ in range(50):
@@ -219,14 +206,14 @@ def torque_lost(played: Stage) -> str:
     return ""
 
 
-def torque_in_off(played: Stage) -> str:
+def torque_in_off(played: drill.Stage) -> str:
     """A drive that somebody else has switched on is switched off again."""
     played.inject("switched_on", played.rig.robot.drive_names[1], at_s=played.now_s + DURING_A_CYCLE_S)
     played.run(OBEYS_S)
     return "the torque stayed" if any(_torques(played)) else ""
 
 
-def a_turn_off(played: Stage) -> str:
+def a_turn_off(played: drill.Stage) -> str:
     """A joint that reads a turn too much is neither enabled nor homed: a servo has counted on, or arm.toml is a turn off."""
     servos = [line.servos[1] for line in played.rig.robot.bought.lines if isinstance(line, DynamixelLineMock)]
     for servo in servos:
@@ -243,32 +230,32 @@ def a_turn_off(played: Stage) -> str:
     return "it counts as homed" if played.assembly.runtime.monitor.is_homed else ""
 
 
-def below_floor(played: Stage) -> str:
+def below_floor(played: drill.Stage) -> str:
     """The arm is moved up, and in no other way; what is accepted is not stopped midway."""
     limits = replace(played.arm.limits, floor_z_m=played.rig.tip_m()[2] + RAISED_m)
     played.arm = replace(played.arm, limits=limits, table=None)
     played.restart()
-    played.begin(REST)
+    played.begin(drill.REST)
     if played.request({"do": "move_joints", "q_rad": DOWN_rad})["ok"]:
         return "a move further down was accepted"
     played.client.move_joints(UP_rad)
     return "" if played.mode is Mode.HOLDING else f"the way up ended in {played.mode.name}"
 
 
-def brown_out(played: Stage) -> str:
+def brown_out(played: drill.Stage) -> str:
     """A board whose supply sags is noticed; what holds goes on holding, and the arm is held again when the supply is back."""
-    played.begin(REST)
+    played.begin(drill.REST)
     played.way = played.way[-1:]
     played.inject("supply", _second(played)[0], value=SAGGED_V)
-    played.run(WATCHED_S)
+    played.run(drill.WATCHED_S)
     refusal = played.recover()
     played.client.enable()
     return refusal or ("" if played.mode is Mode.HOLDING else f"it was not held again: {played.mode.name}")
 
 
-def own_error(played: Stage) -> str:
+def own_error(played: drill.Stage) -> str:
     """A board that an error has freed stays so when its cause ends, until a person acknowledges; the others hold meanwhile."""
-    played.begin(REST)
+    played.begin(drill.REST)
     played.way = played.way[-1:]
     name, joint = _second(played)
     holding = [other for other, driven in enumerate(_torques(played)) if driven and other != joint]
@@ -285,9 +272,9 @@ def own_error(played: Stage) -> str:
     return ""
 
 
-def overloaded(played: Stage) -> str:
+def overloaded(played: drill.Stage) -> str:
     """What its settings leave of the torque is not switched off by us: the arm sinks by less than one that is let go."""
-    played.begin(REST)
+    played.begin(drill.REST)
     played.way = played.way[-1:]
     name, joint = _second(played)
     played.inject("over_current", name)  # its overload
@@ -298,9 +285,9 @@ def overloaded(played: Stage) -> str:
     return ""
 
 
-def asked(played: Stage) -> str:
+def asked(played: drill.Stage) -> str:
     """Questions of another program, and their answers on the line; those of a RoboClaw cannot be told from its own."""
-    played.begin(REST)
+    played.begin(drill.REST)
     played.way = played.way[-1:]
     robot, kind = played.rig.robot, played.arm.boards[0].kind
     question = QUESTIONS[kind]
@@ -314,29 +301,29 @@ def asked(played: Stage) -> str:
             robot.from_host_can(*question)
 
     played.each_cycle.append(ask)
-    played.run(WATCHED_S)
+    played.run(drill.WATCHED_S)
     return ""
 
 
-def host_gone(played: Stage) -> str:
+def host_gone(played: drill.Stage) -> str:
     """Without the host a board stops its joint by its own time-out, or goes on to its last goal; those that hold then hold."""
-    played.begin(REST)
+    played.begin(drill.REST)
     if played.assembly.runtime.monitor.is_homed:
-        played.client.move_joints(TO_rad, waits=False)
-        played.run(UNDER_WAY_S)
+        played.client.move_joints(drill.TO_rad, waits=False)
+        played.run(drill.UNDER_WAY_S)
     else:
         played.client.ask("jog", joint=1, by_rad=1.0, speed_rad_s=JOGGED_rad_s)
         played.run(JOGGED_S)
     played.way = played.way[-1:]
-    played.away(WATCHED_S)
+    played.away(drill.WATCHED_S)
     if played.arm.boards[0].kind not in HOLDING or all(_torques(played)):
         return ""
     return "a joint was let go"
 
 
-def old_firmware(played: Stage) -> str:
+def old_firmware(played: drill.Stage) -> str:
     """Firmware that lacks what an arm relies on is refused before anything is commanded; what is only older is served."""
-    played.begin(REST)
+    played.begin(drill.REST)
     played.way = played.way[-1:]
     kind = played.arm.boards[0].kind
     refused = REFUSED[kind]
@@ -353,7 +340,7 @@ def old_firmware(played: Stage) -> str:
     return "" if played.mode is Mode.HOLDING else f"the arm was not held again: {played.mode.name}"
 
 
-def _make_older(played: Stage, kind: str) -> None:
+def _make_older(played: drill.Stage, kind: str) -> None:
     """What its boards of this kind have of other firmware."""
     bought = played.rig.robot.bought
     if kind in SERVO_REGISTERS:
@@ -380,7 +367,7 @@ def _make_older(played: Stage, kind: str) -> None:
                 mock.setup = replace(mock.setup, answers=False)
 
 
-def _second(played: Stage) -> tuple[str, int]:
+def _second(played: drill.Stage) -> tuple[str, int]:
     """The board of joint 2, or the second one; and a joint that it drives."""
     name = played.rig.robot.drive_names[1]
     joint = played.rig.robot.bought.joint(FaultTable("supply", name))

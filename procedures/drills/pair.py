@@ -22,18 +22,7 @@ from control.server.client import ArmClient
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
 from hil_mocks.scenario import FaultTable, Start, load_scenario
-from procedures.drills.drill import (
-    LOOKED,
-    REST,
-    SETTLED_S,
-    THINNED,
-    UNDER_WAY_S,
-    DrillOutcome,
-    Promise,
-    length_m,
-    off_way_m,
-    stood_s,
-)
+from procedures.drills import drill
 from procedures.guiding import PERIOD_S as FOLLOWS_S
 from procedures.guiding import Following
 from procedures.mock import CellBench, on_wires
@@ -92,7 +81,7 @@ class PairStage:
             self.bench.clients[names[0]].move_joints(TO_rad, speed, waits=False)
         else:
             self.bench.clients["left"].ask("move_together", moves=moves)
-        self.run(UNDER_WAY_S)
+        self.run(drill.UNDER_WAY_S)
 
     def watch_gap(self) -> Callable[[], None]:
         """Complains when the arms, as they truly stand, come nearer than TOUCHED_m to each other."""
@@ -134,7 +123,7 @@ def both_move_slowly(played: PairStage) -> None:
 def right_in_the_middle(played: PairStage) -> None:
     """Both hold, the right arm across the table."""
     played.bench.clients["right"].move_joints(ACROSS_rad["right"], waits=True)
-    played.run(SETTLED_S)
+    played.run(drill.SETTLED_S)
 
 
 def one_follows(played: PairStage) -> None:
@@ -205,7 +194,7 @@ def refused_ways(played: PairStage) -> None:
 def left_goes_to_the_middle(played: PairStage) -> None:
     """The left arm is under way to where the right one could reach it."""
     played.bench.clients["left"].move_joints(ACROSS_rad["left"], INTO_SPEED, waits=False)
-    played.run(UNDER_WAY_S)
+    played.run(drill.UNDER_WAY_S)
 
 
 def jogged_into(played: PairStage) -> None:
@@ -240,7 +229,7 @@ def guided_into(played: PairStage) -> None:
 
 def one_holds(played: PairStage) -> None:
     """An arm that stands alone holds."""
-    played.run(SETTLED_S)
+    played.run(drill.SETTLED_S)
 
 
 def folded(played: PairStage) -> None:
@@ -280,7 +269,7 @@ AT_REST = (right_in_the_middle, one_holds)  # no motion is under way
 
 
 @dataclass(frozen=True, slots=True)
-class PairDrill(Promise):
+class PairDrill(drill.Promise):
     """Off its path, and at rest, is an arm without a fault; one with a fault may brake, and sink."""
 
     begin: Callable[[PairStage], None] = both_move
@@ -288,7 +277,7 @@ class PairDrill(Promise):
     cell: Callable[[], Cell] = the_pair
     watched_s: float = WATCHED_S
 
-    def run(self) -> DrillOutcome:
+    def run(self) -> drill.DrillOutcome:
         """Run it on a fresh pair."""
         with pair_stage(self.cell) as played:
             self.begin(played)
@@ -299,18 +288,18 @@ class PairDrill(Promise):
             asked = asked_ways(self.begin, self.cell)
             sound = {name: way for name, way in played.ways.items() if name not in played.found}
             off_m = [
-                max(off_way_m(tip, asked[name]) for _, tip in (*way[::THINNED], way[-1]))
+                max(drill.off_way_m(tip, asked[name]) for _, tip in (*way[:: drill.THINNED], way[-1]))
                 for name, way in sound.items()
             ]
-            stood = [stood_s(way, begun_s, LOOKED) for way in sound.values()]
+            stood = [drill.stood_s(way, begun_s, drill.LOOKED) for way in sound.values()]
             is_standing = all(one is not None for one in stood)
             runtimes = played.bench.runtimes.values()
             lost = [] if all(runtime.monitor.is_homed for runtime in runtimes) else ["the zero"]
             lost += ["the motion"] if self.begin not in AT_REST else []
-            return DrillOutcome(
+            return drill.DrillOutcome(
                 self,
                 1e3 * max(off_m, default=0.0),
-                1e3 * max((length_m(way) for way in sound.values()), default=0.0),
+                1e3 * max((drill.length_m(way) for way in sound.values()), default=0.0),
                 None if played.noticed_s is None else played.noticed_s - begun_s,
                 max((one for one in stood if one is not None), default=None) if is_standing else None,
                 ", ".join(lost) or "nothing",
@@ -338,15 +327,15 @@ class PairDrill(Promise):
             begin=both_move_slowly, inject=ended_at_one(do="control", revoke=True), watched_s=JOGGED_S,
         )  # fmt: skip
         yield PairDrill(
-            "meeting-pair", "moves that would meet the other arm", REST, frozenset(),
+            "meeting-pair", "moves that would meet the other arm", drill.REST, frozenset(),
             most_mm=2.0, begin=right_in_the_middle, inject=refused_ways,
         )  # fmt: skip
         yield PairDrill(
-            "itself-rest", "an arm moved, and jogged, onto itself", REST, frozenset(),
+            "itself-rest", "an arm moved, and jogged, onto itself", drill.REST, frozenset(),
             most_mm=JOGGED_mm, begin=one_holds, inject=folded, cell=thick_arm, watched_s=JOGGED_S,
         )  # fmt: skip
         yield PairDrill(
-            "jogged-into-pair", "an arm jogged towards the other", REST, frozenset(),
+            "jogged-into-pair", "an arm jogged towards the other", drill.REST, frozenset(),
             most_mm=JOGGED_mm, begin=right_in_the_middle, inject=jogged_into, watched_s=JOGGED_S,
         )  # fmt: skip
         yield PairDrill(
@@ -383,4 +372,4 @@ def asked_ways(begin: Callable[[PairStage], None], cell: Callable[[], Cell]) -> 
         begin(twin)
         twin.ways = {name: way[-10:] for name, way in twin.ways.items()}
         twin.run(WATCHED_S)
-        return {name: tuple(tip for _, tip in way[::THINNED]) for name, way in twin.ways.items()}
+        return {name: tuple(tip for _, tip in way[:: drill.THINNED]) for name, way in twin.ways.items()}

@@ -24,18 +24,7 @@ from control.errors import ArmError
 from control.safety.table import Mode
 from firmware_iface.errors import LinkError
 from hil_mocks.plant.hand import Point
-from procedures.drills.drill import (
-    PERIOD_S,
-    THINNED,
-    WATCHED_S,
-    DrillOutcome,
-    Promise,
-    Stage,
-    length_m,
-    off_way_m,
-    stage,
-    stood_s,
-)
+from procedures.drills import drill
 from procedures.ports import HandPort, MockHandSeat, RuntimePort
 
 POINTS = ("1", "5")
@@ -49,7 +38,7 @@ class DrilledSession:
     """What was said to be recorded, and when the fault came."""
 
     path: Path
-    played: Stage
+    played: drill.Stage
     records: dict[Key, Record] = field(default_factory=dict)
     begun_s: float | None = None
     by_hand_s: set[float] = field(default_factory=set)
@@ -91,33 +80,33 @@ class DrilledSession:
 
 
 @dataclass(frozen=True, slots=True)
-class SessionDrill(Promise):
+class SessionDrill(drill.Promise):
     """A fault in a session: on the way to its second point, or while it measures that."""
 
-    inject: Callable[[Stage], None] = field(default=lambda played: None)
+    inject: Callable[[drill.Stage], None] = field(default=lambda played: None)
     while_measuring: bool = False
 
-    def run(self) -> DrillOutcome:
+    def run(self) -> drill.DrillOutcome:
         """Record until the fault ends it, mend it, resume, and look at what is on the disk."""
-        with stage() as played, tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
+        with drill.stage() as played, tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
             session = DrilledSession(Path(folder) / "session", played)
             played.client.enable()
             played.each_cycle.append(self._injector(session))
             said = _ended_by(session)
             begun_s = session.begun_s if session.begun_s is not None else played.now_s
             if played.found:
-                played.run(max(0.0, begun_s + WATCHED_S - played.now_s))
-            way = [place for place in played.way if begun_s - 1e-9 <= place[0] <= begun_s + WATCHED_S]
+                played.run(max(0.0, begun_s + drill.WATCHED_S - played.now_s))
+            way = [place for place in played.way if begun_s - 1e-9 <= place[0] <= begun_s + drill.WATCHED_S]
             of_arm = [tip for at_s, tip in way if at_s not in session.by_hand_s] or [way[0][1]]
             noticed_s, found, message = played.noticed_s, played.found, played.message or said
             resumed = _resumed(session)
             asked, taken = _undisturbed()
-            return DrillOutcome(
+            return drill.DrillOutcome(
                 self,
-                max(off_way_m(tip, asked) for tip in (*of_arm[::THINNED], of_arm[-1])) * 1e3,
-                length_m(way) * 1e3,
+                max(drill.off_way_m(tip, asked) for tip in (*of_arm[:: drill.THINNED], of_arm[-1])) * 1e3,
+                drill.length_m(way) * 1e3,
                 None if noticed_s is None else noticed_s - begun_s,
-                stood_s(way, begun_s, LOOKED),
+                drill.stood_s(way, begun_s, LOOKED),
                 _lost(session),
                 found,
                 message,
@@ -140,7 +129,7 @@ class SessionDrill(Promise):
             if self.while_measuring:
                 is_time = runtime.averaging is not None and runtime.averaging.result is None
             else:
-                under_way_s = under_way_s + PERIOD_S if runtime.monitor.mode is Mode.MOVING else 0.0
+                under_way_s = under_way_s + drill.PERIOD_S if runtime.monitor.mode is Mode.MOVING else 0.0
                 is_time = under_way_s >= TRAVELS_S
             if is_time:
                 session.begun_s = played.now_s
@@ -192,8 +181,8 @@ def _wrong_rad(records: dict[Key, Record], taken: dict[Key, Record]) -> float:
 @cache
 def _undisturbed() -> tuple[tuple[Point, ...], dict[Key, Record]]:
     """The true way of the tip, and the records, of a session without a fault."""
-    with stage() as played, tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
+    with drill.stage() as played, tempfile.TemporaryDirectory(prefix="armwright-drill-") as folder:
         session = DrilledSession(Path(folder) / "session", played)
         played.client.enable()
         session.play()
-        return tuple(tip for _, tip in played.way[::THINNED]), session.records
+        return tuple(tip for _, tip in played.way[:: drill.THINNED]), session.records

@@ -23,16 +23,7 @@ from calib.points.points import Points
 from calib.points.writer import write_points
 from calib.report.report import write_report
 from calib.results import InputFile, input_file, made_today
-from console.commands.calibration.options import (
-    board_frames,
-    bounds_of,
-    length_m,
-    names_in,
-    orientation_noise_rad,
-    quantity,
-    record_of,
-    wires_at,
-)
+from console.commands.calibration import options
 from console.commands.progress import Bar, answer, warn
 from control.model.arm import Arm
 from control.model.description import load_arm
@@ -47,7 +38,7 @@ def run_calibrate(given: argparse.Namespace) -> int:
     """Read, identify, validate, write. Nothing is written before all input has been read and checked."""
     arm, out, forms = load_arm(given.arm), Path(given.out), _forms(given.export or [])
     require_new(out, (*RESULTS, *(f"arm.{ENDINGS[form]}" for form in forms)))
-    record = record_of(given, "calibrate", arm.name)
+    record = options.record_of(given, "calibrate", arm.name)
     plan = _plan(given)
     points, warnings = _read(given, arm)
     with Bar("calibrate") as bar:
@@ -62,7 +53,7 @@ def run_calibrate(given: argparse.Namespace) -> int:
 
 def _forms(texts: list[str]) -> list[str]:
     """The requested export formats; CalibrationError for an unknown one."""
-    forms = names_in(texts)
+    forms = options.names_in(texts)
     for form in forms:
         if form not in FORMS:
             raise CalibrationError(f'--export: expected one or more of {", ".join(FORMS)}, got "{form}"')
@@ -104,17 +95,19 @@ def _rows_of(points: Points, names: list[str]) -> set[int]:
 
 def _plan(given: argparse.Namespace) -> CalibrationPlan:
     """The calibration plan of the options."""
-    threshold_m = quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
-    accuracy_m = quantity(given.accuracy, "m", "--accuracy") if given.accuracy else None
+    threshold_m = (
+        options.quantity(given.huber_threshold, "m", "--huber-threshold") if given.huber_threshold else None
+    )
+    accuracy_m = options.quantity(given.accuracy, "m", "--accuracy") if given.accuracy else None
     if accuracy_m is not None and accuracy_m <= 0.0:
         raise CalibrationError(f"--accuracy: expected a length above 0, got {given.accuracy}")
     choice = Choice(
-        bounds=bounds_of(given.bound or []),
-        fixed=names_in(given.fix or []),
-        freed=names_in(given.free or []),
-        boards=board_frames(given.boards),
-        effects=tuple(names_in(given.effect or [])),
-        orientation_noise_rad=orientation_noise_rad(given.orientation_noise),
+        bounds=options.bounds_of(given.bound or []),
+        fixed=options.names_in(given.fix or []),
+        freed=options.names_in(given.free or []),
+        boards=options.board_frames(given.boards),
+        effects=tuple(options.names_in(given.effect or [])),
+        orientation_noise_rad=options.orientation_noise_rad(given.orientation_noise),
     )
     return CalibrationPlan(
         choice,
@@ -176,12 +169,12 @@ def run_calibrate_distances(given: argparse.Namespace) -> int:
     arm, out, file = load_arm(given.arm), Path(given.out), Path(given.points)
     require_new(out, DISTANCE_RESULTS)
     choice = Choice(
-        bounds=bounds_of(given.bound or []),
-        fixed=names_in(given.fix or []),
+        bounds=options.bounds_of(given.bound or []),
+        fixed=options.names_in(given.fix or []),
         freed=("tool",) if given.free_tool else (),
     )
     plan = DistancePlan(
-        choice, given.free_zero, wires_at(given.wire_at or []), objective_named(given.objective)
+        choice, given.free_zero, options.wires_at(given.wire_at or []), objective_named(given.objective)
     )
     points, warnings = points_for(arm, [file])
     warn(warnings)
@@ -213,18 +206,18 @@ def run_calibrate_pair(given: argparse.Namespace) -> int:
 
 
 def _pair_plan(given: argparse.Namespace, arms: tuple[Arm, Arm]) -> PairPlan:
-    tools = names_in(given.free_tool or [])
+    tools = options.names_in(given.free_tool or [])
     for name in tools:
         if name not in names_of(arms):
             raise CalibrationError(f'--free-tool: expected some of {", ".join(names_of(arms))}, got "{name}"')
-    bounds = bounds_of(given.bound or [])
+    bounds = options.bounds_of(given.bound or [])
     if bounds.own:
         raise CalibrationError(
             f"--bound: expected lengths=... or angles=... of both arms, got {next(iter(bounds.own))}"
         )
     return PairPlan(
         bounds=bounds,
-        fixed=names_in(given.fix or []),
+        fixed=options.names_in(given.fix or []),
         free_tools=tools,
         objective=objective_named(given.objective),
     )
@@ -255,6 +248,8 @@ def _chosen_contacts(
     """Print the contacts that say most about both arms."""
     if given.choose < 1:
         raise CalibrationError(f"--choose: expected a number of contacts from 1 on, got {given.choose}")
-    rows = choose_contacts(arms, contacts, plan, given.choose, length_m(given.noise, "--noise") or NOISE_m)
+    rows = choose_contacts(
+        arms, contacts, plan, given.choose, options.length_m(given.noise, "--noise") or NOISE_m
+    )
     sys.stdout.write("".join(f"{contacts.name[row]}\n" for row in rows))
     return 0

@@ -9,6 +9,7 @@ from calib.errors import VisionError
 from calib.points.reading import read_points
 from calib.points.writer import write_points
 from calib.results import input_file, made_today
+from calib.vision import targets
 from calib.vision.advice import advice, lens_text
 from calib.vision.advice import poses_text as described
 from calib.vision.intrinsics import CORNERS_LEAST as CORNERS_OF_A_LENS
@@ -19,17 +20,6 @@ from calib.vision.poses import (
     measure_poses,
     poses_text,
     with_pictures,
-)
-from calib.vision.targets import (
-    BOARD_DICTIONARY,
-    MARKER_SHARE,
-    TAG_DICTIONARY,
-    Charuco,
-    Tags,
-    look_for,
-    picture_files,
-    read_tags,
-    write_print,
 )
 from console.commands.calibration.options import quantity
 from console.commands.progress import Bar, answer, warn
@@ -46,10 +36,10 @@ def run(given: argparse.Namespace) -> int:
 def _board(given: argparse.Namespace, out: Path) -> int:
     """Write the target to print."""
     target = _target(given)
-    if not isinstance(target, Charuco) and len(target.corners_m) > 1:
+    if not isinstance(target, targets.Charuco) and len(target.corners_m) > 1:
         raise VisionError("--tags: print each tag by itself, with --tag and --size")
     require_new(out, ["board.pdf"])
-    sheet = write_print(out / "board.pdf", target)
+    sheet = targets.write_print(out / "board.pdf", target)
     width, height = (1e3 * size for size in target.print_m)
     sys.stdout.write(
         f"written: {sheet}\nPrint it at 100 % (no fitting to the page), glue it on something flat and stiff, and measure it: the"
@@ -62,15 +52,15 @@ def _board(given: argparse.Namespace, out: Path) -> int:
 def _calibrate(given: argparse.Namespace, out: Path) -> int:
     """Identify the lens, write camera.json, say what the pictures lack."""
     board = _target(given)
-    if not isinstance(board, Charuco):
+    if not isinstance(board, targets.Charuco):
         raise VisionError("camera calibrate: expected a ChArUco board: --board 5x7 --square 30mm")
     if given.camera or given.points:
         raise VisionError("camera calibrate: --camera and --points are for `armwright camera poses`")
     (folder,) = _folders(given, 1)
     require_new(out, ["camera.json"])
-    files = picture_files(folder)
+    files = targets.picture_files(folder)
     with Bar("camera") as bar:
-        pictures = look_for(board, files, CORNERS_OF_A_LENS, bar.advance)
+        pictures = targets.look_for(board, files, CORNERS_OF_A_LENS, bar.advance)
         bar.advance("fitting the lens", 0.9)
         fit = fit_lens(board, pictures, _positive(given.readout_s, "--readout-s"))
     path = out / "camera.json"
@@ -93,7 +83,9 @@ def _poses(given: argparse.Namespace, out: Path) -> int:
     with Bar("camera") as bar:
         cameras = [
             CameraPictures(
-                _name(path, folder), lens, look_for(target, picture_files(folder), CORNERS_LEAST, bar.advance)
+                _name(path, folder),
+                lens,
+                targets.look_for(target, targets.picture_files(folder), CORNERS_LEAST, bar.advance),
             )
             for (path, lens), folder in zip(lenses, folders, strict=True)
         ]
@@ -116,7 +108,7 @@ def _poses(given: argparse.Namespace, out: Path) -> int:
     return 0
 
 
-def _target(given: argparse.Namespace) -> Charuco | Tags:
+def _target(given: argparse.Namespace) -> targets.Charuco | targets.Tags:
     """The target of the options. VisionError unless exactly one is given."""
     kinds = [name for name in ("board", "tag", "tags") if getattr(given, name) is not None]
     if len(kinds) != 1:
@@ -128,15 +120,15 @@ def _target(given: argparse.Namespace) -> Charuco | Tags:
         return _charuco(given)
     if given.square is not None or given.marker is not None or given.legacy:
         raise VisionError("--square, --marker and --legacy belong to --board")
-    dictionary = given.dictionary or TAG_DICTIONARY
+    dictionary = given.dictionary or targets.TAG_DICTIONARY
     if given.tags is not None:
-        return read_tags(Path(given.tags), dictionary)
+        return targets.read_tags(Path(given.tags), dictionary)
     if given.size is None:
         raise VisionError("--tag: give the edge of its black square with --size, e.g. --size 50mm")
-    return Tags.single(given.tag, quantity(given.size, "m", "--size"), dictionary)
+    return targets.Tags.single(given.tag, quantity(given.size, "m", "--size"), dictionary)
 
 
-def _charuco(given: argparse.Namespace) -> Charuco:
+def _charuco(given: argparse.Namespace) -> targets.Charuco:
     found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", given.board)
     if found is None:
         raise VisionError(f'--board: expected columns x rows of squares, such as 5x7, got "{given.board}"')
@@ -146,10 +138,14 @@ def _charuco(given: argparse.Namespace) -> Charuco:
         )
     square_m = quantity(given.square, "m", "--square")
     marker_m = (
-        quantity(given.marker, "m", "--marker") if given.marker is not None else MARKER_SHARE * square_m
+        quantity(given.marker, "m", "--marker")
+        if given.marker is not None
+        else targets.MARKER_SHARE * square_m
     )
     columns, rows = int(found[1]), int(found[2])
-    return Charuco(columns, rows, square_m, marker_m, given.dictionary or BOARD_DICTIONARY, given.legacy)
+    return targets.Charuco(
+        columns, rows, square_m, marker_m, given.dictionary or targets.BOARD_DICTIONARY, given.legacy
+    )
 
 
 def _folders(given: argparse.Namespace, count: int) -> list[Path]:

@@ -7,23 +7,10 @@ brake by shorted windings. The zero is kept here, as an offset, so nothing is st
 import math
 from collections.abc import Callable, Sequence
 
+from control.hardware import words
 from control.hardware.bought.can_node import NodeEncoder, open_nodes
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
-from control.hardware.words import (
-    EMERGENCY_STOP,
-    FAULT,
-    LOWER_LIMIT,
-    OVER_CURRENT,
-    OVER_TEMPERATURE,
-    OWN_ENCODER,
-    STATE_MASK,
-    SUPPLY_HIGH,
-    SUPPLY_LOW,
-    UPPER_LIMIT,
-    WATCHDOG,
-    Wanted,
-)
 from control.model.arm import Arm, Board, Drive, Limits
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_can
@@ -59,12 +46,12 @@ _REACTIONS = {
 ALIKE = 30.0  # times: a unit mistaken in the drive or in arm.toml is a thousand
 # Error codes of CiA 402 and CiA 301 by their first digits, as the loop's faults; the rest counts as a bad encoder or sensor.
 _FAULT_OF = (
-    (0x2000, 0xF000, OVER_CURRENT),
-    (0x3100, 0xFF00, SUPPLY_LOW),
-    (0x3210, 0xFFF0, SUPPLY_HIGH),
-    (0x3220, 0xFFF0, SUPPLY_LOW),
-    (0x4000, 0xF000, OVER_TEMPERATURE),
-    (0x8100, 0xFF00, WATCHDOG),
+    (0x2000, 0xF000, words.OVER_CURRENT),
+    (0x3100, 0xFF00, words.SUPPLY_LOW),
+    (0x3210, 0xFFF0, words.SUPPLY_HIGH),
+    (0x3220, 0xFFF0, words.SUPPLY_LOW),
+    (0x4000, 0xF000, words.OVER_TEMPERATURE),
+    (0x8100, 0xFF00, words.WATCHDOG),
 )
 
 
@@ -74,7 +61,7 @@ class Cia402Encoder(NodeEncoder):
     def __init__(self, drive: Cia402Drive, joint: int, described: Drive) -> None:
         super().__init__(drive, joint, is_asked=True)
         self._drive = drive
-        flags = (LOWER_LIMIT, UPPER_LIMIT)
+        flags = (words.LOWER_LIMIT, words.UPPER_LIMIT)
         self._negative, self._positive = flags if JointMap(described).counts_per_radian > 0.0 else flags[::-1]
 
     def take(self, feedback: Feedback) -> None:
@@ -118,16 +105,16 @@ class Cia402Joint:
         is_faulted = drive.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
         feedback.drive_faults[joint] = self._faults() if is_faulted else 0
         # Bit 7 of a drive's statusword is a warning of its own, not that its output is limited.
-        feedback.statusword[joint] = FAULT if is_faulted else drive.statusword & STATE_MASK
+        feedback.statusword[joint] = words.FAULT if is_faulted else drive.statusword & words.STATE_MASK
 
     def _faults(self) -> int:
         codes = self._drive.errors[-1:] or [0]
         if self._is_stopped:
-            return EMERGENCY_STOP
-        return next((bit for at, mask, bit in _FAULT_OF if codes[0] & mask == at), OWN_ENCODER)
+            return words.EMERGENCY_STOP
+        return next((bit for at, mask, bit in _FAULT_OF if codes[0] & mask == at), words.OWN_ENCODER)
 
     def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Send the set-point, or the next step towards the wanted state."""
@@ -137,22 +124,22 @@ class Cia402Joint:
         is_in_operation = drive.state is DriveState.OPERATION_ENABLED
         if not (wanted.is_on and is_in_operation) or self._is_stopped:
             self._held = None
-        if wanted is Wanted.AS_FOUND:
+        if wanted is words.Wanted.AS_FOUND:
             return  # SYNC alone asks for its values
         is_driving = drive.state in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE)
-        if self._is_stopped and is_driving and wanted is not Wanted.DISABLED:
+        if self._is_stopped and is_driving and wanted is not words.Wanted.DISABLED:
             drive.quick_stop()  # and it stays there until the stop is acknowledged, or the arm goes off
-        elif wanted is Wanted.DISABLED or self._is_stopped:
+        elif wanted is words.Wanted.DISABLED or self._is_stopped:
             drive.step_towards(DriveState.SWITCH_ON_DISABLED)
         elif is_in_operation:
             self._command(modes[joint], output[joint])
         elif drive.state is DriveState.QUICK_STOP_ACTIVE:
-            if wanted is Wanted.ENABLING:
+            if wanted is words.Wanted.ENABLING:
                 drive.resume()
             else:
                 drive.quick_stop()
         else:
-            is_wanted = wanted is Wanted.ENABLING
+            is_wanted = wanted is words.Wanted.ENABLING
             drive.step_towards(DriveState.OPERATION_ENABLED if is_wanted else DriveState.SWITCH_ON_DISABLED)
 
     def _command(self, mode: OutputMode, output: float) -> None:

@@ -8,20 +8,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
+from control.hardware import words
 from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, open_nodes, own_encoder
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
-from control.hardware.words import (
-    BAD_COMMAND,
-    EMERGENCY_STOP,
-    OVER_CURRENT,
-    OVER_TEMPERATURE,
-    OWN_ENCODER,
-    SUPPLY_HIGH,
-    SUPPLY_LOW,
-    WATCHDOG,
-    Wanted,
-)
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_fd_can
 from firmware_iface.clock import Clock
@@ -31,9 +21,14 @@ from firmware_iface.moteus.controller import Moteus, MoteusBus
 from firmware_iface.moteus.wire import MoteusMode
 
 # Fault codes of the register reference, as the loop's faults; the rest concerns its encoder, its settings or itself.
-_FAULT_OF: Final = {
-    33: OVER_CURRENT, 34: SUPPLY_HIGH, 38: OVER_TEMPERATURE, 39: BAD_COMMAND, 40: SUPPLY_LOW, 44: OVER_CURRENT,
-}  # fmt: skip
+_CODES_OF: Final = {
+    words.OVER_CURRENT: (33, 44),
+    words.SUPPLY_HIGH: (34,),
+    words.OVER_TEMPERATURE: (38,),
+    words.BAD_COMMAND: (39,),
+    words.SUPPLY_LOW: (40,),
+}
+_FAULT_OF: Final = {code: fault for fault, codes in _CODES_OF.items() for code in codes}
 
 
 class RequiredSetting(NamedTuple):
@@ -113,8 +108,8 @@ class MoteusDrive(PositionLoopDrive):
     def _faults_now(self) -> int:
         board = self._board
         if board.mode == MoteusMode.FAULT:
-            return _FAULT_OF.get(board.fault, OWN_ENCODER)
-        return WATCHDOG if board.mode == MoteusMode.TIMEOUT else 0
+            return _FAULT_OF.get(board.fault, words.OWN_ENCODER)
+        return words.WATCHDOG if board.mode == MoteusMode.TIMEOUT else 0
 
     def _is_driving(self) -> bool:
         return self._board.is_driving or self._is_in_operation()
@@ -128,13 +123,13 @@ class MoteusDrive(PositionLoopDrive):
         return self._board.is_driving or self._board.mode == MoteusMode.TIMEOUT
 
     def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Set the command of this cycle; a hold that its time-out began ends by a stop alone."""
         super().write(wanted, modes, output, feedforward_V, feedback)
-        self._was_found_driving = wanted is Wanted.AS_FOUND and self._board.is_driving
-        if wanted is Wanted.DISABLED and self._board.mode == MoteusMode.TIMEOUT:
+        self._was_found_driving = wanted is words.Wanted.AS_FOUND and self._board.is_driving
+        if wanted is words.Wanted.DISABLED and self._board.mode == MoteusMode.TIMEOUT:
             self._board.wanted = wire.stop(self._board.number)
 
     def _look(self) -> None:
@@ -167,7 +162,7 @@ class MoteusDrive(PositionLoopDrive):
 
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
-        self._faults |= EMERGENCY_STOP
+        self._faults |= words.EMERGENCY_STOP
         self._board.stop_now()
 
 

@@ -8,17 +8,9 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from control.hardware import words
 from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, open_nodes, own_encoder
 from control.hardware.opened import Opened
-from control.hardware.words import (
-    EMERGENCY_STOP,
-    OVER_CURRENT,
-    OVER_TEMPERATURE,
-    OWN_ENCODER,
-    SUPPLY_HIGH,
-    SUPPLY_LOW,
-    WATCHDOG,
-)
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock
@@ -26,14 +18,23 @@ from firmware_iface.odrive.axis import OdriveAxis, OdriveBus
 from firmware_iface.odrive.wire import Error
 
 # Errors of an axis as the loop's faults; the rest concerns its encoder, its settings or itself.
+_OVER_CURRENT: Final = (
+    Error.DC_BUS_OVER_CURRENT
+    | Error.DC_BUS_OVER_REGEN_CURRENT
+    | Error.CURRENT_LIMIT_VIOLATION
+    | Error.DRV_FAULT
+)
 _FAULT_OF: Final = (
-    (Error.DC_BUS_OVER_VOLTAGE | Error.BRAKE_RESISTOR_DISARMED, SUPPLY_HIGH),
-    (Error.DC_BUS_UNDER_VOLTAGE, SUPPLY_LOW),
-    (Error.DC_BUS_OVER_CURRENT | Error.DC_BUS_OVER_REGEN_CURRENT | Error.CURRENT_LIMIT_VIOLATION | Error.DRV_FAULT, OVER_CURRENT),
-    (Error.MOTOR_OVER_TEMP | Error.INVERTER_OVER_TEMP | Error.THERMISTOR_DISCONNECTED, OVER_TEMPERATURE),
-    (Error.WATCHDOG_TIMER_EXPIRED, WATCHDOG),
-    (Error.ESTOP_REQUESTED, EMERGENCY_STOP),
-)  # fmt: skip
+    (Error.DC_BUS_OVER_VOLTAGE | Error.BRAKE_RESISTOR_DISARMED, words.SUPPLY_HIGH),
+    (Error.DC_BUS_UNDER_VOLTAGE, words.SUPPLY_LOW),
+    (_OVER_CURRENT, words.OVER_CURRENT),
+    (
+        Error.MOTOR_OVER_TEMP | Error.INVERTER_OVER_TEMP | Error.THERMISTOR_DISCONNECTED,
+        words.OVER_TEMPERATURE,
+    ),
+    (Error.WATCHDOG_TIMER_EXPIRED, words.WATCHDOG),
+    (Error.ESTOP_REQUESTED, words.EMERGENCY_STOP),
+)
 SPEED_MARGIN: Final = 2.0  # of the board's speed limit over the joint's: the loop's own limits come first
 
 
@@ -53,7 +54,7 @@ class OdriveDrive(PositionLoopDrive):
     def _faults_now(self) -> int:
         errors = self._axis.errors or Error(0)
         known = [bit for mask, bit in _FAULT_OF if errors & mask]
-        return sum(known) if known else OWN_ENCODER if errors else 0
+        return sum(known) if known else words.OWN_ENCODER if errors else 0
 
     def _is_driving(self) -> bool:
         return self._axis.is_driving
@@ -99,7 +100,7 @@ class OdriveDrive(PositionLoopDrive):
 
     def emergency_stop(self) -> None:
         """Hold the position now, and until the fault is acknowledged: without power a loaded arm would drop."""
-        self._faults |= EMERGENCY_STOP
+        self._faults |= words.EMERGENCY_STOP
         self._is_stopped = True
         if self._axis.is_driving:
             self._hold()

@@ -8,27 +8,11 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 
+from control.hardware import words
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened, collect
 from control.hardware.roles import AskedEncoders
-from control.hardware.words import (
-    EMERGENCY_STOP,
-    FAULT,
-    HOME_SWITCH,
-    LOWER_LIMIT,
-    OPERATION_ENABLED,
-    OVER_CURRENT,
-    OVER_TEMPERATURE,
-    OWN_ENCODER,
-    SUPPLY_HIGH,
-    SUPPLY_LOW,
-    SWITCH_ON_DISABLED,
-    UPPER_LIMIT,
-    WARNING,
-    ZERO_SET,
-    Wanted,
-)
 from control.model.arm import Arm, Board, Drive
 from control.model.drive import OWN_INPUT
 from firmware_iface.clock import Clock
@@ -40,19 +24,19 @@ from firmware_iface.roboclaw.wire import RoboclawStatus
 
 # What an error of the board is to the loop: of both motors, and by channel.
 _SHARED = (
-    (RoboclawStatus.E_STOP, EMERGENCY_STOP),
-    (RoboclawStatus.TEMPERATURE | RoboclawStatus.TEMPERATURE_2, OVER_TEMPERATURE),
-    (RoboclawStatus.MAIN_VOLTAGE_HIGH | RoboclawStatus.LOGIC_VOLTAGE_HIGH, SUPPLY_HIGH),
-    (RoboclawStatus.MAIN_VOLTAGE_LOW | RoboclawStatus.LOGIC_VOLTAGE_LOW, SUPPLY_LOW),
+    (RoboclawStatus.E_STOP, words.EMERGENCY_STOP),
+    (RoboclawStatus.TEMPERATURE | RoboclawStatus.TEMPERATURE_2, words.OVER_TEMPERATURE),
+    (RoboclawStatus.MAIN_VOLTAGE_HIGH | RoboclawStatus.LOGIC_VOLTAGE_HIGH, words.SUPPLY_HIGH),
+    (RoboclawStatus.MAIN_VOLTAGE_LOW | RoboclawStatus.LOGIC_VOLTAGE_LOW, words.SUPPLY_LOW),
 )
 _OWN = (
     (
-        (RoboclawStatus.DRIVER_1 | RoboclawStatus.CURRENT_1, OVER_CURRENT),
-        (RoboclawStatus.SPEED_1 | RoboclawStatus.POSITION_1, OWN_ENCODER),
+        (RoboclawStatus.DRIVER_1 | RoboclawStatus.CURRENT_1, words.OVER_CURRENT),
+        (RoboclawStatus.SPEED_1 | RoboclawStatus.POSITION_1, words.OWN_ENCODER),
     ),
     (
-        (RoboclawStatus.DRIVER_2 | RoboclawStatus.CURRENT_2, OVER_CURRENT),
-        (RoboclawStatus.SPEED_2 | RoboclawStatus.POSITION_2, OWN_ENCODER),
+        (RoboclawStatus.DRIVER_2 | RoboclawStatus.CURRENT_2, words.OVER_CURRENT),
+        (RoboclawStatus.SPEED_2 | RoboclawStatus.POSITION_2, words.OWN_ENCODER),
     ),
 )
 _LIMITS_CURRENT = (RoboclawStatus.OVER_CURRENT_WARNING_1, RoboclawStatus.OVER_CURRENT_WARNING_2)
@@ -79,7 +63,7 @@ class RoboClawEncoders(AskedEncoders):
         self.joints = tuple(drives)
         self._board = board
         self._channels = {joint: drive.board_channel - 1 for joint, drive in drives.items()}
-        flags = {0.0: HOME_SWITCH, -1.0: LOWER_LIMIT, 1.0: UPPER_LIMIT}
+        flags = {0.0: words.HOME_SWITCH, -1.0: words.LOWER_LIMIT, 1.0: words.UPPER_LIMIT}
         self._switch_flags = {joint: flags[_limit_side(drive)] for joint, drive in drives.items()}
         self._are_zeros_set = dict.fromkeys(drives, False)
         self._latched: dict[int, int] = {}
@@ -97,7 +81,7 @@ class RoboClawEncoders(AskedEncoders):
             feedback.count[joint] = board.counts[channel]
             feedback.counted_at_s[joint] = feedback.reported_at_s[joint] = board.counted_at_s
             feedback.count_late_s[joint] = board.count_late_s
-            flags = ZERO_SET if self._are_zeros_set[joint] else 0
+            flags = words.ZERO_SET if self._are_zeros_set[joint] else 0
             feedback.channel_flags[joint] = flags | (
                 self._switch_flags[joint] if status & _SWITCH[channel] else 0
             )
@@ -165,20 +149,20 @@ class RoboClawDrives:
 
     def _statusword(self, channel: int, status: RoboclawStatus) -> int:
         if self._faults[channel]:
-            return FAULT
+            return words.FAULT
         is_obeyed = math.isfinite(self._board.obeyed_at_s)
-        state = OPERATION_ENABLED if self._is_enabled and is_obeyed else SWITCH_ON_DISABLED
-        return state | (WARNING if status & _LIMITS_CURRENT[channel] else 0)
+        state = words.OPERATION_ENABLED if self._is_enabled and is_obeyed else words.SWITCH_ON_DISABLED
+        return state | (words.WARNING if status & _LIMITS_CURRENT[channel] else 0)
 
     def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Set the duties; everything but a voltage is 0: the windings are shorted."""
         board = self._board
         is_well = board.supply_V is not None and self._configured_resets == board.resets
         self._is_enabled = wanted.is_on and is_well and not any(self._faults)
-        board.is_commanded = wanted is not Wanted.AS_FOUND
+        board.is_commanded = wanted is not words.Wanted.AS_FOUND
         for joint, channel, sign in self._drives:
             is_driven = self._is_enabled and modes[joint] is OutputMode.VOLTAGE
             volts = output[joint] if is_driven else 0.0
@@ -220,7 +204,7 @@ class RoboClawDrives:
 
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
-        self._faults = [faults | EMERGENCY_STOP for faults in self._faults]
+        self._faults = [faults | words.EMERGENCY_STOP for faults in self._faults]
         self._board.duty[:] = [0] * CHANNELS
         self._shout(self._board.stop_packet())
 

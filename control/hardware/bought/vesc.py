@@ -8,19 +8,10 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from control.hardware import words
 from control.hardware.bought.can_node import NodeDrive, NodeEncoder, open_nodes, own_encoder
 from control.hardware.interface import Feedback, OutputMode
 from control.hardware.opened import Opened
-from control.hardware.words import (
-    EMERGENCY_STOP,
-    OVER_CURRENT,
-    OVER_TEMPERATURE,
-    OWN_ENCODER,
-    SUPPLY_HIGH,
-    SUPPLY_LOW,
-    WATCHDOG,
-    Wanted,
-)
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_extended_can
@@ -30,10 +21,14 @@ from firmware_iface.vesc import wire
 from firmware_iface.vesc.controller import Vesc, VescBus
 
 # mc_fault_code of the firmware's datatypes.h, as the loop's faults; the rest concerns encoder and sensors.
-_FAULT_OF: Final = {
-    1: SUPPLY_HIGH, 2: SUPPLY_LOW, 3: OVER_CURRENT, 4: OVER_CURRENT, 5: OVER_TEMPERATURE, 6: OVER_TEMPERATURE,
-    7: SUPPLY_HIGH, 8: SUPPLY_LOW, 9: SUPPLY_LOW, 10: WATCHDOG,
-}  # fmt: skip
+_CODES_OF: Final = {
+    words.SUPPLY_HIGH: (1, 7),
+    words.SUPPLY_LOW: (2, 8, 9),
+    words.OVER_CURRENT: (3, 4),
+    words.OVER_TEMPERATURE: (5, 6),
+    words.WATCHDOG: (10,),
+}
+_FAULT_OF: Final = {code: fault for fault, codes in _CODES_OF.items() for code in codes}
 SILENT_APPLICATIONS: Final = (0, 3)  # none, UART; the others turn an input into commands
 FAULT_STOP_S: Final = 0.6  # a VESC stops for 0.5 s after a fault (VESC Tool), then it is gone if its cause is
 
@@ -52,16 +47,16 @@ class VescDrive(NodeDrive):
 
     def _faults_now(self) -> int:
         code = self._board.fault
-        return _FAULT_OF.get(code, OWN_ENCODER) if code else 0
+        return _FAULT_OF.get(code, words.OWN_ENCODER) if code else 0
 
     def write(
-        self, wanted: Wanted, modes: Sequence[OutputMode], output: Sequence[float],
+        self, wanted: words.Wanted, modes: Sequence[OutputMode], output: Sequence[float],
         feedforward_V: Sequence[float], feedback: Feedback,
     ) -> None:  # fmt: skip
         """Set the command of this cycle; without one the windings are shorted."""
         board, joint = self._board, self._joint
         self._is_enabled = self._may_drive(wanted)
-        if wanted is Wanted.AS_FOUND:
+        if wanted is words.Wanted.AS_FOUND:
             board.wanted = None
             return
         mode = modes[joint] if self._is_enabled else OutputMode.HOLD
@@ -94,7 +89,7 @@ class VescDrive(NodeDrive):
 
     def emergency_stop(self) -> None:
         """Short the windings now, and stay there until the fault is acknowledged."""
-        self._faults |= EMERGENCY_STOP
+        self._faults |= words.EMERGENCY_STOP
         shorted = self._board.wanted = wire.duty(self._board.number, 0.0)
         self._bus.send(shorted)
 
