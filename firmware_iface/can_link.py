@@ -46,7 +46,7 @@ class CanInterface:
         )
 
 
-_ON_LINUX = "; on Linux its kernel driver is better: interface = \"socketcan\", channel = \"can0\""  # fmt: skip
+_ON_LINUX = '; on Linux its kernel driver is better: interface = "socketcan", channel = "can0"'
 _WAITS = "; its driver waits 1 ms in each cycle when nothing comes: use it for set-up, not for 500 Hz"
 
 INTERFACES = {

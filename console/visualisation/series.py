@@ -19,8 +19,9 @@ JOINT_FORMS: Final = {
     "supply_V": "supply{}_V", "temperature_C": "temperature{}_C",
 }  # fmt: skip
 JOINT_SIDE_FORMS: Final = (
-    ("joint_rad", "joint{}_rad", "q_rad"), ("joint_set_rad", "joint{}_set_rad", "q_set_rad"),
-)  # fmt: skip
+    ("joint_rad", "joint{}_rad", "q_rad"),
+    ("joint_set_rad", "joint{}_set_rad", "q_set_rad"),
+)
 LOOP_COLUMNS: Final = ("late_s", "busy_s", "missed", "page_faults", "switches", "age_s")
 Report = Callable[[float], None]
 

@@ -376,9 +376,11 @@ def _end_of(state: ArmState) -> list[float]:
     if (gripper := parts.gripper) is not None:
         goal_m = gripper.goal.opening_m if gripper.goal is not None else None
         row += [
-            math.nan if gripper.opening_m is None else gripper.opening_m, math.nan if goal_m is None else goal_m,
-            gripper.feedback.current_A, GRIPPER_STATE_NUMBER[gripper.state],
-        ]  # fmt: skip
+            math.nan if gripper.opening_m is None else gripper.opening_m,
+            math.nan if goal_m is None else goal_m,
+            gripper.feedback.current_A,
+            GRIPPER_STATE_NUMBER[gripper.state],
+        ]
     if parts.outputs is not None:
         row.append(sum(1 << bit for bit, level in enumerate(parts.outputs.levels.values()) if level))
     return row

@@ -126,14 +126,18 @@ def _text(meaning: str) -> Schema:
 
 
 _TIME: Final = _message("time", "time since 1970, UTC", sec={"type": "integer"}, nsec={"type": "integer"})
-_DURATION: Final = _message("duration", "0: until it is replaced", sec={"type": "integer"}, nsec={"type": "integer"})  # fmt: skip
+_DURATION: Final = _message(
+    "duration", "0: until it is replaced", sec={"type": "integer"}, nsec={"type": "integer"}
+)
 _VECTOR: Final = _message("foxglove.Vector3", "[m]", **{axis: _number(f"{axis} [m]") for axis in "xyz"})
 _POINT: Final = _message("foxglove.Point3", "[m]", **{axis: _number(f"{axis} [m]") for axis in "xyz"})
 _QUATERNION: Final = _message(
     "foxglove.Quaternion", "orientation [1]", **{part: _number(f"{part} [1]") for part in "xyzw"}
 )
 _POSE: Final = _message("foxglove.Pose", "a pose", position=_VECTOR, orientation=_QUATERNION)
-_COLOUR: Final = _message("foxglove.Color", "[1], 0 to 1", **{part: _number(f"{part} [1]") for part in "rgba"})  # fmt: skip
+_COLOUR: Final = _message(
+    "foxglove.Color", "[1], 0 to 1", **{part: _number(f"{part} [1]") for part in "rgba"}
+)
 _TRANSFORM: Final = _message(
     "foxglove.FrameTransform",
     "pose of a frame in its parent",

@@ -59,8 +59,10 @@ WITH_LOAD: Final = {
     1060: "XL430-W250", 1070: "XC430-W150", 1080: "XC430-W240", 1090: "2XL430-W250", 1160: "2XC430-W250",
 }  # fmt: skip
 CURRENT_UNIT_A: Final = {
-    **dict.fromkeys(SMALL, 0.001), **dict.fromkeys(_FINE, 0.00134), **dict.fromkeys(_COARSE, 0.00269)
-}  # fmt: skip
+    **dict.fromkeys(SMALL, 0.001),
+    **dict.fromkeys(_FINE, 0.00134),
+    **dict.fromkeys(_COARSE, 0.00269),
+}
 MODELS: Final = {**SMALL, **_FINE, **_COARSE, **WITH_LOAD}
 LOAD_UNIT: Final = 0.001
 FULL_PWM: Final = 885

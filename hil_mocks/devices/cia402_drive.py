@@ -462,9 +462,11 @@ def _defaults(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
 def _plain(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:
     """Maximum torque, rated current (mA) and torque (mNm), supply (mV), as CiA 402 has them."""
     return {
-        (0x6072, 0): ("u16", 10_000), (0x6075, 0): ("u32", round(1e3 * setup.rated_current_A)),
-        (0x6076, 0): ("u32", round(1e3 * setup.rated_torque_Nm)), (0x6079, 0): ("u32", 0),
-    }  # fmt: skip
+        (0x6072, 0): ("u16", 10_000),
+        (0x6075, 0): ("u32", round(1e3 * setup.rated_current_A)),
+        (0x6076, 0): ("u32", round(1e3 * setup.rated_torque_Nm)),
+        (0x6079, 0): ("u32", 0),
+    }
 
 
 def _of_epos4(setup: Cia402Setup) -> dict[tuple[int, int], tuple[str, int]]:

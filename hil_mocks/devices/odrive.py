@@ -206,11 +206,13 @@ class OdriveMock:
         volts = self.output.value if self.output.kind == "voltage" else 0.0
         is_there = self._input_mode == TRAJECTORY and motor.goal_turns == self._target
         pairs = {
-            ENCODER: (motor.turns, motor.speed_turns_s), IQ: (wanted_A, self._current_A), BUS: (self._supply_V, 0.0),
+            ENCODER: (motor.turns, motor.speed_turns_s),
+            IQ: (wanted_A, self._current_A),
+            BUS: (self._supply_V, 0.0),
             TEMPERATURE: (35.0, math.nan),  # no thermistor in the motor
             TORQUES: (self._torque_Nm, measured_Nm),
             POWERS: (volts * self._current_A, 2.0 * math.pi * motor.speed_turns_s * measured_Nm),
-        }  # fmt: skip
+        }
         if command in pairs:
             self._send(command, struct.pack("<ff", *pairs[command]))
         elif command == HEARTBEAT:

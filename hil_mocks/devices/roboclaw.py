@@ -115,11 +115,10 @@ SAID: dict[int, tuple[str, Callable[[RoboClawMock], tuple[int, ...]]]] = {
     114: (">HH", lambda board: board.errors("p")),
     147: (">41B", lambda board: (2, *bytes(40))),
     180: (">I", lambda board: (0,)),
-}  # fmt: skip
-LENGTHS = (
-    {command: 2 + ASKED.get(command, 0) for command in (21, 182, *ASKED, *SAID, *DELIVERED)}
-    | {command: 4 + size for command, size in WRITES.items()}
-)  # fmt: skip
+}
+LENGTHS = {command: 2 + ASKED.get(command, 0) for command in (21, 182, *ASKED, *SAID, *DELIVERED)} | {
+    command: 4 + size for command, size in WRITES.items()
+}
 # The manual of 2017 ends earlier, and some of its packets do.
 OLDER = {*range(14, 70), *range(74, 84), *range(90, 96), 98, 99, *range(133, 137), 148, 149}
 OLDER_LENGTHS = {command: length for command, length in LENGTHS.items() if command in OLDER} | {

@@ -486,8 +486,9 @@ def _narrow(arm: Arm) -> Arm:
 def _motors() -> Iterator[Promise]:
     yield from _each("stalled", "motor 1 without current", fault("dead_motor", "motor1"),
                      LYING, most=BRAKES, during=(MOVE, SESSION))  # fmt: skip
-    yield from _each("runaway", "polarity of motor 2 swapped", fault("swapped_polarity", "motor2"),
-                     LYING, most=BRAKES)  # fmt: skip
+    yield from _each(
+        "runaway", "polarity of motor 2 swapped", fault("swapped_polarity", "motor2"), LYING, most=BRAKES
+    )
     says, jammed = "the gear of joint 1 jams", fault("stuck_joint", "motor1")
     yield from _each("jammed", says, jammed, RESISTED, most=YIELDS, during=(MOVE, HOME, SESSION))
     says = "3 kg of unstated payload at the tip"
@@ -506,8 +507,10 @@ def _motors() -> Iterator[Promise]:
     inject = fault("supply", *MOTORS, value=5.0)
     yield from _each("supply-drop", "supply falls to 5 V", inject, "drive_fault supply", most=BRAKES)
     for kind, value, code in (
-        ("says_supply", 0.0, "supply"), ("says_current", 32.7, LYING), ("says_temperature", 127.0, "over_temperature"),
-    ):  # fmt: skip
+        ("says_supply", 0.0, "supply"),
+        ("says_current", 32.7, LYING),
+        ("says_temperature", 127.0, "over_temperature"),
+    ):
         says = f"motor board 2 {kind.replace('_', ' ')} {value:g}"
         inject = fault(kind, "motor2", value=value)
         yield from _each(kind.replace("_", "-"), says, inject, code, most=BRAKES)
@@ -539,8 +542,9 @@ def _requests() -> Iterator[Promise]:
                      refused(NONSENSE), "", during=every)  # fmt: skip
     yield from _each("contradiction", "requests that do not fit what goes on", refused(CONTRADICTING), "",
                      during=(MOVE, HOME))  # fmt: skip
-    yield from _each("two-clients", "a second client commands", refused(COMMANDS, GUEST), "",
-                     during=(MOVE, HOME))  # fmt: skip
+    yield from _each(
+        "two-clients", "a second client commands", refused(COMMANDS, GUEST), "", during=(MOVE, HOME)
+    )
     yield from _each("table-in-the-way", "moves that would meet the table, the floor or the base",
                      refused(MEETING), "", during=(REST,))  # fmt: skip
     yield from _each("singularity", "lines out of reach, and through a singularity",

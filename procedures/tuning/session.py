@@ -482,9 +482,11 @@ def _judged_step(
     band = max(0.05, two_counts)
     outside = np.flatnonzero(np.abs(share - final) > band)
     return StepResponse(
-        tuple(t_s.tolist()), tuple(share.tolist()), float(share.max() - final),
+        tuple(t_s.tolist()),
+        tuple(share.tolist()),
+        float(share.max() - final),
         float(t_s[outside[-1]]) if outside.size else 0.0,
-    )  # fmt: skip
+    )
 
 
 def _judged_move(
@@ -500,7 +502,9 @@ def _judged_move(
     unsettled = np.flatnonzero(np.abs(error[end:]) > 5e-4)
     t_s = cycle_s * np.arange(n)
     return MoveResponse(
-        tuple(t_s.tolist()), tuple(wanted.tolist()), tuple(angle.tolist()),
+        tuple(t_s.tolist()),
+        tuple(wanted.tolist()),
+        tuple(angle.tolist()),
         float(np.abs(error).max()),
         float(cycle_s * (unsettled[-1] + 1)) if unsettled.size else 0.0,
-    )  # fmt: skip
+    )

@@ -361,7 +361,7 @@ def _require_range(servo: SmartServo, drive: Drive) -> None:
 
 def _join(
     servo: SmartServo, joint: int, drive: Drive, watchdog_s: float, fault_of: FaultMap, opened: Opened
-) -> None:  # fmt: skip
+) -> None:
     identity = servo.identify()
     _require_type(servo, drive)
     _require_range(servo, drive)
