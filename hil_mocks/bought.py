@@ -210,9 +210,7 @@ def _shaft(
         return turned - unseen_turns[0]
 
     return EncoderShaft(
-        lambda: wired.raw_count(encoder_rad(joint)),
-        turns,
-        lambda: wired.motor_count(encoder_rad(joint)),
+        lambda: wired.raw_count(encoder_rad(joint)), turns, lambda: wired.motor_count(encoder_rad(joint))
     )
 
 
@@ -277,10 +275,7 @@ class Servos:
         self.ports = list(dict.fromkeys(board.port for board in boards))
         self.mocks = [
             made.mock(
-                board.address,
-                arm.drives[j],
-                self._reader(wiring[j], j, encoder_rad),
-                j >= arm.joint_count,
+                board.address, arm.drives[j], self._reader(wiring[j], j, encoder_rad), j >= arm.joint_count
             )
             for j, board in zip(self.joints, boards, strict=True)
         ]

@@ -144,10 +144,7 @@ class SteppedRig(Closing):
     """
 
     def __init__(
-        self,
-        arm: Arm | str | Path,
-        scenario: Scenario | str | Path = "ideal",
-        through_kernel: bool = False,
+        self, arm: Arm | str | Path, scenario: Scenario | str | Path = "ideal", through_kernel: bool = False
     ) -> None:
         as_built = arm if isinstance(arm, Arm) else load_arm(arm)
         self.scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)

@@ -102,11 +102,7 @@ class Runs(Protocol[Taken]):
 
 
 def tour(
-    bench: Bench,
-    how: How,
-    stops: Iterable[Stop[R]],
-    points: PointsWriter | None,
-    runs: Runs[R] | None = None,
+    bench: Bench, how: How, stops: Iterable[Stop[R]], points: PointsWriter | None, runs: Runs[R] | None = None
 ) -> Iterator[Stop[R]]:
     """Yield each stop, then take it unless it is on the disk. Afterwards the load is off, and the arm inside the workspace.
 

@@ -106,11 +106,7 @@ class CommandBox(Input):
     ]
 
     def __init__(self, hint: str = BOX_HINT, focused_hint: str = BOX_HINT_FOCUSED) -> None:
-        super().__init__(
-            placeholder=hint,
-            id="command",
-            compact=True,
-        )
+        super().__init__(placeholder=hint, id="command", compact=True)
         self._hint, self._focused_hint = hint, focused_hint
         self._lines: list[str] = []
         self._at = 0

@@ -75,8 +75,7 @@ class SessionScreen(Screen[None]):
             return
         if status != 0:
             self._wait_for(
-                "resume",
-                f"The session ended with status {status}; all records are saved. Enter resumes it.",
+                "resume", f"The session ended with status {status}; all records are saved. Enter resumes it."
             )
         elif (self._folder / "points.csv").exists():
             self._wait_for("calibrate", "Enter calibrates with these points, escape goes back.")

@@ -44,22 +44,13 @@ OPERATING = (
     CommandSpec(
         "status",
         "state of the arm, its warnings and faults",
-        (
-            ARM,
-            SOCKET,
-            option("--modes", "print all modes and what leads from one to another instead"),
-            JSON,
-        ),
+        (ARM, SOCKET, option("--modes", "print all modes and what leads from one to another instead"), JSON),
     ),
     CommandSpec("enable", "turn the drives on and hold the present pose", (ARM, SOCKET), module="requests"),
     CommandSpec(
         "home",
         "find every joint's zero",
-        (
-            ARM,
-            SOCKET,
-            option("--again", "home again even if the boards know their zeros"),
-        ),
+        (ARM, SOCKET, option("--again", "home again even if the boards know their zeros")),
         "Nothing moves if all encoder boards still know their zeros.",
         module="requests",
     ),
@@ -189,11 +180,7 @@ OPERATING = (
     CommandSpec(
         "wait",
         "wait some seconds, or until the arm is at rest",
-        (
-            ARM,
-            SOCKET,
-            option("seconds S", "default: until the arm is at rest", type=finite, nargs="?"),
-        ),
+        (ARM, SOCKET, option("seconds S", "default: until the arm is at rest", type=finite, nargs="?")),
         module="requests",
     ),
     CommandSpec(
@@ -311,12 +298,7 @@ END_EFFECTOR = (
     CommandSpec(
         "tool",
         "state which tool is mounted, or list the tools",
-        (
-            ARM,
-            SOCKET,
-            option("name NAME", "a [[tool]] of arm.toml (default: list them)", nargs="?"),
-            JSON,
-        ),
+        (ARM, SOCKET, option("name NAME", "a [[tool]] of arm.toml (default: list them)", nargs="?"), JSON),
         "The tip, the masses and the collision checks change with it. The arm must be at rest.",
         module="end_effector",
     ),

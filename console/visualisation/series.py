@@ -76,13 +76,7 @@ def _numbered_runs(run: Array, names: tuple[str, ...] | None) -> tuple[NDArray[n
 
 
 Array = NDArray[np.float64]
-FOLLOWING_MODES: Final = (
-    "HOLDING",
-    "MOVING",
-    "STOPPING",
-    "JOGGING",
-    "PAUSED",
-)  # modes with valid set-points
+FOLLOWING_MODES: Final = ("HOLDING", "MOVING", "STOPPING", "JOGGING", "PAUSED")  # modes with valid set-points
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,12 +59,7 @@ class Branch(NamedTuple):
         return f"shoulder {self.shoulder}, elbow {self.elbow}"
 
 
-BRANCHES = (
-    Branch("front", "up"),
-    Branch("front", "down"),
-    Branch("back", "up"),
-    Branch("back", "down"),
-)
+BRANCHES = (Branch("front", "up"), Branch("front", "down"), Branch("back", "up"), Branch("back", "down"))
 
 
 class SingularityMargins(NamedTuple):

@@ -214,11 +214,7 @@ class Watch:
         return True
 
     def _is_motion_well(
-        self,
-        q_rad: Sequence[float],
-        speed_rad_s: Sequence[float],
-        q_set_rad: Sequence[float],
-        is_homed: bool,
+        self, q_rad: Sequence[float], speed_rad_s: Sequence[float], q_set_rad: Sequence[float], is_homed: bool
     ) -> bool:
         joints = zip(self._limits.joints, q_rad, speed_rad_s, q_set_rad, self._lag_rad, strict=True)
         for limit, q, speed, q_set, lag_rad in joints:

@@ -121,8 +121,7 @@ class Link:
         "moments about the centre of mass, along the axes of this link's frame",
     ] = None
     radius_m: Annotated[
-        NonNegative,
-        "of its body, for floor, table and own base; 0: a line. The tip is a point",
+        NonNegative, "of its body, for floor, table and own base; 0: a line. The tip is a point"
     ] = 0.0
     joint_name: Annotated[str, rules.PART_NAME, "in messages and exported models", '"joint N"'] = ""
     link_name: Annotated[
@@ -215,17 +214,13 @@ class Arm:
     name: Annotated[str, rules.NAME, "sockets and recordings carry it"]
     links: Annotated[tuple[Link, ...], "base to tip"] = field(metadata={"key": "link"})
     gravity_m_s2: Annotated[Vector3, rules.GRAVITY, "in the base frame"] = (0.0, 0.0, -9.81)
-    as_given: Annotated[
-        bool,
-        "overrides guesses about units that refuse the file",
-    ] = False
+    as_given: Annotated[bool, "overrides guesses about units that refuse the file"] = False
     placeholders: Annotated[
         tuple[Literal["masses", "motors"], ...],
         "chosen by `armwright new`, not measured; take a word out when its values are those of your parts",
     ] = ()
     dh_convention: Annotated[
-        Convention,
-        '"standard": Tz(d) Rz(theta) Tx(L) Rx(alpha); "modified": Rx(alpha) Tx(L) Rz(theta) Tz(d)',
+        Convention, '"standard": Tz(d) Rz(theta) Tx(L) Rx(alpha); "modified": Rx(alpha) Tx(L) Rz(theta) Tz(d)'
     ] = "standard"
     drives: Annotated[tuple[Drive, ...], "one per joint"] = field(default=(), metadata={"key": "drive"})
     tool: Annotated[Tool, ""] = NO_TOOL

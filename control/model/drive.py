@@ -125,8 +125,7 @@ class Drive:
     ] = ""
     board_channel: Annotated[int, rules.ONE_OR_MORE, "which motor of that board, from 1"] = 1
     servo: Annotated[
-        str,
-        "a smart servo of docs/arms.md: default of gear_ratio to supply_V and current_limit_A",
+        str, "a smart servo of docs/arms.md: default of gear_ratio to supply_V and current_limit_A"
     ] = ""
     servos: Annotated[
         int,

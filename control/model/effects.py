@@ -256,11 +256,7 @@ EFFECTS: Final[Mapping[str, EffectKind]] = {
         corrected="torque",
     ),
     "asymmetric_friction": EffectKind(
-        "joint",
-        ("torque_Nm",),
-        linear=itself("torque_Nm"),
-        torque=asymmetric_friction,
-        corrected="torque",
+        "joint", ("torque_Nm",), linear=itself("torque_Nm"), torque=asymmetric_friction, corrected="torque"
     ),
     "cogging": EffectKind(
         "joint",

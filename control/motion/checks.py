@@ -267,8 +267,7 @@ def demands(tip: TipSamples, joints: JointSamples, limits: JointLimits, of_tip: 
         found += [
             Demand("turning speed of the tip", speed / of_tip.tip_turn_speed_rad_s),
             Demand(
-                "turning acceleration of the tip",
-                np.sqrt(acceleration / of_tip.tip_turn_acceleration_rad_s2),
+                "turning acceleration of the tip", np.sqrt(acceleration / of_tip.tip_turn_acceleration_rad_s2)
             ),
         ]
     jerk = _jerk(tip, joints.acceleration_rad_s2)

@@ -14,23 +14,11 @@ from control.kinematics import reach as problems
 from control.kinematics import rotation as rotations
 from control.kinematics.inverse import Branch, InverseKinematics, Solution
 from control.kinematics.kinematics import PoseKinematics
-from control.kinematics.pose_inverse import (
-    ORIENTATION_TOLERANCE_RAD,
-    SINGULAR_MARGIN_M,
-    PoseInverse,
-    TipPose,
-)
+from control.kinematics.pose_inverse import ORIENTATION_TOLERANCE_RAD, SINGULAR_MARGIN_M, PoseInverse, TipPose
 from control.kinematics.rotation import Quaternion
 from control.model.arm import Arm
 from control.motion import checks
-from control.motion.checks import (
-    Array,
-    JointSamples,
-    TipSamples,
-    TurnSamples,
-    sample_tip,
-    solve_joints,
-)
+from control.motion.checks import Array, JointSamples, TipSamples, TurnSamples, sample_tip, solve_joints
 from control.motion.joint_path import JointPath, quintic
 from control.motion.spline import CartesianSpline, TimedWaypoints, continuous_velocities
 from control.motion.waypoints import Waypoints

@@ -181,10 +181,7 @@ class Guard:
             return
         sampled, close_s = copy(motion), min(motion.duration_s, _CLOSE_POSES * _CLOSE_STEP_s)
         times_s = np.unique(
-            [
-                *np.arange(0.0, close_s, _CLOSE_STEP_s),
-                *np.linspace(close_s, motion.duration_s, _CLOSE_POSES),
-            ]
+            [*np.arange(0.0, close_s, _CLOSE_STEP_s), *np.linspace(close_s, motion.duration_s, _CLOSE_POSES)]
         ).tolist()
         try:
             self._require([sampled.at(time_s).q_rad for time_s in times_s], times_s, start_rad)

@@ -191,10 +191,7 @@ class _Export:
         if self._placed is not None:
             message = scene.of_arm(message, self._placed.name)
         self._writer.add_message(
-            self._channels[topic],
-            log_time=time_ns,
-            publish_time=time_ns,
-            data=msgspec.json.encode(message),
+            self._channels[topic], log_time=time_ns, publish_time=time_ns, data=msgspec.json.encode(message)
         )
 
     def _own(self, row: Row, time_ns: int) -> None:

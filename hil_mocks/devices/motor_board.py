@@ -402,11 +402,7 @@ class MotorBoardMock(MotorBoardHardware):
         else:
             self.values[index] = value
             self._take_values()
-            if index in (
-                DIGITAL_OUTPUTS,
-                DIGITAL_SAFE_LEVELS,
-                DIGITAL_SAFE_KEEP,
-            ):
+            if index in (DIGITAL_OUTPUTS, DIGITAL_SAFE_LEVELS, DIGITAL_SAFE_KEEP):
                 self.pins.configure(*(self.values[k] for k in range(49, 52)))
         self._apply()
         return DONE

@@ -23,13 +23,7 @@ class Hand:
     """A mocap body that a connect constraint ties to the tip. Moves once a tick, never faster than `speed_m_s`."""
 
     def __init__(
-        self,
-        at: PlantModel,
-        state: Any,
-        speed_m_s: float,
-        noise_m: float,
-        seed: int,
-        base_pose: BasePose,
+        self, at: PlantModel, state: Any, speed_m_s: float, noise_m: float, seed: int, base_pose: BasePose
     ) -> None:
         self._base_pose, self._standing = base_pose, at.standing
         self._data, self._tip_site, self._grip, self._mocap = state, at.tip_site, at.grip, at.mocap

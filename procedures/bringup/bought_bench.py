@@ -13,12 +13,7 @@ from typing import Final, Literal
 from control.errors import ArmError
 from control.hardware.connect import connect
 from control.hardware.interface import OutputMode
-from control.hardware.words import (
-    HOME_SWITCH,
-    OPERATION_ENABLED,
-    STATE_MASK,
-    Wanted,
-)
+from control.hardware.words import HOME_SWITCH, OPERATION_ENABLED, STATE_MASK, Wanted
 from control.model.arm import Arm, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock

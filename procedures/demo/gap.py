@@ -368,8 +368,7 @@ def _parts(circle: Circle, made: Provenance) -> Iterator[Section | str]:
     yield list_section("Procedure", _steps(circle))
     yield _revealed(circle)
     yield verification_section(
-        circle.geometry_alone,
-        "at held-out places: correction off (before) and on (after)",
+        circle.geometry_alone, "at held-out places: correction off (before) and on (after)"
     )
     yield paths_section(circle.paths)
     outcome = circle.outcome
@@ -431,6 +430,5 @@ def _revealed(circle: Circle) -> Section:
         )
     head = (("text", "parameter"), "hidden", "found", "sd")
     return Section(
-        "Hidden effect",
-        paragraph(f"{circle.hidden}; the run had no access to it.") + table(head, rows),
+        "Hidden effect", paragraph(f"{circle.hidden}; the run had no access to it.") + table(head, rows)
     )

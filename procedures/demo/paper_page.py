@@ -43,11 +43,7 @@ AFTER_m: Final = {"normal": 0.016436, "roll": 0.019099, "pitch": 0.022207}
 IMPROVED_percent: Final = {"normal": 38.789, "roll": 28.866, "pitch": 17.292}
 # "the normal and roll directions still improve accuracy from 32.1 % to as much as 53.0 %, but the pitch direction has
 # no effect. The cause of this difference is backlash."
-OTHER_TRAJECTORY: Final = {
-    "normal": "32.1 to 53.0 %",
-    "roll": "32.1 to 53.0 %",
-    "pitch": "no effect",
-}
+OTHER_TRAJECTORY: Final = {"normal": "32.1 to 53.0 %", "roll": "32.1 to 53.0 %", "pitch": "no effect"}
 
 
 PLACES = (*SETUPS, OTHER)
@@ -285,8 +281,7 @@ def _own_section(replay: PaperReplay) -> Section:
         table(header, rows)
         + svg((10.4, 3.9), lambda figure: _draw_remaining(figure, replay))
         + paragraph(
-            "± is half the 95 % interval over the points. Published: Table 4 of " + CITED + ".",
-            "soft small",
+            "± is half the 95 % interval over the points. Published: Table 4 of " + CITED + ".", "soft small"
         ),
     )
 
@@ -328,10 +323,7 @@ def _trajectory_section(replay: PaperReplay) -> Section:
         svg((10.4, 3.6), lambda figure: _draw_planes(figure, replay, None))
         + svg((10.4, 3.6), lambda figure: _draw_planes(figure, replay, shown))
         + svg((10.4, 3.2), lambda figure: _draw_errors(figure.subplots(), replay, shown))
-        + paragraph(
-            "Errors after calibration are magnified 20 times.",
-            "soft small",
-        ),
+        + paragraph("Errors after calibration are magnified 20 times.", "soft small"),
     )
 
 
@@ -428,16 +420,7 @@ def _draw_planes(figure: "Figure", replay: PaperReplay, names: Sequence[str] | N
             )
         for k, name in enumerate(names or ()):
             actual = ideal + 20.0 * 1e3 * replay.error_m(name)
-            _draw_actual(
-                axes,
-                actual,
-                closed,
-                i,
-                j,
-                SHOWN_COLOURS[k],
-                "D^v"[k],
-                f"{name}, error x 20",
-            )
+            _draw_actual(axes, actual, closed, i, j, SHOWN_COLOURS[k], "D^v"[k], f"{name}, error x 20")
         label_plane(axes, i, j, f"{'xyz'[i]}-{'xyz'[j]} plane")
         axes.set_aspect("equal", adjustable="datalim")
     handles, labels = planes[0].get_legend_handles_labels()

@@ -342,10 +342,7 @@ def _parts(outcome: PairOutcome) -> Iterator[Section | str]:
     yield Section(
         "Contacts",
         svg((10.4, 4.6), lambda figure: _draw_contacts(figure, outcome))
-        + pair(
-            svg((5.1, 3.2), lambda figure: _draw_errors(figure, outcome)),
-            _table(outcome),
-        ),
+        + pair(svg((5.1, 3.2), lambda figure: _draw_errors(figure, outcome)), _table(outcome)),
     )
     yield Section("A circle of the right tip beside the left one", path_picture(outcome.circle))
     yield Section("Both arms on one clock", svg((10.4, 3.6), lambda figure: _draw_motion(figure, outcome)))

@@ -359,11 +359,7 @@ def _boards() -> Iterator[Promise]:
         during=(REST, MOVE, HOME, SESSION),
     )  # fmt: skip
     yield from _each(
-        "motor-reset",
-        "motor board 2 restarts",
-        fault("board_reset", "motor2"),
-        "drive_left",
-        most=BRAKES,
+        "motor-reset", "motor board 2 restarts", fault("board_reset", "motor2"), "drive_left", most=BRAKES
     )
     yield from _each(
         "encoder-silent", "encoder board unplugged", fault("silent", "encoder"), "encoder_stale",

@@ -294,12 +294,7 @@ class SessionOperator:
     """Prints the messages of a session and answers from lines. When they end, the answer is `quit`."""
 
     def __init__(
-        self,
-        folder: SessionFolder,
-        words: Words,
-        lines: Iterator[str],
-        say: Say,
-        may_auto: bool = False,
+        self, folder: SessionFolder, words: Words, lines: Iterator[str], say: Say, may_auto: bool = False
     ) -> None:
         """`may_auto`: a mock hand seats the tip, so questions may be answered automatically."""
         self._folder, self._words, self._lines, self._say = folder, words, lines, say

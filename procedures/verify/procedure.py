@@ -79,16 +79,13 @@ class SurveyPair:
 
 
 def driven(
-    pair: ModelPair,
-    drive: SurveyPair,
-    comparison: Comparison,
-    paths: tuple[TrackPair, ...],
+    pair: ModelPair, drive: SurveyPair, comparison: Comparison, paths: tuple[TrackPair, ...]
 ) -> Verification:
     """The verification of an arm that was moved."""
     programme = drive.programme
     how = [
         f"Moved the tip to {len(programme.places)} points that calibration did not use, {programme.repeats} times"
-        " with each model in turn (nominal, calibrated); the camera measured at rest.",
+        " with each model in turn (nominal, calibrated); the camera measured at rest."
     ]
     if programme.ways:
         how.append(

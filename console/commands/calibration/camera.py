@@ -14,13 +14,7 @@ from calib.vision.advice import advice, lens_text
 from calib.vision.advice import poses_text as described
 from calib.vision.intrinsics import CORNERS_LEAST as CORNERS_OF_A_LENS
 from calib.vision.intrinsics import fit_lens, read_camera, write_camera
-from calib.vision.poses import (
-    CORNERS_LEAST,
-    CameraPictures,
-    measure_poses,
-    poses_text,
-    with_pictures,
-)
+from calib.vision.poses import CORNERS_LEAST, CameraPictures, measure_poses, poses_text, with_pictures
 from console.commands.calibration.options import quantity
 from console.commands.progress import Bar, answer, warn
 from control.files import write_whole

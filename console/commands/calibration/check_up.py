@@ -10,14 +10,7 @@ import numpy as np
 
 from calib.ageing import as_text, read_history, trend_json, trend_of
 from calib.arm_problem.checks import require_of_arm
-from calib.checkup import (
-    POSES,
-    checkup_plan,
-    decide,
-    decision_json,
-    expectation_of,
-    sentences,
-)
+from calib.checkup import POSES, checkup_plan, decide, decision_json, expectation_of, sentences
 from calib.errors import CalibrationError
 from calib.gap.plan.plan import RecordingPlan
 from calib.points.arm_points import points_for

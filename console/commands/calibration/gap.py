@@ -63,11 +63,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _look(
-    given: argparse.Namespace,
-    arm: Arm,
-    points: list[str],
-    logs: list[str],
-    without: tuple[str, ...],
+    given: argparse.Namespace, arm: Arm, points: list[str], logs: list[str], without: tuple[str, ...]
 ) -> int:
     record, out = record_of(given, "gap", arm.name), Path(given.out)
     recordings = read_recordings(arm, points, logs, given.current_unit, given.as_given)

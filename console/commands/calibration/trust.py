@@ -12,21 +12,10 @@ from calib.points.points import Points
 from calib.results import InputFile, input_file, made_today, write_json
 from calib.studies import ChunkStore, executor, run_study
 from calib.tolerances.making import parse_tolerances, tolerances_text
-from calib.tolerances.result import (
-    FORMAT as TOLERANCES,
-)
-from calib.tolerances.result import (
-    as_text as tolerances_words,
-)
-from calib.tolerances.result import (
-    made_json,
-    made_of,
-    tolerances_report,
-    warnings_about,
-)
-from calib.tolerances.result import (
-    write_map as write_tolerances_map,
-)
+from calib.tolerances.result import FORMAT as TOLERANCES
+from calib.tolerances.result import as_text as tolerances_words
+from calib.tolerances.result import made_json, made_of, tolerances_report, warnings_about
+from calib.tolerances.result import write_map as write_tolerances_map
 from calib.tolerances.study import StudyDesign, design_of, require_near, study_task
 from calib.trust.prediction import planned, reliability_of
 from calib.trust.report import FORMAT, PoseFigures, as_text, pose_figures, trust_json, trust_report, write_map
