@@ -83,13 +83,12 @@ class _Visits:
     def visit(self, arm: Arm, name: str, start: float, end: float) -> Array:
         """Measured tips (m, 3); the records go to verification_NAME.csv, the progress from `start` to `end`."""
         poses = paper_models.commands(arm, self.targets, self.mover.q_rad)
-        seen = []
-        with PointsWriter(self.out / f"verification_{_in_file(name)}.csv", arm.joint_count) as writer:
-            for record in self.mover.visit(poses, writer):
-                seen.append(record.tip_m)
-                what = "before" if name == "before" else f"after: {name}"
-                self.advance(f"verification, {what}", start + (end - start) * len(seen) / len(poses))
-        return np.array(seen)
+        file = self.out / f"verification_{_in_file(name)}.csv"
+        what = "verification, before" if name == "before" else f"verification, after: {name}"
+        with PointsWriter(file, arm.joint_count) as writer:
+            for done, _ in enumerate(self.mover.visit(poses, writer)):
+                self.advance(what, start + (end - start) * done / len(poses))
+        return read_points(file, arm.joint_count)[0].tip_m
 
 
 def _record(arm: Arm, table: Table, mover: paper_models.Mover, file: Path, advance: Advance) -> None:
@@ -106,7 +105,7 @@ def _record(arm: Arm, table: Table, mover: paper_models.Mover, file: Path, advan
         for done, record in enumerate(mover.seat(cavities, writer), 1):
             share = BEFORE_SHARE + (TABLE_SHARE - BEFORE_SHARE) * done / len(cavities)
             advance(f"table: {record.setup} {record.point}", share)
-        for done, _ in enumerate(mover.visit(free, writer), 1):
+        for done, _ in enumerate(mover.visit(free, writer)):
             advance("free poses", TABLE_SHARE + (FREE_SHARE - TABLE_SHARE) * done / len(free))
 
 

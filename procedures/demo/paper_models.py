@@ -25,6 +25,7 @@ from control.model.arm import Arm, Effect, Table, Vector3
 from control.server.client import ArmClient
 from procedures.mock import MockBench
 from procedures.ports import HandPort, RuntimePort
+from procedures.tour import Bench, How, Stop, tour
 
 SETUPS: Final = ("normal", "roll", "pitch")
 OTHER: Final = "other trajectory"
@@ -109,24 +110,24 @@ class Mover:
     """The bench's arm, commanded in encoder angles: its runtime knows the nominal arm; identified errors are corrected here."""
 
     def __init__(self, arm: Arm, bench: MockBench, client: ArmClient) -> None:
-        self._arm, self._client = arm, client
+        self._arm, self._bench = arm, Bench(client, speed=bench.speed)
         self._inverse, self._ways = InverseKinematics(arm), ClearPaths(arm, ArmGeometry(arm))
         self._port = RuntimePort(client, bench.speed, as_encoders=True)
-        self._gentle = RuntimePort(client, GENTLE * bench.speed, as_encoders=True)
         self._hand = HandPort(bench.rig.hand, bench.wait)
 
     @property
     def q_rad(self) -> tuple[float, ...]:
         """The pose by the encoders."""
-        return tuple(self._client.status()["q_rad"])
+        return tuple(self._bench.client.status()["q_rad"])
 
-    def visit(self, poses: Sequence[GentlePose], writer: PointsWriter) -> Iterator[Record]:
-        """Approach each pose gently; read encoders, motors and camera."""
-        for pose in poses:
-            start = inside(self._arm, np.array(pose.q_rad) - APPROACH_rad * np.array(pose.direction))
-            self._go(start)
-            self._gentle.move_to_q(pose.q_rad)
-            yield self._recorded(pose.setup, pose.point, pose.repeat, None, writer)
+    def visit(self, poses: Sequence[GentlePose], writer: PointsWriter) -> Iterator[Stop[None]]:
+        """Each pose before it is approached, gently and clear of table and floor; encoders, motors and camera are read there."""
+        return tour(self._bench, How(SessionSettings(), as_encoders=True), map(self._stop, poses), writer)
+
+    def _stop(self, pose: GentlePose) -> Stop[None]:
+        start = inside(self._arm, np.array(pose.q_rad) - APPROACH_rad * np.array(pose.direction))
+        way = tuple(self._ways.stops(self.q_rad, start.tolist(), None))
+        return Stop(pose.point, pose.q_rad, way, GENTLE, (pose.setup, pose.point, pose.repeat))
 
     def seat(self, points: Sequence[BoardPoint], writer: PointsWriter) -> Iterator[Record]:
         """Each cavity: move above it by the nominal model, then by hand with the drives off, as the authors did."""
@@ -135,22 +136,11 @@ class Mover:
             above = self._inverse.nearest((x, y, z), self.q_rad)
             self._port.move_to_q(above)
             with seated(point.tip_m, self._port, self._hand):
-                record = self._recorded(point.setup, point.point, point.repeat, point.tip_m, writer)
+                target = Target(point.setup, point.point, point.repeat)
+                record = take(target, point.tip_m, self._port, SessionSettings(), None)
+                writer.append(record)
             self._port.move_to_q(above)
             yield record
-
-    def _go(self, q_rad: Array) -> None:
-        """Move quickly, clear of table and floor."""
-        for stop in self._ways.stops(self.q_rad, q_rad.tolist(), None):
-            self._port.move_to_q(stop)
-
-    def _recorded(
-        self, setup: str, point: str, repeat: int, tip_m: Vector3 | None, writer: PointsWriter
-    ) -> Record:
-        camera = self._port if tip_m is None else None
-        record = take(Target(setup, point, repeat), tip_m, self._port, SessionSettings(), camera)
-        writer.append(record)
-        return record
 
 
 def inside(arm: Arm, q_rad: Array) -> Array:

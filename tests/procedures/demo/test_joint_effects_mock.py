@@ -51,12 +51,14 @@ def recorded(tmp_path: Path, hidden: str) -> tuple[Points, np.ndarray]:
             for side in (1, -1)
         ]
         with PointsWriter(tmp_path / "points.csv", 3) as writer:
-            records = Mover(ARM, bench, client).visit(poses, writer)
-            ahead = [np.array(bench.rig.joint_rad()) - np.array(record.q_rad) for record in records]
+            # a stop is told before it is taken: the joints stand where the one before it was recorded
+            joint_rad = [bench.rig.joint_rad() for _ in Mover(ARM, bench, client).visit(poses, writer)][1:]
+            joint_rad.append(bench.rig.joint_rad())
         bench.stop()
     finally:
         bench.close()
-    return read_points(tmp_path / "points.csv", 3)[0], np.array(ahead)
+    points, _ = read_points(tmp_path / "points.csv", 3)
+    return points, np.array(joint_rad) - points.q_rad
 
 
 def test_play_lies_on_the_flank_that_gravity_friction_and_currents_say(tmp_path: Path) -> None:
