@@ -173,7 +173,6 @@ NO_NAMES = ("link_geometry", "base_frame")
 class DrivenSurvey:
     """One model's visits and paths: camera measurements and following errors."""
 
-    name: str
     survey: Survey
     recording: Path
     following_rad: float
@@ -213,24 +212,25 @@ def run(arm: Arm, bench: MockBench, hidden: Hidden, out: Path, advance: Advance)
     client = bench.start(arm)
     client.enable()
     client.home()
-    first = _newest(out)
-    own = tour.Bench(client, first, bench.rig.set_payload, speed=bench.speed)
+    own = tour.Bench(client, _newest(out), bench.rig.set_payload, speed=bench.speed)
     recordings, outcome = _recorded(arm, own, plans, out, advance)
     advance("moving by the nominal model", 0.6)
     nominal = Model(arm)
-    before = _driven("nominal", nominal, nominal, Drive(client, first, bench.speed, programme, out))
+    before = _driven(
+        Survey(nominal, programme, out / "driven_nominal.csv"), nominal, client, bench.speed, out
+    )
     shut_down(arm, bench, client)
 
     if recordings.log_files:
         outcome = find_gap_in(arm, recordings, (), lambda what, done: advance(what, 0.65 + 0.15 * done))
     model = write_gap(outcome, arm, recordings, out / "gap")
     advance("moving with the correction off", 0.8)
-    client = start_again(model, bench)
-    drive, whole = Drive(client, _newest(out), bench.speed, programme, out), Model(model)
+    client, whole = start_again(model, bench), Model(model)
     kept = tuple(e for e in model.effects if e in arm.effects or e.effect in NO_NAMES)
-    off = _driven("off", Model(dataclasses.replace(model, effects=kept)), whole, drive)
+    uncorrected = Model(dataclasses.replace(model, effects=kept))
+    off = _driven(Survey(uncorrected, programme, out / "driven_off.csv"), whole, client, bench.speed, out)
     advance("moving with the correction on", 0.87)
-    on = _driven("on", whole, whole, drive)
+    on = _driven(Survey(whole, programme, out / "driven_on.csv"), whole, client, bench.speed, out)
     shut_down(model, bench, client)
     advance("reporting", 0.95)
     return Circle(
@@ -292,23 +292,12 @@ def programme_of(arm: Arm) -> Programme:
     return Programme(tuple(found), ways(tables.table_of(arm), ("normal",)))
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A running arm, its recording, and where it is to go."""
-
-    client: ArmClient
-    recording: Path
-    speed: float
-    programme: Programme
-    out: Path
-
-
-def _driven(name: str, model: Model, runtime: Model, drive: Drive) -> DrivenSurvey:
-    """Run every place and every path once by a model, on a runtime that uses the model `runtime`."""
-    survey = Survey(model, drive.programme, drive.out / f"driven_{name}.csv")
-    survey.drive(runtime, drive.client, drive.speed)
-    drive.client.wait(0.3)
-    return DrivenSurvey(name, survey, drive.recording, _following_rad(drive.recording, survey))
+def _driven(survey: Survey, runtime: Model, client: ArmClient, speed: float, out: Path) -> DrivenSurvey:
+    """Every place and every path once, on a runtime that uses the model `runtime`."""
+    survey.drive(runtime, client, speed)
+    client.wait(tour.FLUSH_s)
+    recording = _newest(out)
+    return DrivenSurvey(survey, recording, _following_rad(recording, survey))
 
 
 def _following_rad(recording: Path, survey: Survey) -> float:
