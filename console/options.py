@@ -95,8 +95,7 @@ def settle_arm(given: argparse.Namespace) -> None:
         given.arm = default_arm()
     elif named and Path(named).name == named and given.command not in ("serve", "stop"):
         from control.model.description import arm_names
-        from control.server.channel import NoRuntime, SocketChannel
-        from control.server.sockets import default_path
+        from control.server.channel import NoRuntime, SocketChannel, default_path
 
         socket = getattr(given, "socket", None) or default_path(named)
         if named in arm_names() or Path(named).exists() or not Path(socket).exists():

@@ -11,7 +11,7 @@ from benchmarks.arms import SEVEN, SIX, circle_in_place
 from benchmarks.peers.peer import Peer, PeerMissing
 from benchmarks.table import BenchRow, compared, seconds_a_call
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics, Poses
-from control.kinematics.pose_solver import ACCURACY, Targets, solve, task_of
+from control.kinematics.pose_inverse import ACCURACY, Targets, solve, task_of
 from control.motion.plan import plan_path
 
 ROUNDS = 15

@@ -11,9 +11,8 @@ from control.model.arm import Arm
 from control.model.cell import Cell, load_cell
 from control.model.description import load_arm
 from control.model.fingerprint import fingerprint
-from control.server.channel import SocketChannel
+from control.server.channel import SocketChannel, default_path
 from control.server.client import ArmClient
-from control.server.sockets import default_path
 
 
 def socket_path(given: argparse.Namespace, arm: Arm) -> Path:

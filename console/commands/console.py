@@ -11,8 +11,7 @@ from console.commands.connection import socket_path
 from control.errors import ArmError
 from control.model.cell import load_cell
 from control.model.description import load_arm
-from control.server.channel import CONTROL_KEY
-from control.server.sockets import default_path
+from control.server.channel import CONTROL_KEY, default_path
 
 if TYPE_CHECKING:
     from console.screen.app import ArmAtDesk

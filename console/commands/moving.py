@@ -21,9 +21,8 @@ from control.motion.joint_move import JointMove
 from control.motion.plan import PlannedPath, plan_path
 from control.motion.setpoint import at_rest
 from control.motion.waypoints import ORIENTATION_COLUMNS, POSITION_COLUMNS, Waypoints, read_waypoints
-from control.server.channel import RuntimeGone, SocketChannel
+from control.server.channel import RuntimeGone, SocketChannel, default_path
 from control.server.client import ArmClient
-from control.server.sockets import default_path
 from firmware_iface.mocap.bodies import RigidPose, compose
 
 HEADER = ",".join(POSITION_COLUMNS)

@@ -16,9 +16,8 @@ from control.model.description import parse_arm, supplied_text
 from control.model.plausible import OVERRIDE
 from control.model.rules import LONGEST_NAME, is_file_name
 from procedures.new_arm.answers import Asker, Given, answers_for, ask_shape
-from procedures.new_arm.composing import NewArm, compose
+from procedures.new_arm.composing import NewArm, commented_text, compose
 from procedures.new_arm.motors import stretched_arm
-from procedures.new_arm.writing import commented_text
 
 NAME: Final = re.compile(r'^name = ".*?"', re.MULTILINE)
 PORT: Final = re.compile(r'^port = "(.*?)"', re.MULTILINE)

@@ -15,9 +15,9 @@ from control.model.arm import Arm
 from control.model.can_bus import USUAL_LOAD, bus_load, good_rate_Hz, usual_rate_Hz
 from control.model.cell import Cell, cell_of_one, load_cell
 from control.model.description import load_arm
+from control.server.channel import default_path
 from control.server.process import ServeOptions, serve
 from control.server.scheduling import punctuality_remedy
-from control.server.sockets import default_path
 from firmware_iface.clock import MonotonicClock
 from procedures.link_options import link_options
 

@@ -11,9 +11,8 @@ from functools import partial
 from pathlib import Path
 
 from control.errors import ArmError
-from control.server.channel import NoRuntime, SocketChannel
+from control.server.channel import NoRuntime, SocketChannel, find_sockets, foreign_folders
 from control.server.client import ArmClient, ArmFaulted
-from control.server.sockets import find_sockets, foreign_folders
 
 
 def run(given: argparse.Namespace) -> int:

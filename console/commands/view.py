@@ -14,13 +14,16 @@ from console.visualisation.series import Series, chosen
 from console.visualisation.snapshots import (
     CellSource,
     Snapshot,
+    TipPath,
+    Traces,
     live,
     live_statuses,
     recorded,
     snapshot_at,
     snapshot_of,
+    tips_in,
+    traces_of,
 )
-from console.visualisation.traces import TipPath, Traces, tips_in, traces_of
 from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.cell import Cell, load_cell

@@ -21,9 +21,8 @@ from console.lines import Grammar, LineError, ParsedLine
 from control.files import open_to_append, utf_8
 from control.model.arm import Arm
 from control.model.fingerprint import AnotherArm, fingerprint, require_same
-from control.server.channel import CONTROL_KEY
+from control.server.channel import CONTROL_KEY, ForeignRuntime, require_own_runtime
 from control.server.messages import STOPPING, WATCHING
-from control.server.sockets import ForeignRuntime, require_own_runtime
 from firmware_iface.installation import command
 from firmware_iface.interrupts import ends_with_parent
 

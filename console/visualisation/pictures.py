@@ -16,7 +16,7 @@ import numpy as np
 from calib.report.page import PICTURE_STYLE as STYLE
 from console.visualisation.metrics import tip_error_m
 from console.visualisation.series import SHORTEST, Array, Series, envelope, orders, spectrum, with_gaps
-from console.visualisation.traces import tips_of
+from console.visualisation.snapshots import tips_of
 from control.errors import ArmError
 from control.files import make_whole
 from control.plain_text import Advance

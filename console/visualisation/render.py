@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from console.visualisation.series import Array, Series
-from console.visualisation.snapshots import Snapshot, snapshot_at
-from console.visualisation.traces import Traces
+from console.visualisation.snapshots import Snapshot, Traces, snapshot_at
 from control.errors import ArmError
 from control.files import make_whole
 from control.kinematics.kinematics import ForwardKinematics

@@ -16,7 +16,7 @@ import numpy as np
 from calib.export import export_text
 from calib.export.frames import end_names
 from console.visualisation.series import Array
-from console.visualisation.traces import TipOfArm, TipsOf, TipsOfCell, Traces
+from console.visualisation.snapshots import TipOfArm, TipsOf, TipsOfCell, Traces
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 from control.model.cell import Cell

@@ -1,16 +1,21 @@
-"""Snapshots of the arm, from a recording or live over the runtime's socket."""
+"""Snapshots of the arm, from a recording or live over the runtime's socket. Paths of the tip: commanded,
+measured, and by the camera.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from console.visualisation.series import Array, Series
+from control.kinematics.kinematics import ForwardKinematics
+from control.model.arm import Arm
+from control.model.cell import Cell
 from control.server.channel import Message
 from firmware_iface.clock import Clock
 
@@ -114,3 +119,108 @@ class CellSource:
         keys = ("q_rad", "q_set_rad", "joint_rad", "joint_set_rad", "current_A")
         joined = {key: [value for one in found for value in one[key]] for key in keys}
         return {**found[0], **joined, "camera_m": None}
+
+
+POINTS_MOST: Final = 4000
+LONGEST_PATH: Final = 400
+Angles = Sequence[Sequence[float]] | Array
+
+
+@dataclass(slots=True)
+class Traces:
+    """Points (k, 3) in the base frame [m], in the order of time; NaN is a gap."""
+
+    commanded_m: Array = field(default_factory=lambda: np.empty((0, 3)))
+    measured_m: Array = field(default_factory=lambda: np.empty((0, 3)))
+    camera_m: Array = field(default_factory=lambda: np.empty((0, 3)))
+
+
+def traces_of(series: Series, tips: TipsOf) -> Traces:
+    """Traces of a whole recording, thinned; gaps where an angle is missing or invalid, and between arms."""
+    step = 1 + len(series) // POINTS_MOST
+    placed = np.where(series.is_placed[:, None], 1.0, np.nan)
+    camera = series.tip_m[np.isfinite(series.tip_m).all(axis=1) & series.is_placed]
+    return Traces(
+        commanded_m=_in_turn(tips((placed * series.joint_set_rad)[::step])),
+        measured_m=_in_turn(tips((placed * series.joint_rad)[::step])),
+        camera_m=camera[:: 1 + len(camera) // POINTS_MOST],
+    )
+
+
+def tips_of(kinematics: ForwardKinematics, angles_rad: Array) -> Array:
+    """Tips (m, 3) of angles (m, n); NaN where an angle is NaN."""
+    found = np.full((len(angles_rad), 3), np.nan)
+    rows = np.isfinite(angles_rad).all(axis=1)
+    if rows.any():
+        found[rows] = kinematics.tips(angles_rad[rows])
+    return found
+
+
+class TipsOf(Protocol):
+    """Tips (k, m, 3) [m] of k arms for joint angles (m, n) of all of them; NaN rows are gaps."""
+
+    def __call__(self, angles_rad: Angles) -> Array: ...
+
+
+class TipOfArm:
+    """The tip of one arm in its base frame."""
+
+    def __init__(self, kinematics: ForwardKinematics) -> None:
+        self._kinematics = kinematics
+
+    def __call__(self, angles_rad: Angles) -> Array:
+        """Tips (1, m, 3)."""
+        return tips_of(self._kinematics, np.asarray(angles_rad, dtype=np.float64))[None]
+
+
+class TipsOfCell:
+    """The tips of all arms in the frame of the cell; joint angles arm after arm, NaN where an arm is not homed."""
+
+    def __init__(self, cell: Cell) -> None:
+        self._arms = [(placed, ForwardKinematics(placed.arm)) for placed in cell.arms]
+
+    def __call__(self, angles_rad: Angles) -> Array:
+        """Tips (arms, m, 3)."""
+        table, at, found = np.asarray(angles_rad, dtype=np.float64), 0, []
+        for placed, kinematics in self._arms:
+            tips = tips_of(kinematics, table[:, at : at + placed.arm.joint_count])
+            found.append(tips @ np.array(placed.rotation).T + np.array(placed.origin_m))
+            at += placed.arm.joint_count
+        return np.array(found)
+
+
+def tips_in(shown: Arm | Cell) -> TipsOf:
+    """Of an arm, or of the arms of a cell."""
+    return TipsOfCell(shown) if isinstance(shown, Cell) else TipOfArm(ForwardKinematics(shown))
+
+
+class TipPath:
+    """The last tips of live arms."""
+
+    def __init__(self, tips: TipsOf, most: int = LONGEST_PATH) -> None:
+        self._tips, self._most = tips, most
+        self._measured: list[Array] = []
+        self._commanded: list[Array] = []
+        self._camera_m: Array = np.empty((0, 3))
+
+    def add(self, snapshot: Snapshot) -> Traces:
+        """Append one snapshot; returns the paths, with gaps between those of several arms."""
+        now = self._tips([snapshot.joint_rad, snapshot.joint_set_rad])
+        self._measured = [*self._measured, now[:, 0]][-self._most :]
+        self._commanded = [*self._commanded, now[:, 1]][-self._most :]
+        if snapshot.camera_m is not None:
+            self._camera_m = np.vstack([self._camera_m, snapshot.camera_m])[-self._most :]
+        return Traces(
+            _one_after_the_other(self._commanded), _one_after_the_other(self._measured), self._camera_m
+        )
+
+
+def _one_after_the_other(tips: Sequence[Array]) -> Array:
+    """Points of several arms over time as one line, with a gap after each arm's."""
+    return _in_turn(np.swapaxes(np.array(tips), 0, 1))
+
+
+def _in_turn(tips: Array) -> Array:
+    """Tips (k, m, 3) of k arms as one line, with a gap after each arm's; an only arm's as they are."""
+    gap = np.full((1, 3), np.nan)
+    return np.concatenate([part for arm in tips for part in (arm, gap)]) if len(tips) > 1 else tips[0]

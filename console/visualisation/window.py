@@ -17,8 +17,7 @@ import numpy as np
 
 from console.visualisation.scene import Scene
 from console.visualisation.series import Series
-from console.visualisation.snapshots import Snapshot, snapshot_at
-from console.visualisation.traces import TipPath, Traces
+from console.visualisation.snapshots import Snapshot, TipPath, Traces, snapshot_at
 from control.errors import ArmError
 from firmware_iface.clock import Clock
 

@@ -16,10 +16,8 @@ from control.hardware.bought.smart_servo import DYNAMIXEL, FEETECH
 from control.hardware.gripper_board import GripperBoard, GripperHardware
 from control.hardware.gripper_on_board import gripper_of
 from control.hardware.interface import EndBoards, NamedPins, OutputMode
-from control.hardware.opened import Opened, collect
-from control.hardware.reference_drives import DriveWiring, ReferenceDrives
-from control.hardware.reference_encoders import ReferenceEncoders, start_stream
-from control.hardware.roles import Line
+from control.hardware.reference_boards import DriveWiring, ReferenceDrives, ReferenceEncoders, start_stream
+from control.hardware.roles import Line, Opened, collect
 from control.hardware.tip_camera import TipCamera, open_camera
 from control.model.arm import Arm, Board, CanBus, EncoderBoardPort
 from firmware_iface.can_link import open_can

@@ -9,8 +9,7 @@ from typing import Protocol, cast
 
 from control.hardware.gripper_board import CountedTravel, GripperFeedback, TorqueWithTheArm, in_words
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.opened import Opened, collect
-from control.hardware.roles import Drives, Encoders
+from control.hardware.roles import Drives, Encoders, Opened, collect
 from control.hardware.words import OPERATION_ENABLED, STATE_MASK, ZERO_SET
 from control.model.arm import Arm, Drive
 from control.model.end_effector import Gripper

@@ -2,15 +2,19 @@
 
 A board that has both meets both Protocols. Joints are 0-based numbers of the arm; each object writes the entries of its own
 joints into the arm's `Feedback` and reads those of the arm's outputs. Counts keep the encoder's sense; volts and amperes
-carry the joint's sign, which each driver makes of its wiring.
+carry the joint's sign, which each driver makes of its wiring. What the
+openers of all kinds of boards add to while an arm is connected is `Opened`.
 """
 
+import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from control.hardware.interface import Attended, Feedback, OutputMode
 from control.hardware.words import Wanted
+from firmware_iface.errors import LinkError
 
 
 class Line(Protocol):
@@ -151,3 +155,27 @@ class Drives(Protocol):
     def emergency_stop(self) -> None:
         """Stop all drives now. Raises LinkError."""
         ...
+
+
+@dataclass(slots=True)
+class Opened:
+    """Encoders, drives and lines that were opened, what closes the links, who answered, and what failed."""
+
+    encoders: list[Encoders] = field(default_factory=list)
+    drives: list[Drives] = field(default_factory=list)
+    lines: list[Line] = field(default_factory=list)
+    polled: list[AskedLine] = field(
+        default_factory=list
+    )  # of `lines`: those that live from being attended to
+    identities: list[tuple[str, str]] = field(default_factory=list)  # where, what the board says of itself
+    closers: list[Callable[[], None]] = field(default_factory=list)
+    failures: list[LinkError] = field(default_factory=list)
+
+
+@contextlib.contextmanager
+def collect(failures: list[LinkError]) -> Iterator[None]:
+    """Note a failure and go on: one error names all devices that failed."""
+    try:
+        yield
+    except LinkError as error:
+        failures.append(error)

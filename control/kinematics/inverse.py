@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.errors import ArmError, MissingModel, NearSingular, OutOfReach
-from control.kinematics import pose_solver
+from control.kinematics import pose_inverse
 from control.kinematics import reach as errors
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
 from control.kinematics.numeric_inverse import ACCURACY_M, Descent, Newton, can_move_freely, descend, seeds
@@ -262,9 +262,9 @@ class InverseKinematics:
         return PoseKinematics(self.kinematics)
 
     @cached_property
-    def held(self) -> pose_solver.Task:
+    def held(self) -> pose_inverse.Task:
         """What the joints hold of the tip where its orientation matters; up to three joints hold the position only."""
-        return pose_solver.task_of(self.poses, self.poses.joint_count > 3)
+        return pose_inverse.task_of(self.poses, self.poses.joint_count > 3)
 
     @cached_property
     def moves_freely(self) -> bool:
@@ -423,13 +423,13 @@ class InverseKinematics:
 
     def _nearest_numeric(self, target: Vector3, q_near: Sequence[float]) -> tuple[float, ...]:
         limits = np.array(self._range.limits)
-        enough_m = ACCURACY_M if self.moves_freely else pose_solver.POSITION_TOLERANCE_M
+        enough_m = ACCURACY_M if self.moves_freely else pose_inverse.POSITION_TOLERANCE_M
         best = Descent(tuple(q_near), math.inf)
         for start in seeds(limits, [q_near, self._rest]):
             end = descend(self.kinematics, target, start, limits)
             is_first = best.distance_m == math.inf and self.moves_freely
             if (
-                is_first and travel_rad(end.q, q_near) > pose_solver.LONGEST_STEP_RAD
+                is_first and travel_rad(end.q, q_near) > pose_inverse.LONGEST_STEP_RAD
             ):  # long steps may lead far away, or nowhere
                 ends = (self._by_short_steps(target, q_near), end)
                 end = min(ends, key=lambda e: (e.distance_m > enough_m, travel_rad(e.q, q_near)))
@@ -441,14 +441,14 @@ class InverseKinematics:
 
     def _by_short_steps(self, target: Vector3, q_near: Sequence[float]) -> Descent:
         """The pose that the arm comes to in short steps, each with the least motion of its joints."""
-        aim, near = pose_solver.Targets(np.array([target]), None), np.array([q_near])
-        q = tuple(pose_solver.solve(self.poses, self._of_position, aim, near).q_rad[0].tolist())
+        aim, near = pose_inverse.Targets(np.array([target]), None), np.array([q_near])
+        q = tuple(pose_inverse.solve(self.poses, self._of_position, aim, near).q_rad[0].tolist())
         is_fit = self._range.is_inside(q)
         return Descent(q, math.dist(self.kinematics.tip(*q), target) if is_fit else math.inf)
 
     @cached_property
-    def _of_position(self) -> pose_solver.Task:
-        return pose_solver.task_of(self.poses, False)
+    def _of_position(self) -> pose_inverse.Task:
+        return pose_inverse.task_of(self.poses, False)
 
     def _follow_numeric(self, point: Sequence[float], q_previous: Sequence[float]) -> tuple[float, ...]:
         self._range.check_pose(q_previous)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from control.errors import PathError
 from control.kinematics.kinematics import Corners, ForwardKinematics, PoseKinematics
-from control.kinematics.pose_solver import Targets, Task, joint_rates, margins, solve
+from control.kinematics.pose_inverse import Targets, Task, joint_rates, margins, solve
 from control.model import table as tables
 from control.model.arm import Arm, Limits
 from control.motion.joint_limits import JointLimits

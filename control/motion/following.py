@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from control.errors import ArmError, PathError
-from control.kinematics import pose_solver
+from control.kinematics import pose_inverse
 from control.kinematics import reach as problems
 from control.kinematics import rotation as rotations
 from control.kinematics.inverse import Branch, InverseKinematics, Solution
@@ -375,7 +375,7 @@ class PostureFollower:
         turns = recipe.turns_rad or (0.0,) * len(recipe.lengths_m)
         fractions = [0.0]
         for section, (length, angle) in enumerate(zip(recipe.lengths_m, turns, strict=True)):
-            count = 2 + int(max(length, pose_solver.TURN_LENGTH_M * angle) / SEED_STEP_M)
+            count = 2 + int(max(length, pose_inverse.TURN_LENGTH_M * angle) / SEED_STEP_M)
             fractions += [section + k / count for k in range(1, count + 1)]
         times_s = self._times(spline, fractions)
         poses = [np.array([start.q_rad])]
@@ -386,7 +386,7 @@ class PostureFollower:
                 into = np.array([time_s - spline.times_s[section]])
                 rotation = turn.sample(np.array([section]), into).rotation
             position = spline.at(time_s)[0]
-            found = self._rule.next(pose_solver.Targets(np.array([position]), rotation), poses[-1])
+            found = self._rule.next(pose_inverse.Targets(np.array([position]), rotation), poses[-1])
             travel_rad = float(np.abs(found.q_rad - poses[-1]).max())
             if travel_rad > JUMP_RAD or not found.is_solved[0]:
                 where, number = checks.place(self._waypoints, spline.times_s, time_s)
@@ -395,15 +395,17 @@ class PostureFollower:
             poses.append(found.q_rad)
         return fractions, [tuple(q[0].tolist()) for q in poses]
 
-    def _lost(self, position: Sequence[float], found: pose_solver.SolvedPoses, travel_rad: float) -> ArmError:
+    def _lost(
+        self, position: Sequence[float], found: pose_inverse.SolvedPoses, travel_rad: float
+    ) -> ArmError:
         """Why no pose follows the one before."""
         off_m = float(np.linalg.norm(found.error[0, :3]))
         if found.is_solved[0]:
             return problems.jump(self._name, position, travel_rad, JUMP_RAD)
-        if off_m > pose_solver.POSITION_TOLERANCE_M:
+        if off_m > pose_inverse.POSITION_TOLERANCE_M:
             return problems.out_of_reach(self._name, position, off_m)
         margin = float(
-            pose_solver.margins(self._task, found.tip.jacobian)[0]
+            pose_inverse.margins(self._task, found.tip.jacobian)[0]
         )  # so near, Newton's method only fails there
         pose = "losing a direction of motion"
         return problems.near_singular(self._name, position, "arm", margin, SINGULAR_MARGIN_M, "m/rad", pose)
@@ -414,7 +416,7 @@ class PostureFollower:
             return
         is_between = np.abs(tip.times_s[:, None] - np.array(spline.times_s)).min(axis=1) > 1e-9
         for rows, tolerance, farthest, unit in (
-            (slice(0, 3), pose_solver.POSITION_TOLERANCE_M, FARTHEST_OFF_M, "m"),
+            (slice(0, 3), pose_inverse.POSITION_TOLERANCE_M, FARTHEST_OFF_M, "m"),
             (slice(3, 6), ORIENTATION_TOLERANCE_RAD, FARTHEST_OFF_RAD, "rad"),
         ):
             off = np.linalg.norm(joints.off[:, rows], axis=1)
@@ -444,7 +446,7 @@ _MARGIN_SLOPE_RAD = 1e-4  # of the difference that gives the margin's gradient
 class PostureRule:
     """The next pose along a path for one arm and task."""
 
-    def __init__(self, kinematics: PoseKinematics, task: pose_solver.Task, limits_rad: Array) -> None:
+    def __init__(self, kinematics: PoseKinematics, task: pose_inverse.Task, limits_rad: Array) -> None:
         """`limits_rad`: (n, 2), infinite where there is none."""
         self._kinematics, self._task = kinematics, task
         self._is_free = task.freedom(kinematics.joint_count) > 0
@@ -453,17 +455,17 @@ class PostureRule:
         self._middle = np.where(is_bounded, 0.5 * (np.where(is_bounded, lower + upper, 0.0)), 0.0)
         self._half = np.where(is_bounded, 0.5 * (np.where(is_bounded, upper - lower, 0.0)), np.inf)
 
-    def next(self, targets: pose_solver.Targets, before_rad: Array) -> pose_solver.SolvedPoses:
+    def next(self, targets: pose_inverse.Targets, before_rad: Array) -> pose_inverse.SolvedPoses:
         """The pose (1, n) that holds the target, nearest to the pushed pose before (1, n)."""
         posture = before_rad + self._push(before_rad) if self._is_free else before_rad
-        return pose_solver.solve(self._kinematics, self._task, targets, posture, before_rad)
+        return pose_inverse.solve(self._kinematics, self._task, targets, posture, before_rad)
 
     def _push(self, q_rad: Array) -> Array:
         """Away from limits and singular poses (1, n) [rad]."""
         offset = (q_rad - self._middle) / self._half
         outside = np.clip((np.abs(offset) - (1.0 - OUTER_SHARE)) / OUTER_SHARE, 0.0, 1.0)
         push = -PUSH_RAD * outside * np.sign(offset)
-        margin = float(pose_solver.margins(self._task, self._kinematics.batch(q_rad).jacobian)[0])
+        margin = float(pose_inverse.margins(self._task, self._kinematics.batch(q_rad).jacobian)[0])
         if margin < SAFE_MARGIN_M:
             gradient = self._gradient(q_rad)
             length = float(np.linalg.norm(gradient))
@@ -474,7 +476,7 @@ class PostureRule:
     def _gradient(self, q_rad: Array) -> Array:
         """Of the margin, (1, n), by central differences."""
         steps = _MARGIN_SLOPE_RAD * np.eye(q_rad.shape[1])
-        around = pose_solver.margins(
+        around = pose_inverse.margins(
             self._task, self._kinematics.batch(np.vstack((q_rad + steps, q_rad - steps))).jacobian
         )
         return np.asarray((around[: len(steps)] - around[len(steps) :])[None] / (2.0 * _MARGIN_SLOPE_RAD))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from control.errors import MotionError
 from control.kinematics import rotation as rotations
 from control.kinematics.kinematics import PoseKinematics
-from control.kinematics.pose_solver import TURN_LENGTH_M, Task
+from control.kinematics.pose_inverse import TURN_LENGTH_M, Task
 from control.model.rules import ANGLE
 from control.motion.joint_limits import (
     JointLimits,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from control.errors import PathError
-from control.kinematics.pose_solver import TURN_LENGTH_M
+from control.kinematics.pose_inverse import TURN_LENGTH_M
 from control.motion.setpoint import Vector
 
 # Default speed: slow enough to watch, and usual for friction identification.

@@ -30,11 +30,11 @@ from control.recording.recorder_state import RecorderState, hours_left
 from control.recording.rotation import begin, stored_row_bytes
 from control.safety.table import CONTROLLED_MODES, TRAVELLING_MODES, Mode
 from control.server.assemble import assemble, assemble_cell
+from control.server.channel import linked
 from control.server.in_process import Served
 from control.server.printer import Printer
 from control.server.scheduling import Collector, PeriodicTimer, request_punctuality, strain
 from control.server.server import Server, require_free
-from control.server.sockets import linked
 from control.server.status import step_of
 from firmware_iface.clock import Clock, MonotonicClock
 from firmware_iface.installation import command

@@ -24,9 +24,9 @@ from control.errors import ArmError
 from control.files import utf_8
 from control.motion.joint_path import JointPath
 from control.server import messages
+from control.server.channel import ForeignFolder, peer_uid, require_private, socket_folders
+from control.server.channel import default_path as default_path
 from control.server.messages import LONG, STOPPING, WATCHING, Asked, asked, is_at_once
-from control.server.sockets import ForeignFolder, peer_uid, require_private, socket_folders
-from control.server.sockets import default_path as default_path
 
 Message = dict[str, Any]
 Handle = Callable[[Asked, int], Message]

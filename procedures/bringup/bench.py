@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from control.errors import ArmError
 from control.hardware.connect import with_links
 from control.hardware.interface import NamedPins
-from control.hardware.reference_encoders import start_stream
+from control.hardware.reference_boards import start_stream
 from control.hardware.words import HOME_SWITCH
 from control.model.arm import Arm
 from control.model.description import load_arm

@@ -12,9 +12,8 @@ from functools import partialmethod
 from control.hardware.board_stop import knows_motor
 from control.hardware.connect import open_boards as open_kinds
 from control.hardware.interface import Feedback
-from control.hardware.opened import Opened
-from control.hardware.reference_encoders import start_stream
-from control.hardware.roles import Encoders
+from control.hardware.reference_boards import start_stream
+from control.hardware.roles import Encoders, Opened
 from control.model.arm import Arm, Drive, EncoderBoardPort
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_can

@@ -15,7 +15,7 @@ from console.commands.moving import beside
 from control.errors import ArmError
 from control.model.fingerprint import fingerprint
 from control.motion.waypoints import Waypoints
-from control.server import sockets
+from control.server import channel
 from control.server.server import Server
 from tests.pair import PAIR
 
@@ -31,7 +31,7 @@ Serve = Callable[[str, dict[str, Any]], None]
 def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
     """Starts runtimes that answer everything with one status."""
     (tmp_path / "s").mkdir(mode=0o700)
-    monkeypatch.setattr(sockets, "socket_folders", lambda: (tmp_path / "s",))
+    monkeypatch.setattr(channel, "socket_folders", lambda: (tmp_path / "s",))
     ended, threads = threading.Event(), []
 
     def start(name: str, status: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from console.main import main
-from control.server import sockets
+from control.server import channel
 from control.server.messages import Asked
 from control.server.server import Server
 
@@ -24,7 +24,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folders = (tmp_path / "run", tmp_path / "private")
     for each in folders:
         each.mkdir()
-    monkeypatch.setattr(sockets, "socket_folders", lambda: folders)
+    monkeypatch.setattr(channel, "socket_folders", lambda: folders)
     monkeypatch.setenv("ARMWRIGHT_ARM", "none.toml")
     return folders[0]
 
@@ -95,7 +95,7 @@ def test_a_runtime_that_listens_elsewhere_is_found_by_its_link(
     folder: Path, serve: Serve, tmp_path: Path
 ) -> None:
     asked = serve(tmp_path / "elsewhere.sock", "right")
-    with sockets.linked(tmp_path / "elsewhere.sock", "right"):
+    with channel.linked(tmp_path / "elsewhere.sock", "right"):
         assert main(["stop"]) == 0
         assert main(["stop", "--arm", "right"]) == 0
     assert asked.count("stop") == 2

@@ -10,8 +10,7 @@ from typing import Protocol, TypeVar
 from control.errors import MissingModel
 from control.hardware import words
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.opened import Opened, collect
-from control.hardware.roles import AskedEncoders, Line
+from control.hardware.roles import AskedEncoders, Line, Opened, collect
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.clock import Clock

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from control.hardware import words
 from control.hardware.bought.can_node import NodeEncoder, open_nodes
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.opened import Opened
+from control.hardware.roles import Opened
 from control.model.arm import Arm, Board, Drive, Limits
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_can

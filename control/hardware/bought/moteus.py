@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from control.hardware import words
 from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, open_nodes, own_encoder
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.opened import Opened
+from control.hardware.roles import Opened
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_fd_can
 from firmware_iface.clock import Clock

@@ -10,7 +10,7 @@ from typing import Final
 
 from control.hardware import words
 from control.hardware.bought.can_node import NodeEncoder, PositionLoopDrive, open_nodes, own_encoder
-from control.hardware.opened import Opened
+from control.hardware.roles import Opened
 from control.model.arm import Arm, Board, Drive
 from firmware_iface.can_link import open_can
 from firmware_iface.clock import Clock

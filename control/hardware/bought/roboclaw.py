@@ -11,8 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from control.hardware import words
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.opened import Opened, collect
-from control.hardware.roles import AskedEncoders
+from control.hardware.roles import AskedEncoders, Opened, collect
 from control.model.arm import Arm, Board, Drive
 from control.model.drive import OWN_INPUT
 from firmware_iface.clock import Clock

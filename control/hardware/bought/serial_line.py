@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
-from control.hardware.opened import Opened, collect
+from control.hardware.roles import Opened, collect
 from control.model.arm import Board
 from firmware_iface.errors import LinkError, MisuseError
 from firmware_iface.link import ByteLink

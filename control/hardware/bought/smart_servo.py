@@ -13,8 +13,7 @@ from typing import Final, Generic, TypeVar
 
 from control.hardware.bought.serial_line import TURN_AROUND_S, PolledBoards, open_lines, require_fit
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.opened import Opened, collect
-from control.hardware.roles import AskedEncoders
+from control.hardware.roles import AskedEncoders, Opened, collect
 from control.hardware.words import (
     EMERGENCY_STOP,
     FAULT,

@@ -11,7 +11,7 @@ from typing import Final
 from control.hardware import words
 from control.hardware.bought.can_node import NodeDrive, NodeEncoder, open_nodes, own_encoder
 from control.hardware.interface import Feedback, OutputMode
-from control.hardware.opened import Opened
+from control.hardware.roles import Opened
 from control.model.arm import Arm, Board, Drive
 from control.model.joint_map import JointMap
 from firmware_iface.can_link import open_extended_can

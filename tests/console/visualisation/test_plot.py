@@ -27,7 +27,7 @@ from console.visualisation.series import (
     spectrum,
     with_gaps,
 )
-from console.visualisation.traces import TipOfArm, traces_of
+from console.visualisation.snapshots import TipOfArm, traces_of
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics
 from control.model.description import arm_text, load_arm

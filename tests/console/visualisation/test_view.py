@@ -20,8 +20,19 @@ from console.main import main
 from console.visualisation import render
 from console.visualisation.reading import read_series
 from console.visualisation.scene import PREFIX, ArmScene, CellScene, Scene
-from console.visualisation.snapshots import CellSource, Snapshot, live, recorded, snapshot_at, snapshot_of
-from console.visualisation.traces import TipOfArm, TipPath, TipsOfCell, Traces, traces_of
+from console.visualisation.snapshots import (
+    CellSource,
+    Snapshot,
+    TipOfArm,
+    TipPath,
+    TipsOfCell,
+    Traces,
+    live,
+    recorded,
+    snapshot_at,
+    snapshot_of,
+    traces_of,
+)
 from console.visualisation.window import DOWN, HOME, LEFT, RIGHT, SPACE, UP, Player, follow, play
 from control.errors import ArmError
 from control.kinematics.kinematics import ForwardKinematics

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from control.hardware.reference_encoders import ReferenceEncoders
+from control.hardware.reference_boards import ReferenceEncoders
 from firmware_iface.errors import BoardSilent
 from tests.firmware_iface.scripted import FakeClock
 

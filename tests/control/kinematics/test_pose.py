@@ -9,10 +9,11 @@ import pytest
 from control.errors import BadTarget, NearSingular, OutOfReach
 from control.kinematics import rotation
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
-from control.kinematics.pose_inverse import PoseInverse, TipPose
-from control.kinematics.pose_solver import (
+from control.kinematics.pose_inverse import (
     ACCURACY,
+    PoseInverse,
     Targets,
+    TipPose,
     errors,
     joint_rates,
     margins,

@@ -14,7 +14,7 @@ from control.errors import ArmError
 from control.kinematics import rotation
 from control.kinematics.inverse import InverseKinematics
 from control.kinematics.kinematics import ForwardKinematics, PoseKinematics
-from control.kinematics.pose_solver import task_of
+from control.kinematics.pose_inverse import task_of
 from control.loop.jogging import Jogging, JogRequest, TipStep, TipVelocity
 from control.model.arm import Arm
 from control.motion.guard import Guard

@@ -19,8 +19,7 @@ import pytest
 
 from control.errors import ArmError
 from control.safety.table import Mode
-from control.server import sockets
-from control.server.channel import RuntimeGone, SocketChannel
+from control.server.channel import ForeignFolder, RuntimeGone, SocketChannel, find_sockets, foreign_folders
 from control.server.messages import Asked
 from control.server.server import (
     CLIENT_LIMIT,
@@ -35,7 +34,6 @@ from control.server.server import (
     default_path,
     encoded,
 )
-from control.server.sockets import ForeignFolder
 from tests.cell import Cell
 
 
@@ -397,13 +395,13 @@ def test_a_folder_of_somebody_else_is_used_by_nobody(tmp_path: Path, monkeypatch
     Bench(folder / "arm.sock").close()
     left = socket.socket(socket.AF_UNIX)
     left.bind(str(folder / "right.sock"))
-    assert folder / "right.sock" in sockets.find_sockets("right")
+    assert folder / "right.sock" in find_sockets("right")
     for spoil in (lambda: folder.chmod(0o777), lambda: monkeypatch.setattr(os, "getuid", lambda: 12345)):
         spoil()
         with pytest.raises(ForeignFolder, match="not used for sockets"):
             Bench(folder / "arm.sock")
-        assert folder / "right.sock" not in sockets.find_sockets("right")
-        assert str(folder) in str(sockets.foreign_folders()[0])
+        assert folder / "right.sock" not in find_sockets("right")
+        assert str(folder) in str(foreign_folders()[0])
         folder.chmod(0o700)
     left.close()
 
@@ -544,7 +542,7 @@ def test_a_file_name_that_is_no_text_ends_no_runtime() -> None:
 def test_an_arm_s_name_leads_to_no_other_folder(name: str) -> None:
     with pytest.raises(ArmError, match="sockets and recordings are named after the arm"):
         default_path(name)
-    assert sockets.find_sockets(name) == []
+    assert find_sockets(name) == []
 
 
 def test_an_arm_that_does_not_run_is_answered_with_those_that_do(
