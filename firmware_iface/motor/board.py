@@ -16,9 +16,8 @@ from firmware_iface.errors import (
     WrongIdentity,
 )
 from firmware_iface.motor import wire
-from firmware_iface.motor.bus import MotorBus
+from firmware_iface.motor.bus import ANSWER_TIMEOUT_s, MotorBus, ParameterChannel
 from firmware_iface.motor.cia402 import STATE_OF_STATUSWORD, DriveCommand, DriveState, next_command
-from firmware_iface.motor.parameters import ANSWER_TIMEOUT_s, ParameterChannel
 from firmware_iface.motor.wire import (
     SEQUENCE_MASK,
     DigitalCommand,
