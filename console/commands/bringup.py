@@ -109,7 +109,7 @@ def _bring_up(
         with open_bench(setting.arm, setting.clock, operator, currents_A) as bench:
             outcome = BringupOutcome()
             if options.joints:
-                outcome = bring_up(setting.arm, bench, operator, journal, options, operator.say)
+                outcome = bring_up(setting.arm, bench, operator, journal, options)
             serials = bench.serials()
     except Stopped as stopped:
         sys.stderr.write(

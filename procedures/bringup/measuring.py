@@ -18,8 +18,8 @@ from statistics import fmean, median
 from control.hardware.words import HOME_SWITCH, LOWER_LIMIT, QUADRATURE_ERROR, SIGNAL_LOST
 from control.model.arm import Drive
 from control.model.joint_map import JointMap
-from procedures.bringup.wiring import Caution
-from procedures.bringup.workbench import BringupOperator, Channel, DriveLimits, Sample, Stopped, Workbench
+from procedures.bringup.wiring import Caution, MeasuredWiring
+from procedures.bringup.workbench import BringupOperator, DriveLimits, Sample, Stopped, Workbench
 
 INTEGRAL_1_s = 10.0  # crossover of the speed loop, a fifth of the motor's own corner
 STALL_WINDOW_S = 0.15
@@ -58,24 +58,15 @@ class DrivenMotion:
 class JointDriver:
     """A joint by its measured wiring. Angles: counts by the draft's scale, times `scale`, from the first pose."""
 
-    def __init__(
-        self,
-        bench: Workbench,
-        drive: Drive,
-        node: int,
-        channel: Channel,
-        motor_sign: int,
-        encoder_sign: int,
-        caution: Caution,
-    ) -> None:
-        self.bench, self.drive, self.node, self.channel = bench, drive, node, channel
+    def __init__(self, bench: Workbench, drive: Drive, wiring: MeasuredWiring, caution: Caution) -> None:
+        self.bench, self.drive, self.wiring, self.caution = bench, drive, wiring, caution
+        self.node, self.channel = wiring.node, wiring.channel
         self.scale = 1.0  # true joint angle over the draft's; measured meanwhile
-        self._motor_sign, self._encoder_sign = motor_sign, encoder_sign
-        self._caution = caution
+        self._motor_sign, self._encoder_sign = wiring.motor_direction, wiring.encoder_direction
         self._weight_V = 0.0  # the integral of a joint that turns
         self._barred = math.nan  # the direction in which an active limit switch was met; 0 while none is
         self._per_count = abs(JointMap(drive).radians_per_count)
-        self._zero_count = bench.observe(0.02).counts[channel]
+        self._zero_count = bench.observe(0.02).counts[self.channel]
 
     @property
     def radians_per_count(self) -> float:
@@ -92,7 +83,7 @@ class JointDriver:
 
     def limits(self, speed_rad_s: float, travel_rad: float) -> DriveLimits:
         """Limits for a motion at this speed over this distance."""
-        current_A = self._caution.current_A
+        current_A = self.caution.current_A
         constant = self.drive.gear_ratio * self.drive.torque_constant_Nm_A
         holding_V = current_A * self.drive.resistance_ohm
         volts = holding_V + 1.5 * constant * abs(speed_rad_s)
@@ -282,10 +273,10 @@ class JointMeasurements:
 
 
 def measure(
-    driver: JointDriver, operator: BringupOperator, speed_rad_s: float, with_stops: bool, joint: int
+    driver: JointDriver, operator: BringupOperator, speed_rad_s: float, with_stops: bool
 ) -> JointMeasurements:
     """Take all measurements. Raises Stopped, SafetyTrip and the errors of the boards; the drive is then off."""
-    bench = driver.bench
+    bench, joint = driver.bench, driver.wiring.joint
     found = JointMeasurements(
         has_index=bench.has_index, has_volts=bench.has_volts, cycle_rad=bench.look_s * abs(speed_rad_s)
     )

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -176,23 +176,18 @@ class BringupOutcome:
 
 
 def bring_up(
-    arm: Arm,
-    bench: Workbench,
-    operator: BringupOperator,
-    journal: Journal,
-    options: BringupOptions,
-    say: Callable[[str], None],
+    arm: Arm, bench: Workbench, operator: BringupOperator, journal: Journal, options: BringupOptions
 ) -> BringupOutcome:
     """Pulse, then measure the joints that have not passed yet. Raises Stopped and board errors; all drives are then off."""
     outcome = BringupOutcome()
     if options.with_stops and not bench.limits_current:
-        say(
+        operator.say(
             "These boards do not take a current limit from armwright (docs/boards.md): end stops are left out, and so are home"
             " switches."
         )
         options = replace(options, with_stops=False)
     currents = {drive.joint: caution_of(arm, drive, options) for drive in arm.drives}
-    say("Motor survey: a short pulse on each motor board.")
+    operator.say("Motor survey: a short pulse on each motor board.")
     pulses = []
     for drive in arm.drives:
         try:
@@ -202,44 +197,46 @@ def bring_up(
     journal.note_pulses(pulses)
     outcome.wiring = wiring_of(pulses, arm.drives)
     outcome.problems += outcome.wiring.problems
-    _say_all(say, outcome.wiring.problems, outcome.wiring.notes)
+    _say_all(operator, outcome.wiring.problems, outcome.wiring.notes)
     for joint in options.joints:
         wiring = outcome.wiring.joints.get(joint)
         if wiring is None:
             outcome.problems.append(f"joint {joint}: no motor board moved it, so it was not measured")
             continue
-        measure_joint(arm, bench, operator, journal, options, outcome, wiring, currents[joint], say)
+        driver = JointDriver(bench, arm.drive(joint), wiring, currents[joint])
+        measure_joint(driver, operator, journal, options, outcome)
     return outcome
 
 
 def measure_joint(
-    arm: Arm, bench: Workbench, operator: BringupOperator, journal: Journal, options: BringupOptions, outcome: BringupOutcome,
-    wiring: MeasuredWiring, caution: Caution, say: Callable[[str], None],
-) -> None:  # fmt: skip
-    drive = arm.drive(wiring.joint)
-    say(f"Joint {wiring.joint}{f', at most {caution.current_A:.2f} A' if bench.limits_current else ''}.")
-    driver = JointDriver(
-        bench, drive, wiring.node, wiring.channel, wiring.motor_direction, wiring.encoder_direction, caution
-    )
+    driver: JointDriver,
+    operator: BringupOperator,
+    journal: Journal,
+    options: BringupOptions,
+    outcome: BringupOutcome,
+) -> None:
+    bench, drive, wiring = driver.bench, driver.drive, driver.wiring
+    most = f", at most {driver.caution.current_A:.2f} A" if bench.limits_current else ""
+    operator.say(f"Joint {wiring.joint}{most}.")
     try:
-        found = measure(driver, operator, options.speed_rad_s, options.with_stops, wiring.joint)
+        found = measure(driver, operator, options.speed_rad_s, options.with_stops)
     except SafetyTrip as trip:
         outcome.problems.append(f"joint {wiring.joint}: {trip}")
-        say(f"  BAD   joint {wiring.joint}: {trip}")
+        _say_all(operator, [outcome.problems[-1]], ())
         return
     board_counts = bench.counts_per_turn(wiring.channel) or drive.encoder_counts_per_rev
     result = diagnose(drive, wiring, found, board_counts)
     outcome.diagnoses[wiring.joint] = result
     outcome.problems += result.problems
     journal.note_joint(wiring.joint, wiring, found, result)
-    _say_all(say, result.problems, result.changes + result.notes)
+    _say_all(operator, result.problems, result.changes + result.notes)
 
 
-def _say_all(say: Callable[[str], None], problems: Sequence[str], others: Sequence[str]) -> None:
+def _say_all(operator: BringupOperator, problems: Sequence[str], others: Sequence[str]) -> None:
     for text in problems:
-        say(f"  BAD   {text}")
+        operator.say(f"  BAD   {text}")
     for text in others:
-        say(f"        {text}")
+        operator.say(f"        {text}")
 
 
 def caution_of(arm: Arm, drive: Drive, options: BringupOptions) -> Caution:

@@ -50,7 +50,7 @@ def brought(
         journal = Journal(tmp_path / "journal.json", draft)
         currents_A = {drive.joint: caution_of(arm, drive, options).current_A for drive in arm.drives}
         with open_bench(arm, rig.clock, operator, currents_A) as bench:
-            outcome = bring_up(arm, bench, operator, journal, options, lambda text: None)
+            outcome = bring_up(arm, bench, operator, journal, options)
     return outcome, brought_up(draft, journal, {})
 
 

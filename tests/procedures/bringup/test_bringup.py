@@ -84,7 +84,7 @@ def brought(
         operator = operator_kind(rig, is_silent=True)
         journal = Journal(tmp_path / "journal.json", draft)
         with ReferenceBench(arm, rig.clock, operator) as bench:
-            outcome = bring_up(arm, bench, operator, journal, options, lambda text: None)
+            outcome = bring_up(arm, bench, operator, journal, options)
     return outcome, journal
 
 
@@ -341,7 +341,7 @@ def test_no_motor_gets_more_than_what_was_announced(tmp_path: Path) -> None:
 
         rig.robot.tick = watched  # type: ignore[method-assign]
         with ReferenceBench(arm, rig.clock, operator) as bench:
-            bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), SURVEY, lambda text: None)
+            bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), SURVEY)
         assert all(board.state.name == "SWITCH_ON_DISABLED" for board in rig.robot.motor_boards)
     allowed_A = caution_of(RIGHT, RIGHT.drive(1), QUICK).current_A
     assert most["amperes"] == pytest.approx(allowed_A, rel=0.05)
@@ -372,7 +372,7 @@ def test_a_key_stops_at_once_and_the_drive_is_off(tmp_path: Path, how: dict[str,
         operator = Nervous(rig, **how)
         with ReferenceBench(arm, rig.clock, operator) as bench:
             with pytest.raises(Stopped):
-                bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK, lambda text: None)
+                bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK)
             assert all(
                 motor.state in (None, DriveState.SWITCH_ON_DISABLED) for motor in bench.motors.values()
             )
@@ -389,7 +389,7 @@ def test_a_board_that_goes_silent_ends_the_drive(tmp_path: Path) -> None:
             ReferenceBench(arm, rig.clock, operator) as bench,
             pytest.raises(Exception, match="no report for"),
         ):
-            bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK, lambda text: None)
+            bring_up(arm, bench, operator, Journal(tmp_path / "j.json", RIGHT), QUICK)
         rig.clock.wait_until_s(rig.clock.now_s() + 0.1)
         assert all(board.state.name != "ENABLED" for board in rig.robot.motor_boards)
 
@@ -481,7 +481,7 @@ def test_after_a_repair_only_what_had_not_passed_is_measured(
     assert [joint for joint, entry in journal["joints"].items() if entry["passed"]] == ["1"]
     measured: list[int] = []
     monkeypatch.setattr(
-        "procedures.bringup.procedure.measure_joint", lambda *given: measured.append(given[6].joint)
+        "procedures.bringup.procedure.measure_joint", lambda driver, *_: measured.append(driver.wiring.joint)
     )
     assert run_command(tmp_path) == 0
     assert measured == [2, 3]

@@ -16,7 +16,7 @@ from procedures.bringup.measuring import (
     MotionEnd,
     has_stalled,
 )
-from procedures.bringup.wiring import Caution
+from procedures.bringup.wiring import Caution, MeasuredWiring
 from procedures.bringup.workbench import DriveLimits, Sample
 from tests.firmware_iface.scripted import FakeClock
 
@@ -93,10 +93,7 @@ def test_the_integral_rests_while_the_board_limits_the_current() -> None:
     driver = JointDriver(
         cast("Any", bench),
         load_arm("right").drives[1],
-        2,
-        CHANNEL,
-        1,
-        1,
+        MeasuredWiring(2, node=2, motor_direction=1, channel=CHANNEL, encoder_direction=1, board_holds=True),
         Caution(current_A=2.0, speed_rad_s=0.3),
     )
     assert driver.turn(1.0, SPEED_rad_s).end is MotionEnd.STALLED
