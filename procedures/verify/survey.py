@@ -275,24 +275,6 @@ def require_clear(arm: Arm, stages: Sequence[tuple[Sequence[float], Sequence[flo
         guard.require_move(JointMove(start, end, limits), at_rest(tuple(start)), end)
 
 
-def visit(
-    poses: Sequence[Target],
-    repeat: int,
-    client: ArmClient,
-    speed: float,
-    writer: PointsWriter,
-    as_encoders: bool = False,
-) -> Iterator[Stop[None]]:
-    """Visit all poses once; the camera measures at each, and each is saved before the next."""
-    how = How(SessionSettings(average_s=AVERAGE_s), as_encoders)
-    stops: list[Stop[None]] = [
-        Stop(f"{pose.setup} {pose.point}", pose.q_rad, key=(pose.setup, pose.point, repeat))
-        for pose in poses
-        if pose.q_rad is not None
-    ]
-    return tour(Bench(client, speed=speed), how, stops, writer)
-
-
 def planned(way: Way, model: Model, speed_m_s: float, q_near_rad: Sequence[float]) -> PlannedPath:
     """Plan the path by the model; ArmError if the arm cannot run it. Nothing moves."""
     points = tuple(model.in_base(point) for point in way.waypoints.points)
@@ -442,10 +424,15 @@ class Survey:
     def tour(
         self, repeat: int, runtime_model: Model, client: ArmClient, speed: float
     ) -> Iterator[Stop[None]]:
-        """Visit every place once."""
-        as_encoders = not self.model.has_gears_of(runtime_model)
+        """Visit every place once; the camera measures at each, and each is saved before the next."""
+        how = How(SessionSettings(average_s=AVERAGE_s), not self.model.has_gears_of(runtime_model))
+        stops: list[Stop[None]] = [
+            Stop(f"{pose.setup} {pose.point}", pose.q_rad, key=(pose.setup, pose.point, repeat))
+            for pose in self._poses
+            if pose.q_rad is not None
+        ]
         with PointsWriter(self._file, self.model.arm.joint_count) as writer:
-            yield from visit(self._poses, repeat, client, speed, writer, as_encoders)
+            yield from tour(Bench(client, speed=speed), how, stops, writer)
 
     def drive(self, runtime_model: Model, client: ArmClient, speed: float) -> None:
         """Visit every place and run every path, once."""
