@@ -220,28 +220,16 @@ def session_of_contacts(given: argparse.Namespace) -> int:
         if (Path(given.out) / SCENARIO).exists():
             raise SessionError(f"{given.out}: this session belongs to mock arms: add --mock")
         with connected_arms(given, names) as clients:
-            _with_arms(given, cell, names, clients, wanted, identity, interface)
+            for client in clients.values():
+                client.take_control()
+            status = {name: operator.ready(clients[name], name) for name in names}[names[0]]
+            with _folder(given, wanted, identity) as folder:
+                _introduce(folder, interface)
+                since_s = operator.since_start_s(folder, status)
+                station = pair_station(cell, names, clients, operator.SPEED, since_s)
+                words = operator.ContactWords(folder.plan, names)
+                interface.conduct(folder, words, conduct(folder, station), may_auto=False)
     return 0
-
-
-def _with_arms(
-    given: argparse.Namespace,
-    cell: Cell,
-    names: Names,
-    clients: Mapping[str, ArmClient],
-    wanted: SessionPlan | None,
-    identity: str,
-    interface: operator.Interface,
-) -> None:
-    for client in clients.values():
-        client.take_control()
-    status = {name: operator.ready(clients[name], name) for name in names}[names[0]]
-    with _folder(given, wanted, identity) as folder:
-        _introduce(folder, interface)
-        station = pair_station(cell, names, clients, operator.SPEED, operator.since_start_s(folder, status))
-        interface.conduct(
-            folder, operator.ContactWords(folder.plan, names), conduct(folder, station), may_auto=False
-        )
 
 
 def _folder(given: argparse.Namespace, wanted: SessionPlan | None, identity: str) -> SessionFolder:
