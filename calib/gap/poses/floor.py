@@ -17,6 +17,7 @@ from calib.gap.posterior.constants import AGREE, FAR, OUTLIERS_MOST, CHECKED_sd
 from calib.gap.posterior.term import Term
 from calib.points.points import Points, matrices_of
 from calib.validation.verdict import REPEATS_FREEDOM
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm
 
 SAME_POSE_rad = 0.03
@@ -24,7 +25,7 @@ QUARTILE = 1.212533  # of chi-square with three degrees of freedom
 QUARTILE_CHANCE = (
     3.0 * 0.745
 )  # three standard deviations of its root, as a share, times the root of the count
-FINEST_rad = 1e-7  # the same of orientations
+FINEST_rad = 1e-7  # the same of orientations and angles
 FINEST_m = 1e-7  # repeats that are closer are copies of each other: no camera or tracker measures finer
 SHEET_WORTH = 200  # pairs that a data sheet counts for, where repeats bear it out
 
@@ -60,9 +61,28 @@ def noise_floor(arm: Arm, points: Points, left: Left, out: Mask | None = None) -
     not count.
     """
     pairs = _pairs(points, out)
+    tips, turn_rad = _of_tips(arm, points, left.tip_m, pairs), _of_turns(arm, points, left.turn_rad, pairs)
+    of_counts = _of_counts(arm, points)
     return replace(
-        _of_tips(arm, points, left.tip_m, pairs), turn_rad=_of_turns(arm, points, left.turn_rad, pairs)
+        tips, tip_m=math.hypot(tips.tip_m, of_counts.tip_m), turn_rad=math.hypot(turn_rad, of_counts.turn_rad)
     )
+
+
+def _of_counts(arm: Arm, points: Points) -> Floor:
+    """What the encoders' steps leave of one axis: repeats end within the same counts, and never show it.
+
+    A joint is anywhere within its count, with a standard deviation of step / sqrt(12); tip and last link follow all joints.
+    Angles that lie closer together than a step were not read in whole counts.
+    """
+    step_rad = np.zeros(arm.joint_count)
+    for drive in arm.drives:
+        apart = np.diff(np.unique(points.q_rad[:, drive.joint - 1]))
+        stated = 2.0 * np.pi / drive.counts_per_joint_turn
+        step_rad[drive.joint - 1] = apart[apart > FINEST_rad].min(initial=stated)
+    sd_rad = step_rad / np.sqrt(12.0)
+    moved_m = ForwardKinematics(arm).jacobians(points.q_rad) * sd_rad
+    tip_m = math.sqrt(float(np.mean(np.sum(moved_m**2, axis=(1, 2)))) / 3.0)
+    return Floor(tip_m, "the encoders' steps", turn_rad=float(np.linalg.norm(sd_rad)) / math.sqrt(3.0))
 
 
 def _pairs(points: Points, out: Mask | None) -> list[tuple[int, int]]:

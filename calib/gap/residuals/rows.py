@@ -233,6 +233,7 @@ Places = npt.NDArray[np.intp]
 Block = tuple[str, int, Array, int, Places]
 Key = tuple[str, int]
 NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+PRINTED_rad = 2e-7  # between angles: less is the printing's
 FEWEST = 50  # rows of a pair of repeats that make a floor
 
 
@@ -280,7 +281,8 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
     channel, joint = key
     if channel == "tip_m":
         camera = physics.arm.camera
-        return (camera.position_noise_m if camera and camera.position_noise_m > 0 else 0.0005), 0.0
+        noise_m = camera.position_noise_m if camera and camera.position_noise_m > 0 else 0.0005
+        return noise_m, _steps_at_tip_m(physics)
     recording = physics.recording
     K, R = float(physics.torque_per_A[joint]), physics.arm.drives[joint].resistance_ohm
     drive = physics.arm.drives[joint]
@@ -301,6 +303,13 @@ def _from_noise(physics: Physics, key: Key) -> tuple[float, float]:
     if recording.has_current:  # white, the middle of all runs
         noise = float(np.median([physics.current_roughness(k, joint) for k in range(len(recording.runs))]))
     return noise * recording.filters.row_gain, angle * by_channel
+
+
+def _steps_at_tip_m(physics: Physics) -> float:
+    """What the steps of all recorded angles leave of one axis of the tip."""
+    steps = np.array([_seen_step(physics, j, PRINTED_rad) for j in range(physics.arm.joint_count)])
+    moved_m = np.concatenate(physics.tips.jacobians) * (steps / np.sqrt(12.0))
+    return float(np.sqrt(np.mean(np.sum(moved_m**2, axis=(1, 2))) / 3.0))
 
 
 def _seen_step(physics: Physics, joint: int, step: float) -> float:

@@ -5,7 +5,8 @@ Electrical, with the command u held over a sample from its time on (delayed by t
 Mechanical, at the motor, in joint angles:
     K i = J speed' + transmitted + friction(speed, transmitted) + cogging(q).
 Samples are corners of the staircase that the voltage makes: what lies between them is in `staircase`. Where no voltage is
-recorded, the mean of a current stands T/2 - L/R earlier than its sample, and the voltage's part of i is shifted by that much.
+recorded, the mean of a current stands T/2 - L/R earlier than its sample, and the voltage's part of i is shifted by that much;
+a drive that closes the loop itself changes its voltage many times a sample, so that its current is that of the moment.
 """
 
 from __future__ import annotations
@@ -151,7 +152,8 @@ class Physics:
             return np.where(run.is_off, 0.0, current)
         if self.recording.has_voltage:
             return np.asarray(run.current_A + self._staircase.along("mean", parts.delay_s)[k])
-        ahead = 0.5 * self.recording.held_s - self.lag_s + min(parts.delay_s, 0.0)
+        held_s = self.recording.held_s
+        ahead = np.where(held_s > 0.0, 0.5 * held_s - self.lag_s, 0.0) + min(parts.delay_s, 0.0)
         return np.asarray(
             run.current_A + ahead * (run.current_slope + K * run.acceleration / self.resistance_ohm)
         )

@@ -69,7 +69,8 @@ class EvenRun:
 class RunSet:
     """All runs, which repeat each other, and sentences about what is wrong with them.
 
-    `held_s`: how long the controller holds a voltage, its own sampling period, where samples were averaged afterwards.
+    `held_s` (n,): how long a voltage is held: the controller's own sampling period, where samples were averaged afterwards;
+    drives that close the loop themselves hold it for far less, which is nought here.
     """
 
     runs: tuple[EvenRun, ...]
@@ -79,7 +80,7 @@ class RunSet:
     has_voltage: bool
     has_tip: bool
     warnings: tuple[str, ...]
-    held_s: float
+    held_s: Array
 
 
 def prepare(arm: Arm, log: Log) -> RunSet:
@@ -105,7 +106,7 @@ def prepare(arm: Arm, log: Log) -> RunSet:
     has_current = all(np.isfinite(run.current_A).all() for run in given)
     has_voltage = all(run.is_commanded or np.isfinite(run.voltage_V).any() for run in given)
     has_tip = all(len(run.frames) > 20 for run in runs)
-    held_s = period / averaged_count
+    held_s = np.array([(drive.pid.mode != "position") * period / averaged_count for drive in arm.drives])
     return RunSet(runs, repeats, filters, has_current, has_voltage, has_tip, tuple(warnings), held_s)
 
 

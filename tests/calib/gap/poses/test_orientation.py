@@ -17,7 +17,9 @@ from calib.gap.poses.linear import Fit, Left, by_joints
 from calib.gap.posterior.term import Block, Term, on_joint
 from calib.gap.words import in_words
 from calib.validation.verdict import REPEATS_FREEDOM
+from control.kinematics.kinematics import ForwardKinematics
 from control.model.arm import Arm, Camera
+from tests.calib.simulated import with_rows
 
 TURN_NOISE_rad = 3e-4
 LITTLE = Design(
@@ -36,7 +38,8 @@ def test_an_effect_of_a_joint_whose_axis_holds_the_tip_is_named_by_the_orientati
     named = {one.name: one.parameters for one in found.finding.effects}
     assert named[EffectName("encoder_scale", 6)]["scale"][0] == pytest.approx(0.008, rel=0.15)
     assert len(named) == 2  # it and the geometry
-    assert found.finding.noise_floor == {"tip_m": NOISE_m, "turn_rad": TURN_NOISE_rad}
+    expected = {"tip_m": NOISE_m, "turn_rad": TURN_NOISE_rad}
+    assert found.finding.noise_floor == pytest.approx(expected, rel=1e-3)  # and what fine encoders add
     assert any("orientations count beside the tip" in sentence for sentence in in_words(found.finding))
     assert (
         found.finding.after_si["turn_rad"] < 1.3 * TURN_NOISE_rad < 0.5 * found.finding.before_si["turn_rad"]
@@ -88,12 +91,33 @@ def _floor(arm: Arm, is_repeated: bool, pairs_count: int = 32) -> Floor:
 def test_the_noise_of_orientations_is_that_of_repeats_else_of_the_data_sheet_else_they_are_not_used() -> None:
     blind = dataclasses.replace(SIX, camera=None)
     assert _floor(blind, is_repeated=True).turn_rad == pytest.approx(TURN_NOISE_rad, rel=0.2)
-    assert _floor(SIX, is_repeated=False).turn_rad == TURN_NOISE_rad
+    of_steps = 1e-3  # and what fine encoders add
+    assert _floor(SIX, is_repeated=False).turn_rad == pytest.approx(TURN_NOISE_rad, rel=of_steps)
     unknown = _floor(blind, is_repeated=False)
     assert unknown.lever_m == 0.0
     _, points = designed(3102, (), LITTLE)
     assert list(about_orientations(points, unknown)) == [UNKNOWN_TURNS]
     assert not list(about_orientations(points, _floor(SIX, is_repeated=False)))
+
+
+def test_steps_of_encoders_are_in_the_floor_where_angles_were_read_in_whole_counts() -> None:
+    _, fine = designed(3102, (), LITTLE)
+    fine = fine.chosen(np.repeat(np.arange(len(fine)), 2))
+    counts, kinematics = 4096, ForwardKinematics(SIX)
+    drives = tuple(
+        dataclasses.replace(one, gear_ratio=1.0, encoder_counts_per_rev=counts) for one in SIX.drives
+    )
+    servos, step_rad = dataclasses.replace(SIX, camera=None, drives=drives), 2.0 * np.pi / counts
+    counted = with_rows(fine, q_rad=np.round(fine.q_rad / step_rad) * step_rad)
+    noise = NOISE_m * np.random.default_rng(1).normal(size=(len(fine), 3))
+    moved_m = kinematics.tips(counted.q_rad) - kinematics.tips(fine.q_rad)
+    of_fine, of_counted = (
+        noise_floor(servos, points, Left(noise, np.full_like(noise, np.nan))).tip_m
+        for points in (fine, counted)
+    )
+    assert of_fine == pytest.approx(NOISE_m, rel=0.2)
+    assert of_counted == pytest.approx(np.hypot(of_fine, np.sqrt(np.mean(moved_m**2))), rel=0.15)
+    assert of_counted > 1.5 * of_fine
 
 
 def test_a_noise_needs_three_pairs_of_repeats_as_in_calibrate_and_says_how_well_it_is_known() -> None:

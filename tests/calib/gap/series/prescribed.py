@@ -74,8 +74,11 @@ def log_of(
     delay_samples: int = 0,
     winding_share: float = 0.0,
     turned: Callable[[Array, Array], Array] | None = None,
+    closes_loop: bool = False,
 ) -> Log:
-    """Seven runs: five motions, two of them twice, one with a payload. `turned`: joint angle beyond the encoder's."""
+    """Seven runs: five motions, two of them twice, one with a payload. `turned`: joint angle beyond the encoder's; `closes_loop`:
+    the drives do, so that currents are those of the moment and nobody records voltages.
+    """
     rng, model = np.random.default_rng(seed), Model(arm, Dynamics(arm), ForwardKinematics(arm))
     seeds = [11, 12, 13, 14, 15, 13, 12]
     loads = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
@@ -83,7 +86,19 @@ def log_of(
     for k, (motion, load) in enumerate(zip(seeds, loads, strict=True)):
         slow = 0.15 if motion == 11 else 1.0
         runs.append(
-            _run(model, str(k + 1), motion, slow, load, hidden, rng, delay_samples, winding_share, turned)
+            _run(
+                model,
+                str(k + 1),
+                motion,
+                slow,
+                load,
+                hidden,
+                rng,
+                delay_samples,
+                winding_share,
+                turned,
+                closes_loop,
+            )
         )
     return Log(tuple(runs), ("prescribed",))
 
@@ -122,6 +137,7 @@ def _run(
     delay: int,
     winding_share: float,
     turned: Callable[[Array, Array], Array] | None,
+    closes_loop: bool,
 ) -> LoggedRun:
     arm, count = model.arm, int(SECONDS * RATE_Hz)
     T = 1.0 / RATE_Hz
@@ -129,7 +145,7 @@ def _run(
     starts = T * np.arange(-1, count + delay)
     phases = np.random.default_rng(motion)
     tones = [(phases.uniform(0.3, 1.2, 3), phases.uniform(0.0, 2 * np.pi, 3)) for _ in range(3)]
-    q0, v0, _ = _waves(starts, tones, slow)
+    q0, v0, a0 = _waves(starts, tones, slow)
     qm, vm, am = _waves(starts + 0.5 * T, tones, slow)
     K = np.array([d.gear_ratio * d.torque_constant_Nm_A for d in arm.drives])
     R = np.array([d.resistance_ohm for d in arm.drives]) * (1.0 + winding_share)
@@ -139,6 +155,9 @@ def _run(
     q = q0[1 : count + 1]
     current = (level[:count] - K * v0[1 : count + 1]) / R
     voltage = level[1 + delay : 1 + delay + count]
+    if closes_loop:
+        current = (_torque(model, q0, v0, a0, load, hidden) / K)[1 : count + 1]
+        voltage = np.full_like(current, np.nan)
     step = np.array([2 * np.pi / (d.encoder_counts_per_rev * d.gear_ratio) for d in arm.drives])
     joints = q if turned is None else q + turned(q, model.dynamics.torques(q, 0 * q, 0 * q, load))
     tip = _seen(model, joints, rng)
