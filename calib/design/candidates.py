@@ -330,13 +330,19 @@ def free_candidates(
 
 
 def _apart(q: Array) -> Rows:
-    """Rows of poses that differ from all previous ones in some joint by APART_RAD."""
-    poses = np.empty_like(q)
-    rows: list[int] = []
+    """Rows of poses that differ from all previous ones in some joint by APART_RAD.
+
+    Only poses that are as near in joint 1 (and a little further, for rounding) are compared.
+    """
+    order = np.argsort(q[:, 0])
+    along = q[order, 0]
+    first, end = (np.searchsorted(along, q[:, 0] + way * APART_RAD) for way in (-1.001, 1.001))
+    is_apart, rows = np.ones(len(q), dtype=bool), []
     for row, pose in enumerate(q):
-        if not len(rows) or np.abs(poses[: len(rows)] - pose).max(axis=1).min() >= APART_RAD:
-            poses[len(rows)] = pose
+        if is_apart[row]:
             rows.append(row)
+            near = order[first[row] : end[row]]
+            is_apart[near[np.abs(q[near] - pose).max(axis=1) < APART_RAD]] = False
     return np.array(rows, dtype=np.intp)
 
 
