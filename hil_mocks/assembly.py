@@ -7,7 +7,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from control.model.description import Arm, Drive, Gripper
+from control.model.arm import Arm, Drive
+from control.model.end_effector import Gripper
 from hil_mocks.devices.camera import CameraMock, CameraSetup, PictureMock
 from hil_mocks.devices.encoder_inputs import EncoderBoardHardware, EncoderBoardSetup
 from hil_mocks.devices.mocap import MocapMock, NatNetMock, QtmMock, SceneSetup, ViconMock

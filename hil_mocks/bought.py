@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-from control.model.arm import Drive
-from control.model.description import Arm
+from control.model.arm import Arm, Drive
 from firmware_iface.link import CanFormat
 from hil_mocks.devices import cia402_drive, dynamixel, moteus, odrive, roboclaw, vesc
 from hil_mocks.devices.cia402_drive import EPOS4, MAXON, Cia402Mock, Cia402Setup

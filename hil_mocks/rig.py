@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from control.model.description import Arm, load_arm
+from control.model.arm import Arm
+from control.model.description import load_arm
 from firmware_iface.clock import Clock
 from firmware_iface.link import Closing
 from hil_mocks.in_process import CAN_INTERFACE, register

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from control.model.description import Arm
+from control.model.arm import Arm
 from firmware_iface.link import CanFormat
 from hil_mocks.assembly import (
     PinWires,

@@ -7,7 +7,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from control.model.description import Arm, Drive
+from control.model.arm import Arm, Drive
 from hil_mocks.devices.motor_inputs import OPEN, Output
 from hil_mocks.errors import ScenarioError
 from hil_mocks.plant.gripper import GripperPlant

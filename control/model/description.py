@@ -17,56 +17,13 @@ from control.errors import ArmError, ArmFileError
 from control.files import NO_ROOM, parsed_toml, read_text, write_whole
 from control.model.arm import (
     Arm,
-    Board,
-    Calibration,
-    Camera,
-    CanBus,
-    Convention,
-    Drive,
-    DrivePid,
-    Effect,
-    EncoderBoardPort,
-    Home,
-    Limits,
-    Link,
-    Rest,
-    Table,
-    Tool,
-    Vector3,
 )
 from control.model.arm_checks import check_arm
-from control.model.end_effector import Gripper, read_tools
+from control.model.end_effector import read_tools
 from control.model.reader import Rejected, keys_of, read_table, show
 from control.model.servos import with_servo_values, without_servo_values
 from control.model.toml_lines import Path as KeyPath
 from control.model.toml_lines import key_lines, nearest_line
-
-__all__ = [
-    "Arm",
-    "Board",
-    "Calibration",
-    "Camera",
-    "CanBus",
-    "Convention",
-    "Drive",
-    "DrivePid",
-    "Effect",
-    "EncoderBoardPort",
-    "Gripper",
-    "Home",
-    "Limits",
-    "Link",
-    "Rest",
-    "Table",
-    "Tool",
-    "Vector3",
-    "arm_names",
-    "arm_text",
-    "load_arm",
-    "parse_arm",
-    "save_arm",
-    "supplied_text",
-]
 
 SUPPLIED = Path(__file__).parents[1] / "arms"
 _POSITION_IN_MESSAGE = re.compile(r" ?\(at (?:line (\d+), column \d+|end of document)\)$")

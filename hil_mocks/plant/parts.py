@@ -15,7 +15,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from control.model.description import Arm, Drive, Gripper, Link, Tool
+from control.model.arm import Arm, Drive, Link, Tool
+from control.model.end_effector import Gripper
 from hil_mocks.errors import MockError
 
 Matrix = NDArray[np.float64]

@@ -11,7 +11,7 @@ import pytest
 from control.hardware.interface import Feedback
 from control.hardware.words import HOME_SWITCH
 from control.loop.homing_sequence import HomingFailed, HomingSequence, JointHome, Phase
-from control.model.description import Home
+from control.model.arm import Home
 from control.motion.setpoint import SetPoint, at_rest
 from control.safety.table import Mode
 from control.server.client import ArmFaulted
