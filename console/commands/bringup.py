@@ -34,7 +34,7 @@ from procedures.doctor.boards import open_boards, sample
 from procedures.doctor.finding import Finding, Level, as_json, as_text, verdict, worst
 from procedures.doctor.host import look_at_host, look_at_last_recording, look_at_links, look_at_ports
 from procedures.doctor.judging import judge
-from procedures.folders import require_writable
+from procedures.folders import require_new
 from procedures.tuning.procedure import NotTuned, TuningOptions, TuningResult, require_loop, tunable, tune
 
 FASTEST_rad_s = 1.0
@@ -56,9 +56,7 @@ SHOWN = (  # figures of a joint, what they are called, and the factor from SI
 def run_bringup(given: argparse.Namespace) -> int:
     """Measure, then write the new arm.toml."""
     out = Path(given.out)
-    if out.exists():
-        raise ArmError(f"--out {out}: exists already and is never overwritten: choose another name")
-    require_writable(out.parent)
+    require_new(out.parent, [out.name])
     if not 0.02 <= given.speed <= FASTEST_rad_s:
         raise ArmError(f"--speed: expected 0.02 to {FASTEST_rad_s:g} rad/s, got {given.speed:g}")
     with opened(given) as setting:
@@ -163,10 +161,7 @@ def run_tune(given: argparse.Namespace) -> int:
     """Measure, design, test and write."""
     out = Path(given.out)
     page = out.with_name(f"{out.stem}_report.html")
-    for path in (out, page):
-        if path.exists():
-            raise ArmError(f"--out: {path} exists already and is never overwritten: choose another name")
-    require_writable(out.parent)
+    require_new(out.parent, [out.name, page.name])
     with opened(given) as setting:
         options = _tuning_options(given, setting.draft)
         try:

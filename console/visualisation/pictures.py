@@ -19,7 +19,8 @@ from console.visualisation.series import SHORTEST, Array, Series, envelope, orde
 from console.visualisation.snapshots import tips_of
 from control.errors import ArmError
 from control.files import make_whole
-from control.plain_text import Advance
+from control.plain_text import Advance, silent
+from procedures.folders import require_new
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -391,15 +392,10 @@ PICTURES: Final = (
 )
 
 
-Report = Advance
 WIDTH_in: Final = 10.4
 DOTS_PER_in: Final = 110
 WITHOUT_WINDOWS: Final = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
 FORMS: Final = (".png", ".svg", ".pdf")
-
-
-def _ignore_progress(what: str, done: float) -> None:
-    """Progress without an observer."""
 
 
 def write_each(
@@ -407,11 +403,11 @@ def write_each(
     pictures: Sequence[Picture],
     series: Series,
     joints: Sequence[int],
-    report: Report = _ignore_progress,
+    report: Advance = silent,
 ) -> list[Path]:
     """Write one PNG per picture to `folder`; return the files. `report` gets each title and the share done."""
     files = [folder / f"{picture.name}.png" for picture in pictures]
-    _require_free(files)
+    require_new(folder, [file.name for file in files])
     folder.mkdir(parents=True, exist_ok=True)
     for k, (file, picture) in enumerate(zip(files, pictures, strict=True)):
         report(picture.title, k / len(pictures))
@@ -421,7 +417,7 @@ def write_each(
 
 def write_sheet(file: Path, pictures: Sequence[Picture], series: Series, joints: Sequence[int]) -> list[Path]:
     """All pictures below each other in one file."""
-    _require_free([file])
+    require_new(file.parent, [file.name])
     file.parent.mkdir(parents=True, exist_ok=True)
     _save(file, pictures, series, joints)
     return [file]
@@ -465,9 +461,3 @@ def _save(file: Path, pictures: Sequence[Picture], series: Series, joints: Seque
 def _draw(on: FigureBase, picture: Picture, series: Series, joints: Sequence[int]) -> None:
     on.suptitle(f"{picture.title}: {series.name}", x=0.01, y=0.995, ha="left", va="top", fontsize=10)
     picture.draw(on, series, joints)
-
-
-def _require_free(files: Sequence[Path]) -> None:
-    for file in files:
-        if file.exists():
-            raise ArmError(f"{file} exists already and is never overwritten: choose another --out")

@@ -26,7 +26,6 @@ from calib.trust.prediction import Predictor, Reliability, reliability_of
 from calib.trust.trust import MapRequest, trust_in
 from console.commands.calibration.options import board_frames, length_m, orientation_noise_rad, quantity
 from console.commands.progress import Bar, answer, warn
-from control.errors import ArmError
 from control.model.arm import Arm
 from control.model.cell import load_cell
 from control.model.description import load_arm
@@ -209,9 +208,7 @@ def run_plan_contacts(given: argparse.Namespace) -> int:
         raise CalibrationError(f"--count: expected a number of contacts from 1 on, got {given.count}")
     out = Path(given.out) if given.out else None
     if out is not None:
-        if out.exists():
-            raise ArmError(f"{out} exists already and is never overwritten: choose another --out")
-        require_writable(out.parent)
+        require_new(out.parent, [out.name])
     plan = plan_contacts(cell, names, distances_m, given.count)
     sys.stdout.write(plan_text(plan))
     if out is not None:
