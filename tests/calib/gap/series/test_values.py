@@ -10,7 +10,7 @@ import pytest
 from benchmarks.gap.dynamic.cases import Asked, made
 from benchmarks.gap.dynamic.score import arm_of
 from benchmarks.gap.dynamic.score import log_of as log_of_case
-from calib.gap.effects.catalogue import known_laws, series_terms
+from calib.gap.effects.catalogue import known_laws, parameters, series_terms
 from calib.gap.effects.gear import SPRING
 from calib.gap.finding import EffectName
 from calib.gap.posterior.evidence import Weighed
@@ -74,6 +74,13 @@ def test_each_linearisation_counts_a_damping_from_what_dampings_are_like(around:
     assert spring.now[-2:] == pytest.approx([(2.3 - 0.8) / 0.5, 0.1 / 0.5])
     assert spring.law(spring.now).values == pytest.approx((1e-3, 2.3, 0.1))
     assert spring.law(np.eye(spring.count)[0]).values[1:] == pytest.approx((0.8, 0.0))
+
+
+def test_a_spring_is_written_with_its_damping_however_little_is_known_of_it() -> None:
+    """A file without one says that it swings on and on, which no gear does."""
+    law = Law(SPRING_2, SPRING, (1e-3, 0.6, 0.0))
+    said = parameters(LONG, law, np.diag([1e-10, 0.5**2, 0.0]))
+    assert said["damping_Nm_s_rad"] == pytest.approx((0.6, 0.5))
 
 
 def test_a_group_of_runs_is_left_out_as_if_it_had_not_been_recorded(around: OperatingPoint) -> None:
