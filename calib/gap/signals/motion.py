@@ -268,25 +268,26 @@ class Simulated:
         (whole, _), longest, still = forward.delay, max(self.lengths), np.zeros_like(state.q)
         sum_rad_s, result = still.copy(), np.empty((longest, *state.q.shape))
         back = [still] * (whole + 2)  # feedback is late as the voltages are
+        seen_rad, seen_rad_s, is_off = (self._along(name) for name in ("q_raw", "speed", "is_off"))
+        newer_V, older_V = (self._along("voltage_V", late) for late in (whole, whole + 1))
         for s in range(longest):
-            result[s] = state.motor - self._at("q_raw", s)
+            result[s] = state.motor - seen_rad[s]
             if _runs_away(result[s]):
                 result[s:] = np.inf
                 break
             if self.gains is not None:
                 kp, ki, kd = self.gains
                 sum_rad_s -= result[s] / self.physics.recording.filters.rate_Hz
-                faster = self._at("speed", s) - state.motor_speed
+                faster = seen_rad_s[s] - state.motor_speed
                 back = [kp * -result[s] + ki * sum_rad_s + kd * faster, *back[:-1]]
-            newer, older = (self._at("voltage_V", s - k) + back[k] for k in (whole, whole + 1))
-            forward.advance(state, newer, older, self._at("is_off", s).astype(bool))
+            forward.advance(state, newer_V[s] + back[whole], older_V[s] + back[whole + 1], is_off[s])
         return [result[:length, w] for w, length in enumerate(self.lengths)]
 
-    def _at(self, name: str, ahead: int) -> Array:
-        """What was measured so many samples after each start, (W, n)."""
-        runs = self.physics.recording.runs
-        places = [(runs[run], max(min(k + ahead, len(runs[run]) - 1), 0)) for run, k in self.starts]
-        return np.stack([getattr(run, name)[place] for run, place in places])
+    def _along(self, name: str, late: int = 0) -> Array:
+        """What was measured so many samples before each sample of every motion, (longest, W, n)."""
+        runs, samples = self.physics.recording.runs, np.arange(max(self.lengths)) - late
+        measured = [(getattr(runs[run], name), k) for run, k in self.starts]
+        return np.stack([own[np.clip(k + samples, 0, len(own) - 1)] for own, k in measured], axis=1)
 
     def _floor(self, errors: Sequence[Array]) -> float:
         """From repeats, in windows that begin at the same sample, and what the encoders' steps leave of a first speed."""
