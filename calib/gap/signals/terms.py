@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final, Literal, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from calib.gap.finding import EffectName
 from control.model.effects import Torque, followed_joint, moved_joint
 
 PLAIN_STEP = 1e-3  # of finite differences of what rows follow in a straight line
+TORQUES_KEPT = 256
 MEANT_FOR_Nm = 30.0  # largest torque of the drives that the sizes of torques are meant for
 
 # Where a form acts: on the torque at the motor, in the gear, between encoder and joint, on what the camera sees, on what the
@@ -168,11 +170,17 @@ def friction_Nm(
     term: Law, run: Moving, link_Nm: Array, gear_ratio: float, ahead_rad: Array | float = 0.0
 ) -> Array:
     """Torque (m,) that the motor has to add for this term; `ahead_rad` (m,): its angle beyond what its encoder says."""
-    if term.form.torque is None:
-        raise ValueError(f"{term.form} is no torque at a motor")
     j = term.index
     angle = (run.q[:, j] + ahead_rad) * gear_ratio if term.form.is_of_motor else run.q[:, j]
-    return np.asarray(term.form.torque(term.values, term.order)(angle, run.speed[:, j], link_Nm))
+    return np.asarray(_torque_of(term.form, term.values, term.order)(angle, run.speed[:, j], link_Nm))
+
+
+@lru_cache(maxsize=TORQUES_KEPT)
+def _torque_of(form: Form, values: Values, order: float) -> Torque:
+    """The law of a torque at a motor; kept, since to make it of a record takes longer than to evaluate it for some samples."""
+    if form.torque is None:
+        raise ValueError(f"{form} is no torque at a motor")
+    return form.torque(values, order)
 
 
 # Joints that are elsewhere than their encoders say: what link and motor then really do.
