@@ -54,7 +54,7 @@ def as_totals(arm: Arm, found: GapFinding) -> GapFinding:
     """A finding of changes beside what the arm's file has, as one of totals; a total that no part can have is none."""
     known = {EffectName(effect.effect, effect.joint): effect.parameters for effect in arm.effects}
     effects = [
-        dataclasses.replace(one, parameters=_total(one.name.effect, known[one.name], one.parameters))
+        dataclasses.replace(one, parameters=as_total(one.name.effect, known[one.name], one.parameters))
         if one.name in known
         else one
         for one in found.effects
@@ -77,7 +77,7 @@ def is_possible(effect: str, parameters: Parameters) -> bool:
     )
 
 
-def _total(effect: str, known: Mapping[str, float], found: Parameters) -> Parameters:
+def as_total(effect: str, known: Mapping[str, float], found: Parameters) -> Parameters:
     """Both as one effect of the same kind, with the standard deviations of what was found."""
     values = total(effect, known, {name: value for name, (value, _) in found.items()})
     return {name: (value, found.get(name, (value, 0.0))[1]) for name, value in values.items()}
