@@ -18,7 +18,7 @@ from calib.gap.maps.choose import DrawnMap
 from calib.gap.poses.linear import along_joint
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.residuals.rows import ChannelRows
-from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.find import DynamicOutcome
 from calib.gap.words import unit_of
 from calib.report.page import AFTER, BEFORE, PLANNED, svg
 

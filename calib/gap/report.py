@@ -26,7 +26,7 @@ from calib.gap.pictures import (
 )
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.residuals.rows import ChannelRows
-from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.find import DynamicOutcome
 from calib.gap.words import in_words, listed, unit_of
 from calib.report.page import Section, bullets, page, paragraph, table, tiles, verdict
 

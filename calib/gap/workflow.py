@@ -38,12 +38,11 @@ from calib.gap.maps.angles import angle_maps
 from calib.gap.maps.choose import MapsFound
 from calib.gap.maps.torques import torque_maps
 from calib.gap.model_update import as_totals, updated_arm, with_geometry
-from calib.gap.poses.find import find
+from calib.gap.poses.find import find, look
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.report import GapReport, gap_page
-from calib.gap.series.find import examine
-from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.find import DynamicOutcome, decided
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
 from calib.results import input_file
@@ -55,7 +54,7 @@ from control.model.effects import EFFECTS
 from control.plain_text import Advance, silent
 
 RESULTS = ("gap.json", "arm.toml", "report.html")
-POSES_SHARE = 0.3  # of the time, where there are both
+SHARES = 0.2, 0.9  # of the time, when poses alone and then runs are looked at, where there are both
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,27 +140,31 @@ def find_gap(
         raise CalibrationError("gap: expected static poses, time series, or both; got neither")
     said = [f"{arm.name}: its maps are not used; they are measured anew"] if arm.maps else []
     arm = given = dataclasses.replace(arm, maps=())
-    upto = 0.0 if points is None else 1.0 if log is None else POSES_SHARE
+    first, last = (0.0, 1.0) if points is None else (1.0, 1.0) if log is None else SHARES
     doubts: tuple[str, ...] = ()
     static = dynamic = None
     if points is not None:
-        static = find(given, points, lambda what, done: advance(what, upto * done), without)
+        static = find(given, points, lambda what, done: advance(what, first * done), without)
         arm = static.arm
     if log is not None:
         tried = [name for name in EFFECTS if name not in without] if without else None
-        dynamic = examine(
+        runs = decided(
             arm if static is None else static.fitted_arm,
             log,
-            lambda what, done: advance(what, upto + (1.0 - upto) * done),
+            lambda what, done: advance(what, first + (last - first) * done),
             tried,
             None if static is None else static.told,
         )
-    if points is not None and static is not None and dynamic is not None:
-        # what the runs tell settles what the poses left open; then what one file of both leaves of the runs
-        static = find(given, points, silent, without, told=dynamic.told)
-        finding = brought_together(static.finding, as_totals(arm, dynamic.finding))
-        doubts = changed_between(finding, static.told, dynamic.told)
-        dynamic = dynamic.with_file(_updated(arm, finding, static))
+        file = None
+        if static is not None:
+            # what the runs tell settles what the poses left open; then what one file of both leaves of the runs
+            static = look(
+                static.looked, lambda what, done: advance(what, last + (1.0 - last) * done), runs.told
+            )
+            both = brought_together(static.finding, as_totals(arm, runs.finding))
+            doubts = changed_between(both, static.told, runs.told)
+            file = _updated(arm, both, static)
+        dynamic = runs.outcome(file)
     finding = brought_together(
         None if static is None else static.finding,
         None if dynamic is None else as_totals(arm, dynamic.finding),

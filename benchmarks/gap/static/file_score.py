@@ -163,7 +163,7 @@ def _row(one: Set) -> float:
         say(f"{one.name:32} refused: {error}")
         return float("inf")
     took = time.process_time() - began
-    out = np.zeros(len(one.points), dtype=bool) if found.static is None else found.static.left_out
+    out = np.zeros(len(one.points), dtype=bool) if found.static is None else found.static.looked.out
     parts = split(one.points).without(out)
     some = one.points.chosen(np.flatnonzero(parts.known))
     arms = one.arm, _calibrated(one, some, False), _calibrated(one, some, True), file

@@ -31,7 +31,7 @@ from calib.gap.maps.choose import (
     over_turn,
 )
 from calib.gap.posterior.constants import FOLDS
-from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.find import DynamicOutcome
 from calib.gap.signals.body import sorted_terms
 from calib.gap.signals.recording import EvenRun
 from control.model.arm import Arm

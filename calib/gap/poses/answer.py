@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,13 +24,12 @@ from calib.gap.finding import (
     Parameters,
 )
 from calib.gap.model_update import is_possible
-from calib.gap.poses.cautions import about_fit
+from calib.gap.poses.cautions import about_fit, about_orientations, about_outliers
 from calib.gap.poses.file import File, follows, placed
-from calib.gap.poses.floor import Floor, noise_floor
+from calib.gap.poses.floor import Floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
-from calib.gap.poses.linear import Fit, Left
-from calib.gap.poses.outcome import StaticGap, drawn_laws
-from calib.gap.poses.recordings import Split
+from calib.gap.poses.linear import Left
+from calib.gap.poses.outcome import Looked, StaticGap, drawn_laws
 from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
 from calib.gap.poses.state import Around
 from calib.gap.posterior.constants import LAW_MOST, UNMEASURED, SURE_sd
@@ -39,38 +37,18 @@ from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable,
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Block, Key
 from calib.gap.posterior.told import Told
-from calib.points.points import Points
 from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
 
 
-@dataclass(frozen=True, slots=True)
-class Looked:
-    """What the posterior looks at: the arm, without and with only the loads of the effects that are looked for, the poses and
-    their split, the geometry fitted alone, the noise floor, the outliers (m,), and what other recordings tell.
-    """
-
-    arm: Arm
-    bare_arm: Arm
-    loaded: Arm
-    points: Points
-    parts: Split
-    fit: Fit
-    floor: Floor
-    out: Mask
-    told: Told | None = None
-
-    def refloored(self, left: Left) -> Looked:
-        """With the noise as repeats show it beside what a model leaves: a joint that drifts parts repeats, too."""
-        found = noise_floor(self.arm, self.points, left, self.out)
-        return dataclasses.replace(self, floor=found) if math.isfinite(found.tip_m) else self
-
-
-def answered(
-    looked: Looked, around: Around, decision: Decision, warnings: tuple[str, ...], source: str
-) -> StaticGap:
-    """The finding of a decision, with what its report draws."""
+def answered(prepared: Looked, looked: Looked, around: Around, decision: Decision) -> StaticGap:
+    """The finding of a decision, with what its report draws; `prepared` before the search, `looked` with the noise after it."""
     best, points, parts = decision.best, looked.points, looked.parts
+    warnings = [
+        *looked.warnings,
+        *about_orientations(points, looked.floor),
+        *about_outliers(points, looked.out),
+    ]
 
     def told(withdrawn: Collection[Key] = ()) -> Told:
         return Told.by(around.evidence, best, SHARED, looked.told, withdrawn)
@@ -99,7 +77,7 @@ def answered(
     as_given, refitted = (_square(left, floor, parts.known) for left in (nominal, lefts[0]))
     if pays(as_given, refitted, 3 * int(parts.known.sum()), files[0].found.rank):
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
-    finding = _finding(looked, around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]), source)
+    finding = _finding(looked, around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]))
     corrected = {one.joint for one in last.arm.maps}
     held = (*decision.names, *(name for name in beside if name.joint in corrected))
     departing = around.fitted(_named_alone(around, best, held))[1]
@@ -109,17 +87,17 @@ def answered(
         maps=_maps(last, parts.report),
     )
     if (open_count := int(np.sum(parts.report & last.is_between_flanks(points)))) > 0:
-        warnings += (
+        warnings.append(
             f"on {open_count} of {int(parts.report.sum())} held-out poses nothing tells on which flank a loose gear lies: there"
-            " the new arm.toml predicts the middle of its play, and is off by up to half of it",
+            " the new arm.toml predicts the middle of its play, and is off by up to half of it"
         )
-    warnings += tuple(about_fit(looked.arm, last.found, floor, around.noise_m * best.kappa))
+    warnings += about_fit(looked.arm, last.found, floor, around.noise_m * best.kappa)
     steps = [*map(str, order), *map(str, last.arm.maps[:1])]
     grown = [(step, own.tip_m) for step, own in zip(steps, lefts[1:], strict=True)]
     return StaticGap(
         looked.arm, last.arm, finding, points, parts, floor,
-        (("nominal", nominal.tip_m), ("link geometry", lefts[0].tip_m), *grown), last.fit.problem, last.fit.x, warnings,
-        looked.out, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m), told(reasons),
+        (("nominal", nominal.tip_m), ("link geometry", lefts[0].tip_m), *grown), last.fit.problem, last.fit.x, tuple(warnings),
+        prepared, load_of(looked.arm, points), drawn_laws(around, best, order, left.tip_m), told(reasons),
     )  # fmt: skip
 
 
@@ -206,7 +184,7 @@ def pays(nominal: float, fitted: float, rows: int, parameters: int) -> bool:
 
 def _finding(
     looked: Looked, around: Around, decision: Decision, reasons: Mapping[EffectName, str],
-    effects: tuple[NamedEffect, ...], floor: Floor, ends: tuple[Left, Left], source: str,
+    effects: tuple[NamedEffect, ...], floor: Floor, ends: tuple[Left, Left],
 ) -> GapFinding:  # fmt: skip
     """`ends`: what is left before and after."""
     report = looked.parts.report
@@ -218,7 +196,7 @@ def _finding(
     could = nameable(around.evidence)
     has_free = "free" in looked.points.setup
     return GapFinding(
-        arm=looked.arm.name, data=(source,), noise_floor=noise, gap_before=before, gap_after=after,
+        arm=looked.arm.name, data=("points.csv",), noise_floor=noise, gap_before=before, gap_after=after,
         before_si={channel: before_si[channel] for channel in noise},
         after_si={channel: after_si[channel] for channel in noise}, effects=effects,
         ambiguous=decision.ambiguous, unknown=unknown, nameable=could,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -15,12 +16,12 @@ from calib.errors import UnusablePointsError
 from calib.gap.effects.catalogue import are_total_in_poses, is_load, pose_terms
 from calib.gap.effects.record import PoseScene
 from calib.gap.finding import EffectName
-from calib.gap.poses.answer import Looked, answered
-from calib.gap.poses.cautions import about_data, about_orientations, about_outliers, cleaned, require_posed
+from calib.gap.poses.answer import answered
+from calib.gap.poses.cautions import about_data, cleaned, require_posed
 from calib.gap.poses.floor import FINEST_m, Floor, middle, noise_floor, outlying
 from calib.gap.poses.linear import Fit, Linear
 from calib.gap.poses.nameless import SKEWED
-from calib.gap.poses.outcome import StaticGap
+from calib.gap.poses.outcome import Looked, StaticGap
 from calib.gap.poses.recordings import Split, split
 from calib.gap.poses.state import Around, State
 from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED, SETTLED_sd
@@ -37,33 +38,29 @@ from control.plain_text import Advance, silent
 FREEDOM_LEAST = 60  # values beyond all parameters that a noise from the richest model needs
 
 
-def find(
-    arm: Arm,
-    points: Points,
-    advance: Advance = silent,
-    without: Collection[str] = (),
-    source: str = "points.csv",
-    told: Told | None = None,
-) -> StaticGap:
-    """Name what is missing in the model of `arm` at these poses; `without` leaves effects out of the list, `told` is what other
-    recordings of the arm tell of its effects.
+def find(arm: Arm, points: Points, advance: Advance = silent, without: Collection[str] = ()) -> StaticGap:
+    """Name what is missing in the model of `arm` at these poses; `without` leaves effects out of the list.
 
     UnusablePointsError for points that tell nothing.
     """
     advance("reading the poses", 0.0)
-    warnings = [*require_posed(arm, points), *about_data(arm, points)]
+    warnings = (*require_posed(arm, points), *about_data(arm, points))
     advance("fitting the geometry", 0.05)
-    looked = _prepared(arm, cleaned(points), without, told)
-    looked, around, decision = _searched(looked, without, advance)
-    skewed = _skewed(arm, decision)
-    for joint in skewed:
-        arm = with_tilt_behind(arm, joint)
-    if skewed:  # geometry that DH rows do not hold: everything beside it is looked at anew
-        warnings.append(_tilted(arm, skewed))
-        looked, around, decision = _searched(_prepared(arm, cleaned(points), without, told), without, advance)
+    return look(_prepared(arm, cleaned(points), without, warnings), advance)
+
+
+def look(prepared: Looked, advance: Advance = silent, told: Told | None = None) -> StaticGap:
+    """The answer of poses whose geometry is fitted; `told` is what other recordings of the arm tell of its effects."""
+    prepared = replace(prepared, told=told)
+    looked, around, decision = _searched(prepared, advance)
+    if skewed := _skewed(prepared.arm, decision):
+        # geometry that DH rows do not hold: everything beside it is looked at anew
+        arm = functools.reduce(with_tilt_behind, skewed, prepared.arm)
+        said = (*prepared.warnings, _tilted(arm, skewed))
+        prepared = replace(_prepared(arm, prepared.points, prepared.without, said), told=told)
+        looked, around, decision = _searched(prepared, advance)
     advance("reporting", 0.85)
-    warnings += [*about_orientations(points, looked.floor), *about_outliers(points, looked.out)]
-    return answered(looked, around, decision, tuple(warnings), source)
+    return answered(prepared, looked, around, decision)
 
 
 def _skewed(arm: Arm, decision: Decision) -> list[int]:
@@ -81,7 +78,7 @@ def _tilted(arm: Arm, joints: Sequence[int]) -> str:
     )
 
 
-def _prepared(arm: Arm, points: Points, without: Collection[str], told: Told | None) -> Looked:
+def _prepared(arm: Arm, points: Points, without: Collection[str], warnings: tuple[str, ...]) -> Looked:
     """The geometry alone fitted, outliers left out, the noise found."""
     own = [one for one in arm.effects if are_total_in_poses(one.effect) and one.effect not in without]
     loads = [one for one in own if is_load(one.effect)]
@@ -106,7 +103,7 @@ def _prepared(arm: Arm, points: Points, without: Collection[str], told: Told | N
     if not math.isfinite(floor.tip_m):
         richest = _from_the_richest(Linear.around(fit, 0.0, laws), parts, left.tip_m)
         floor = replace(richest, turn_rad=floor.turn_rad)
-    return Looked(arm, bare_arm, loaded, points, parts, fit, floor, out, told)
+    return Looked(arm, bare_arm, loaded, points, parts, fit, floor, out, without, warnings)
 
 
 def _laws(scene: PoseScene, without: Collection[str]) -> list[list[Term]]:
@@ -145,7 +142,7 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
     )
 
 
-def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tuple[Looked, Around, Decision]:
+def _searched(looked: Looked, advance: Advance) -> tuple[Looked, Around, Decision]:
     """Look, linearise anew where the best set settles, with the noise that repeats then show, and look again until a set is the
     best at its own place, or was it before.
     """
@@ -157,7 +154,7 @@ def _searched(looked: Looked, without: Collection[str], advance: Advance) -> tup
     def around_of(state: State, keys: Collection[Key] | None = None) -> Around:
         noise = looked.floor.tip_m, max(looked.floor.doubt, FLOOR_DOUBT)
         return Around.of(
-            state, looked.bare_arm, looked.points, looked.parts.known, noise, without, blocks,
+            state, looked.bare_arm, looked.points, looked.parts.known, noise, looked.without, blocks,
             looked.floor.lever_m, keys, looked.told,
         )  # fmt: skip
 

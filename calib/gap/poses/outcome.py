@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +14,8 @@ from calib.arrays import Array, Mask
 from calib.gap.effects.links import FRAME
 from calib.gap.effects.record import NO_TORQUE_Nm
 from calib.gap.finding import DrawnLaw, EffectName, GapFinding
-from calib.gap.poses.floor import Floor
-from calib.gap.poses.linear import Fit, along_joint, by_joints
+from calib.gap.poses.floor import Floor, noise_floor
+from calib.gap.poses.linear import Fit, Left, along_joint, by_joints
 from calib.gap.poses.recordings import Split
 from calib.gap.poses.state import Around
 from calib.gap.posterior.evidence import Weighed
@@ -25,13 +26,38 @@ from control.model.arm import Arm
 
 
 @dataclass(frozen=True, slots=True)
+class Looked:
+    """What the posterior looks at: the arm, without and with only the loads of the effects that are looked for, the poses and
+    their split, the geometry fitted alone, the noise floor, the outliers `out` (m,), the effects that are left out of the list,
+    sentences about the data, and what other recordings tell.
+    """
+
+    arm: Arm
+    bare_arm: Arm
+    loaded: Arm
+    points: Points
+    parts: Split
+    fit: Fit
+    floor: Floor
+    out: Mask
+    without: Collection[str]
+    warnings: tuple[str, ...]
+    told: Told | None = None
+
+    def refloored(self, left: Left) -> Looked:
+        """With the noise as repeats show it beside what a model leaves: a joint that drifts parts repeats, too."""
+        found = noise_floor(self.arm, self.points, left, self.out)
+        return dataclasses.replace(self, floor=found) if math.isfinite(found.tip_m) else self
+
+
+@dataclass(frozen=True, slots=True)
 class StaticGap:
     """The finding, and what its report draws: poses, their split, residuals (m, 3) as the model grows, stage by stage.
 
     `arm`: as its file has it, with the fixed rows that axes which are not quite parallel ask for; `file`: that of the new file.
-    `problem` at its unknowns `x` places that at the poses, `warnings` are sentences about the data and the fit, `left_out` (m,)
-    marks poses that no model explains, `load_Nm` (m, n) are gravity's torques (None for an arm without masses), `told` is what
-    these poses tell of the arm's effects.
+    `problem` at its unknowns `x` places that at the poses, `warnings` are sentences about the data and the fit, `looked` is what
+    was there before any search, `load_Nm` (m, n) are gravity's torques (None for an arm without masses), `told` is what these
+    poses tell of the arm's effects.
     """
 
     arm: Arm
@@ -44,7 +70,7 @@ class StaticGap:
     problem: ArmProblem
     x: Array
     warnings: tuple[str, ...]
-    left_out: Mask
+    looked: Looked
     load_Nm: Array | None
     laws: tuple[DrawnLaw, ...]
     told: Told

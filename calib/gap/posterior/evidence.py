@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import log_ndtr
 
 from calib.arrays import Array
@@ -21,6 +22,7 @@ from calib.gap.posterior.term import Key, Term
 
 NEVER = -1e6  # log evidence of a play or a softness below nought, of departures without a law
 
+Places = npt.NDArray[np.intp]
 Member = tuple[int, int]  # number of the term, number of its scales
 
 
@@ -55,6 +57,15 @@ class Gram:
         across = np.ix_(rows, columns)
         return np.asarray(self.tip[across] / kappa**2 + self.current[across])
 
+    def of(self, at: Places) -> Gram:
+        """Of some columns."""
+        tip, current = (own[np.ix_(at, at)] for own in (self.tip, self.current))
+        return Gram(tip, self.pull[at], current, self.current_pull[at], self.left, self.freedom)
+
+    def drawn(self, at: Places, kappa: float = 1.0) -> Array:
+        """The same of h."""
+        return np.asarray(self.pull[at] / kappa**2 + self.current_pull[at])
+
 
 @dataclass(frozen=True, slots=True)
 class Batch:
@@ -86,10 +97,10 @@ class Evidence:
         self.scales = [one.scales() for one in terms]
         share = [math.log(len(self.of_key[one.key])) for one in terms]
         self.weights = [logs - own for (_, logs), own in zip(self.scales, share, strict=True)]
-        self._asked: dict[Key | None, tuple[list[Batch], Array]] = {None: self._batched(range(len(terms)))}
+        self._asked: dict[Key | None, tuple[list[Batch], Places]] = {None: self._batched(range(len(terms)))}
         self._asked |= {key: self._batched(numbers) for key, numbers in self.of_key.items()}
 
-    def _batched(self, numbers: Sequence[int]) -> tuple[list[Batch], Array]:
+    def _batched(self, numbers: Sequence[int]) -> tuple[list[Batch], Places]:
         """Batches of some terms, and the columns that they need; places in a batch count within these."""
         groups: dict[tuple[int, int, int], list[int]] = {}
         for k in numbers:
@@ -117,31 +128,35 @@ class Evidence:
             self.gram.current[across],
         )
 
-    def _columns(self, members: Sequence[Member]) -> tuple[Array, Array]:
+    def _columns(self, members: Sequence[Member]) -> tuple[Places, Array]:
         """Places and prior standard deviations of a set's columns."""
         if not members:
-            return np.zeros(0, dtype=int), np.zeros(0)
+            return np.zeros(0, np.intp), np.zeros(0)
         at = np.concatenate([self.places[k] for k, _ in members])
         return at, np.concatenate([self.scales[k][0][h] for k, h in members])
 
-    def _inner(self, at: Array, sd: Array, kappa: float) -> Array:
+    def _inner(self, at: Places, sd: Array, kappa: float) -> Array:
         """Cholesky factor of I + V^1/2 G V^1/2."""
         return np.asarray(
             np.linalg.cholesky(np.eye(len(at)) + sd[:, None] * self.gram.among(at, at, kappa) * sd)
         )
 
+    def taken(self, at: Places, sd: Array, some: Places, kappa: float) -> Array:
+        """What columns at places (k,) of prior deviations (k,) take of G and h of some others, (k, p + 1): T with T'T of it.
+
+        Schur's complement, which is what they leave, is G - T'T and h - T't, t the last column.
+        """
+        if not len(at):
+            return np.zeros((0, len(some) + 1))
+        both = np.column_stack((self.gram.among(at, some, kappa), self.gram.drawn(at, kappa)))
+        return np.asarray(np.linalg.inv(self._inner(at, sd, kappa)) @ (sd[:, None] * both))
+
     def added(self, members: Sequence[Member], kappa: float, key: Key | None = None) -> Added:
         """What every term (or only those of a key) would add to a set."""
         at, sd = self._columns(members)
         batches, some = self._asked[key]
-        pull = self.gram.pull[some] / kappa**2 + self.gram.current_pull[some]
-        taken = np.zeros((0, len(pull)))
-        if len(at):
-            seen = self.gram.among(at, some, kappa)
-            own = sd * (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
-            inner = self._inner(at, sd, kappa)
-            both = np.linalg.inv(inner) @ np.column_stack((sd[:, None] * seen, own))
-            taken, pull = both[:, :-1], pull - both[:, :-1].T @ both[:, -1]
+        both = self.taken(at, sd, some, kappa)
+        taken, pull = both[:, :-1], self.gram.drawn(some, kappa) - both[:, :-1].T @ both[:, -1]
         found = [self._of_batch(batch, taken, pull, kappa) for batch in batches]
         return Added.of([batch.numbers for batch in batches], found, len(self.terms))
 
@@ -182,7 +197,7 @@ class Evidence:
         )
         if len(at):
             inner = self._inner(at, sd, kappa)
-            half = np.linalg.solve(inner, sd * (gram.pull[at] / kappa**2 + gram.current_pull[at]))
+            half = np.linalg.solve(inner, sd * gram.drawn(at, kappa))
             total += 0.5 * float(half @ half) - float(np.sum(np.log(np.diag(inner))))
             total += sum(float(self.weights[k][h]) for k, h in members)
         return float(total)
@@ -194,9 +209,7 @@ class Evidence:
             return np.zeros(0), np.zeros((0, 0))
         inner = np.linalg.inv(self._inner(at, sd, kappa))
         covariance = sd[:, None] * (inner.T @ inner) * sd
-        return np.asarray(
-            covariance @ (self.gram.pull[at] / kappa**2 + self.gram.current_pull[at])
-        ), covariance
+        return np.asarray(covariance @ self.gram.drawn(at, kappa)), covariance
 
     def sizes(self, found: Weighed) -> dict[int, Array]:
         """Coefficients (c,) of each term of a set by number, in usual sizes."""

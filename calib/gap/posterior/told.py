@@ -11,24 +11,24 @@ set of effects is weighed with all that was recorded, and what one of them alone
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri, ndtr
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import DEPARTURES, SURE_sd
-from calib.gap.posterior.evidence import Evidence, Gram, Weighed
+from calib.gap.posterior.evidence import Evidence, Gram, Places, Weighed
 from calib.gap.posterior.term import Key, Term, parameters_of
 from control.model.arm import Arm
 from control.model.effects import linear_values
 
-Places = npt.NDArray[np.intp]
 ROUGH = DEPARTURES[2]  # how far the usual part departs from its law
 
 
@@ -65,34 +65,26 @@ class Told:
             for key, some in evidence.of_key.items()
             if isinstance(key, EffectName) and key.effect in effects and key not in withdrawn
         }
-        laws, scales, own, own_sd = [], [], [], []
-        for number in numbers.values():
-            one = evidence.terms[number]
-            laws.append(evidence.places[number][: one.laws])
-            scales.append(np.full(one.laws, one.size))
+        told = [(evidence.terms[k], evidence.places[k]) for k in numbers.values()]
+        s = np.concatenate([np.zeros(0, np.intp), *(at[: one.laws] for one, at in told)])
+        size = np.concatenate([np.zeros(0), *(np.full(one.laws, one.size) for one, _ in told)])
+        p, sd = [np.zeros(0, np.intp)], [np.zeros(0)]
         for number, scale in best.members:
-            first = evidence.terms[number].laws if evidence.terms[number].key in numbers else 0
-            own.append(evidence.places[number][first:])
-            sd = evidence.scales[number][0][scale].copy()
-            sd[first : first + evidence.terms[number].departures * (first > 0)] = ROUGH * sd[0]
-            own_sd.append(sd[first:])
-        nowhere, nothing = np.zeros(0, np.intp), np.zeros(0)
-        s, p = np.concatenate([nowhere, *laws]), np.concatenate([nowhere, *own])
-        sd, size = np.concatenate([nothing, *own_sd]), np.concatenate([nothing, *scales])
-        gram = evidence.gram
+            one, own_sd = evidence.terms[number], evidence.scales[number][0][scale].copy()
+            first = one.laws if one.key in numbers else 0
+            if first:
+                own_sd[first : first + one.departures] = ROUGH * own_sd[0]
+            p.append(evidence.places[number][first:])
+            sd.append(own_sd[first:])
         if before is not None:
-            gram = before.beside(gram, evidence.terms, evidence.places, -1.0)
-        pull = gram.pull / best.kappa**2 + gram.current_pull
-        inner = np.eye(len(p)) + sd[:, None] * gram.among(p, p, best.kappa) * sd
-        across = np.column_stack((sd[:, None] * gram.among(p, s, best.kappa), sd * pull[p]))
-        taken = across[:, :-1].T @ np.linalg.solve(inner, across)
-        ends = np.cumsum([len(one) for one in laws])
-        places = {
-            key: np.arange(end - len(one), end)
-            for key, one, end in zip(numbers, laws, ends.tolist(), strict=True)
-        }
-        information = (gram.among(s, s, best.kappa) - taken[:, :-1]) / np.outer(size, size)
-        return cls(places, information, (pull[s] - taken[:, -1]) / size, size)
+            evidence = copy.copy(evidence)
+            evidence.gram = before.beside(evidence.gram, evidence.terms, evidence.places, -1.0)
+        taken = evidence.taken(np.concatenate(p), np.concatenate(sd), s, best.kappa)
+        seen, pull = evidence.gram.among(s, s, best.kappa), evidence.gram.drawn(s, best.kappa)
+        ends = itertools.accumulate((one.laws for one, _ in told), initial=0)
+        places = {key: np.arange(*ab) for key, ab in zip(numbers, itertools.pairwise(ends), strict=True)}
+        information = (seen - taken[:, :-1].T @ taken[:, :-1]) / np.outer(size, size)
+        return cls(places, information, (pull - taken[:, :-1].T @ taken[:, -1]) / size, size)
 
     def widened(self, name: EffectName, covariance: Array) -> Told:
         """With a covariance (c, c) of one effect's unknowns that no Gram matrix has: (I^-1 + C)^-1, by Woodbury's identity."""

@@ -20,7 +20,7 @@ from calib.gap.posterior.term import Block, Key
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.blocks import CAMERA
 from calib.gap.series.file import Identified, identified
-from calib.gap.series.linear import SeriesFit, left, only
+from calib.gap.series.linear import SeriesFit, left
 from calib.gap.series.outcome import gap, in_si
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.series.validation import Member, bends, dominant_names, grown, members, with_only
@@ -377,5 +377,5 @@ def nameable_effects(fit: SeriesFit) -> tuple[Nameable, ...]:
     if not middle:
         return ()
     at = fit.linear.at(middle)[fit.linear.first :]
-    evidence = Evidence(only(fit.gram, at), [fit.linear.terms[k] for k in middle], FLOOR_DOUBT)
+    evidence = Evidence(fit.gram.of(at), [fit.linear.terms[k] for k in middle], FLOOR_DOUBT)
     return nameable(evidence)

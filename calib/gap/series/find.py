@@ -13,12 +13,12 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import SHARED, known_laws, role_of
 from calib.gap.effects.links import FRAME
 from calib.gap.effects.motor import ORDERS
-from calib.gap.finding import GEOMETRY, EffectName, GapFinding, OpenQuestion, Unknown
+from calib.gap.finding import GEOMETRY, DrawnLaw, EffectName, GapFinding, OpenQuestion, Unknown
 from calib.gap.log import Log
 from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.posterior.constants import REMAINS
 from calib.gap.posterior.told import Told
-from calib.gap.residuals.rows import ResidualRows, without_motion
+from calib.gap.residuals.rows import ResidualRows, RowTable, without_motion
 from calib.gap.residuals.scene import SeriesScene
 from calib.gap.series.answer import (
     SeriesVerdict,
@@ -32,7 +32,6 @@ from calib.gap.series.file import in_best_forms, laws_of, read_back
 from calib.gap.series.iterations import fitted, unknown_rotors
 from calib.gap.series.linear import SeriesFit
 from calib.gap.series.outcome import (
-    DynamicOutcome,
     doubts,
     drawn_laws,
     floors_si,
@@ -74,6 +73,17 @@ def examine(
     told: Told | None = None,
 ) -> DynamicOutcome:
     """`find`, with what a report shows beside the finding; `told`: what other recordings of the arm tell of its effects."""
+    return decided(arm, log, advance, candidates, told).outcome()
+
+
+def decided(
+    arm: Arm,
+    log: Log,
+    advance: Advance | None = None,
+    candidates: Collection[str] | None = None,
+    told: Told | None = None,
+) -> Examined:
+    """What is decided about a log, before any file is evaluated on it."""
     progress = _rising(advance or quiet)
     progress("reading the runs", 0.0)
     recording = plausible(arm, prepare(arm, log))
@@ -88,8 +98,7 @@ def examine(
     verdict = judged(fit, parts, harming)
     progress("done", 1.0)
     warnings += [*left_out(scene.kept, rows.table), *unknown_rotors(fit)]
-    told = _told(fit, verdict, arm)
-    return _Examined(arm, log, rows, known, verdict, parts, told, tuple(warnings)).outcome(None)
+    return Examined(arm, log, rows, known, verdict, parts, _told(fit, verdict, arm), tuple(warnings))
 
 
 def _told(fit: SeriesFit, verdict: SeriesVerdict, arm: Arm) -> Told:
@@ -112,7 +121,27 @@ def _rows(physics: Physics, recording: RunSet, known: Sequence[Law]) -> tuple[Re
 
 
 @dataclass(frozen=True, slots=True)
-class _Examined:
+class DynamicOutcome:
+    """The finding, and what a report draws: residual rows over the floor before and after, what each row is,
+    which rows report, and sentences about the log; `model`: all that is known and named, as `physics` takes it;
+    `examined`: what the outcome of another arm.toml follows from, and what the runs tell of the arm's effects.
+    """
+
+    finding: GapFinding
+    warnings: tuple[str, ...]
+    rows: RowTable
+    before: Array
+    after: Array
+    split: RowSplit
+    run_names: tuple[str, ...]
+    physics: Physics
+    model: tuple[Law, ...]
+    laws: tuple[DrawnLaw, ...]
+    examined: Examined
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
     """A log that was looked at, from which its outcome follows for any arm.toml: `known` is what the given one has."""
 
     arm: Arm
@@ -124,11 +153,10 @@ class _Examined:
     told: Told
     warnings: tuple[str, ...]
 
-    def outcome(self, file: Arm | None) -> DynamicOutcome:
+    def outcome(self, file: Arm | None = None) -> DynamicOutcome:
         """With the gap that a file leaves on the runs that were used for nothing else; by default that of the log's own names."""
         rows, verdict, recording = self.rows, self.verdict, self.rows.recording
-        before = rows.residual(self.known)
-        found = self._found(before)
+        before, found = rows.residual(self.known), self.finding
         own = read_back(updated_arm(self.arm, as_totals(self.arm, found))) if file is None else file
         told = laws_of(rows, own, self.parts.deciding)
         told |= {name: law for name, law in verdict.laws.items() if name.effect in IN_KINEMATICS}
@@ -171,13 +199,14 @@ class _Examined:
             rows.physics,
             (*laws.values(), *sensors),
             drawn_laws(verdict.fit, [one.name for one in finding.effects]),
-            self.told,
-            self.outcome,
+            self,
         )
 
-    def _found(self, before: Array) -> GapFinding:
+    @property
+    def finding(self) -> GapFinding:
         """What was decided, without the gap that a file leaves."""
         verdict, table, reporting = self.verdict, self.rows.table, self.parts.reporting
+        before = self.rows.residual(self.known)
         explained = what_is_left(verdict.fit, verdict.kept) if verdict.kept else before
         return GapFinding(
             arm=self.arm.name,

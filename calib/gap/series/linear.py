@@ -7,13 +7,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from calib.arrays import Array
 from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, NUISANCE_MOST
 from calib.gap.posterior.decide import Decision, decide
-from calib.gap.posterior.evidence import Evidence, Gram, Weighed
+from calib.gap.posterior.evidence import Evidence, Gram, Places, Weighed
 from calib.gap.posterior.search import MergingSearch
 from calib.gap.posterior.term import Key
 from calib.gap.residuals.scene import OperatingPoint, SeriesScene
@@ -21,8 +20,6 @@ from calib.gap.residuals.term import SeriesTerm
 from calib.gap.residuals.whitening import Noise, fitted
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law
-
-Places = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,14 +136,6 @@ def marginalised(gram: Gram, first: int) -> Gram:
     left = gram.left - float(inner[-1, -1])
     # what is told of other columns tells nothing of these
     return Gram(seen, pull, gram.current[first:, first:], gram.current_pull[first:], left, gram.freedom)
-
-
-def only(gram: Gram, at: Places) -> Gram:
-    """Of some columns."""
-    across = np.ix_(at, at)
-    return Gram(
-        gram.tip[across], gram.pull[at], gram.current[across], gram.current_pull[at], gram.left, gram.freedom
-    )
 
 
 def cross_validated(
@@ -269,11 +258,9 @@ def refitted(fit: SeriesFit, numbers: Sequence[int]) -> tuple[Array, Array]:
     """Coefficients of nuisances and terms of the best set, and their covariance."""
     at, scales = fit.linear.at(numbers), dict(fit.best.members)
     sd = np.concatenate([np.ones(fit.linear.first), *(fit.evidence.scales[k][0][scales[k]] for k in numbers)])
-    across, noise = np.ix_(at, at), fit.best.kappa**2
-    seen = fit.gram.tip[across] / noise + fit.gram.current[across]
-    pull = fit.gram.pull[at] / noise + fit.gram.current_pull[at]
-    covariance = sd[:, None] * np.linalg.inv(np.eye(len(sd)) + sd[:, None] * seen * sd) * sd
-    return covariance @ pull, covariance
+    inner = np.eye(len(sd)) + sd[:, None] * fit.gram.among(at, at, fit.best.kappa) * sd
+    covariance = sd[:, None] * np.linalg.inv(inner) * sd
+    return covariance @ fit.gram.drawn(at, fit.best.kappa), covariance
 
 
 def without_each(fit: SeriesFit, groups: Sequence[Picked]) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,40 +10,16 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import series_of
 from calib.gap.finding import DrawnLaw, EffectName, GapFinding
 from calib.gap.posterior.constants import SILENT_MOST
-from calib.gap.posterior.told import Told
 from calib.gap.residuals.rows import ChannelRows, RowTable
 from calib.gap.residuals.term import SeriesTerm
 from calib.gap.series.linear import SeriesFit, left
-from calib.gap.series.split import Picked, RowSplit
+from calib.gap.series.split import Picked
 from calib.gap.signals.motion import MotionGap
-from calib.gap.signals.physics import Physics
-from calib.gap.signals.terms import Law
 from calib.gap.words import unit_of
 from control.model.arm import Arm
 from control.model.effects import followed_joint
 
 FAR_OFF = 20.0  # floors
-
-
-@dataclass(frozen=True, slots=True)
-class DynamicOutcome:
-    """The finding, and what a report draws: residual rows over the floor before and after, what each row is,
-    which rows report, and sentences about the log; `model`: all that is known and named, as `physics` takes it;
-    `told`: what the runs tell of the arm's effects; `with_file`: the same with the gap that another arm.toml leaves.
-    """
-
-    finding: GapFinding
-    warnings: tuple[str, ...]
-    rows: RowTable
-    before: Array
-    after: Array
-    split: RowSplit
-    run_names: tuple[str, ...]
-    physics: Physics
-    model: tuple[Law, ...]
-    laws: tuple[DrawnLaw, ...]
-    told: Told
-    with_file: Callable[[Arm], DynamicOutcome]
 
 
 def gap(residual: Array, table: RowTable, picked: Picked) -> float:

@@ -9,8 +9,7 @@ import pytest
 from calib.gap.finding import EffectName
 from calib.gap.log import Log, read_log
 from calib.gap.poses.find import find as find_in_poses
-from calib.gap.series.find import examine
-from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.find import DynamicOutcome, examine
 from calib.points.reading import read_points
 from control.model.arm import Effect
 from control.model.description import load_arm

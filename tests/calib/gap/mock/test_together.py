@@ -47,5 +47,5 @@ def test_the_poses_file_has_the_size_that_is_likeliest_for_both(found) -> None:
 
 def test_the_gap_of_the_runs_is_what_that_file_leaves(found) -> None:
     _, both, _ = found
-    again = both.dynamic.with_file(updated_arm(both.static.file, both.finding))
+    again = both.dynamic.examined.outcome(updated_arm(both.static.file, both.finding))
     assert both.dynamic.finding.gap_after == pytest.approx(again.finding.gap_after, rel=1e-9)

@@ -92,7 +92,7 @@ def test_a_forearm_that_bends_is_never_called_a_soft_wrist() -> None:
 def test_swapped_points_are_left_out_and_said_and_the_rest_is_answered() -> None:
     found = find(ARM, case(31, (Hidden("swapped points", None, 0.02, 0.02), Hidden("backlash", 1, 0.006))))
     assert names(found) == [EffectName("backlash", 1)]
-    assert 2 <= found.left_out.sum() <= 8
+    assert 2 <= found.looked.out.sum() <= 8
     assert any("are left out" in warning for warning in found.warnings)
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from calib.arrays import Array
 from calib.gap.log import Log, LoggedRun
-from calib.gap.series.find import examine
-from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.find import DynamicOutcome, examine
 from calib.gap.series.plausible import plausible
 from calib.gap.signals.recording import RunSet, UnusableLogError, prepare
 from control.kinematics.kinematics import ForwardKinematics

@@ -19,8 +19,7 @@ from calib.calibration.outcome import calibrated_arm
 from calib.gap.finding import EffectName, GapFinding
 from calib.gap.log import Log, LoggedRun
 from calib.gap.model_update import as_totals
-from calib.gap.series.find import examine, find
-from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.find import DynamicOutcome, examine, find
 from calib.gap.signals.recording import UnusableLogError
 from calib.identify.identification import identify
 from calib.identify.objective import LeastSquares

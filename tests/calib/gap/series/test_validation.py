@@ -13,8 +13,7 @@ from calib.gap.effects.catalogue import known_laws
 from calib.gap.finding import EffectName
 from calib.gap.log import Log, LoggedRun
 from calib.gap.residuals.rows import ResidualRows
-from calib.gap.series.find import examine
-from calib.gap.series.outcome import DynamicOutcome
+from calib.gap.series.find import DynamicOutcome, examine
 from calib.gap.series.split import split
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import prepare
