@@ -19,8 +19,7 @@ from typing import Annotated, Final
 import msgspec
 import numpy as np
 
-from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.parameters import dh_names
+from calib.arm_problem.arm_model import ArmModel, dh_names
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.design.candidates import workspace_poses

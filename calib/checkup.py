@@ -20,7 +20,7 @@ from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.frames import cross_matrix
 from calib.arrays import Array, Mask
-from calib.gap.plan.collision_free_box import collision_free_box
+from calib.gap.plan.motions import collision_free_box
 from calib.gap.plan.plan import (
     MARGIN_rad,
     NamedPose,

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.studies import add_options
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, dh_names
 from calib.arm_problem.frames import Frame
 from calib.arm_problem.observations import Observations
-from calib.arm_problem.parameters import dh_names
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, frozen
 from calib.identify.determinability import Sensitivity, determinability
-from calib.identify.estimates import Estimate, uncertainty
+from calib.identify.identification import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, objective_named
 from calib.identify.solver import minimise
 from calib.studies import Executor, InProcess, executor, task_rng

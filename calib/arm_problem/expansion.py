@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.arm_model import Parameter
 from calib.arm_problem.frames import left_jacobian
-from calib.arm_problem.parameters import Parameter
 from calib.arrays import Array, slim_product
 
 ALL = slice(None)

@@ -14,7 +14,7 @@ import numpy as np
 from calib.arm_problem.frames import Frame, rotation_vector
 from calib.arrays import frozen
 from calib.calibration.calibrate import Calibrated
-from calib.identify.estimates import Estimate
+from calib.identify.identification import Estimate
 from calib.report.page import Section, bullets, paragraph, table
 from calib.report.report import NO_EFFECT, ReportData, frames_section, of_the_arm
 from calib.results import Provenance, entries

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ANGLE_BOUND_rad, ArmModel, LENGTH_BOUND_m
 from calib.arm_problem.frames import cross_matrix, rotation_of
-from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
 from calib.arrays import Array, norms
 from calib.boards import best_motion
 from calib.capture.tracks import BodyTrack, CaptureError, Mask

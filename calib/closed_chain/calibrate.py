@@ -10,19 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, Bounds
 from calib.arm_problem.frames import Frame, rotation_of
-from calib.arm_problem.parameters import Bounds
 from calib.arrays import Array, frozen, norms
 from calib.boards import best_motion
 from calib.closed_chain.pair_problem import BASE, Contacts, PairProblem, names_of
 from calib.design.information import Experiment, criterion_of
 from calib.design.planning import Group, select
 from calib.errors import UnusablePointsError
-from calib.identify.determinability import Determinability, Sensitivity, determinability
-from calib.identify.estimates import Estimate, uncertainty
+from calib.identify.determinability import Determinability, Sensitivity, determinability, open_in_words
+from calib.identify.identification import Estimate, uncertainty
 from calib.identify.objective import Huber, Objective, SumOfDistances
-from calib.identify.open_combinations import open_in_words
 from calib.identify.solver import Minimum, minimise
 from calib.results import Provenance, entries, write_json
 from control.kinematics.rotation import quaternion_of, quaternions

@@ -18,10 +18,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, Bounds, Parameter, dh_parameters, require_known_names
 from calib.arm_problem.frames import Frame, cross_matrix, left_jacobian, mean_rotation, rotation_of
 from calib.arm_problem.joint_effects import known_corrections
-from calib.arm_problem.parameters import Bounds, Parameter, dh_parameters, require_known_names
 from calib.arm_problem.posed import inverse_jacobians
 from calib.arm_problem.problem import REACHABLE, SEATING_STEPS, SEATING_LIMIT_rad
 from calib.arrays import Array, frozen, norms

@@ -26,8 +26,7 @@ from calib.design.candidates import (
     spread_poses,
 )
 from calib.errors import CalibrationError
-from calib.identify.determinability import Determinability, determinability
-from calib.identify.open_combinations import open_in_words
+from calib.identify.determinability import Determinability, determinability, open_in_words
 from calib.points.writer import write_points
 from control.errors import ArmError
 from control.kinematics.inverse import InverseKinematics

@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, dh_names
 from calib.arm_problem.assembly import Choice, POSITION_NOISE_m, problem_of, referenced
 from calib.arm_problem.expansion import Problem
 from calib.arm_problem.frames import Frame
-from calib.arm_problem.parameters import dh_names
+from calib.arm_problem.posed import WeightedProblem, whole_problem
 from calib.arm_problem.problem import ArmProblem, ModelValues
-from calib.arm_problem.weighted import WeightedProblem, whole_problem
 from calib.arrays import Array, frozen
 from calib.calibration.report import estimate_lines
 from calib.distances.problem import (
@@ -35,8 +34,7 @@ from calib.distances.problem import (
 )
 from calib.errors import UnusablePointsError
 from calib.identify.determinability import Sensitivity
-from calib.identify.estimates import Estimate, Estimation, uncertainty
-from calib.identify.identification import Identification
+from calib.identify.identification import Estimate, Estimation, Identification, uncertainty
 from calib.identify.objective import Huber, LeastSquares, Objective, value_of
 from calib.identify.solver import Minimum, minimise
 from calib.points.points import Points

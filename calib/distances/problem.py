@@ -17,11 +17,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import (
+    ArmModel,
+    Bounds,
+    Parameter,
+    dh_names,
+    dh_parameters,
+    require_known_names,
+)
 from calib.arm_problem.checks import TURNS_LIMIT_rad
 from calib.arm_problem.expansion import ALL, Problem
 from calib.arm_problem.joint_effects import known_corrections
-from calib.arm_problem.parameters import Bounds, Parameter, dh_names, dh_parameters, require_known_names
 from calib.arm_problem.posed import WithRows, in_threes
 from calib.arm_problem.problem import TOOL_NAMES
 from calib.arrays import Array, frozen, norms

@@ -26,9 +26,8 @@ import numpy as np
 from calib.arrays import Array, rms
 from calib.gap.effects.catalogue import pose_terms, series_of
 from calib.gap.effects.record import PoseScene
-from calib.gap.finding import EffectName, NamedEffect
+from calib.gap.finding import EffectName, NamedEffect, as_total
 from calib.gap.log import Log, LoggedRun
-from calib.gap.model_update import as_total
 from calib.gap.posterior.constants import FLOOR_DOUBT
 from calib.gap.posterior.decide import decide, estimated, nameable
 from calib.gap.posterior.evidence import Evidence, Gram, Member

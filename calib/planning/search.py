@@ -16,7 +16,7 @@ from calib.arrays import Array, Mask
 from calib.design.candidates import STARTS_COUNT, TOUCH_M, body_points, joint_box, postures, spread_poses
 from calib.design.planning import DETOUR_RAD, clear_ways, short_path
 from calib.errors import CalibrationError
-from calib.gap.plan.collision_free_box import CLEARANCE_m, ground_m
+from calib.gap.plan.motions import CLEARANCE_m, ground_m
 from calib.gap.plan.plan import APPROACH_rad
 from calib.trust.discrepancy import Conditions
 from calib.trust.prediction import Path, Predictor, sampled

@@ -16,8 +16,7 @@ import numpy as np
 from calib.arm_problem.frames import rotation_vector
 from calib.arm_problem.parallel_axes import in_the_same_rows
 from calib.arrays import Array, norms
-from calib.identify.estimates import Estimate
-from calib.identify.identification import Identification
+from calib.identify.identification import Estimate, Identification
 from calib.report.page import (
     Cell,
     Section,

@@ -16,9 +16,8 @@ from typing import Annotated, Final, Literal, TypeVar
 import msgspec
 import numpy as np
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, dh_names
 from calib.arm_problem.link_bending import beams, bending_m
-from calib.arm_problem.parameters import dh_names
 from calib.arm_problem.problem import TOOL_NAMES
 from calib.arrays import Array
 from calib.errors import CalibrationError

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.arm_problem.arm_model import ArmModel
-from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
+from calib.arm_problem.arm_model import ANGLE_BOUND_rad, ArmModel, LENGTH_BOUND_m
 from calib.arrays import Array
 from calib.points.writer import replace_file
 from calib.report.page import (

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.arm_problem.parameters import ANGLE_BOUND_rad, LENGTH_BOUND_m
+from calib.arm_problem.arm_model import ANGLE_BOUND_rad, LENGTH_BOUND_m
 from calib.arrays import Array
 from calib.design.candidates import workspace_poses
 from calib.errors import CalibrationError

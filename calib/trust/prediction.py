@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, dh_names
 from calib.arm_problem.frames import cross_matrix
-from calib.arm_problem.parameters import dh_names
 from calib.arm_problem.problem import TOOL_NAMES, ArmProblem, ModelValues
 from calib.arrays import Array
 from calib.trust.discrepancy import Conditions, Discrepancy

@@ -24,7 +24,7 @@ import numpy as np
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.identify.identification import Identification
-from calib.identify.suspects import Suspects
+from calib.identify.outliers import Suspects
 from calib.points.points import POSITION, Points, seen_again
 from calib.validation.holdout import HeldOut
 from calib.validation.statistics import mean_half_width

@@ -13,11 +13,12 @@ import numpy as np
 from calib.arrays import Array, frozen
 from calib.errors import VisionError
 from calib.results import Provenance, array_in, entries, read_json, write_json
-from calib.vision.lens import NAMES, Lens
-from calib.vision.placed import (
+from calib.vision.lens import (
     CONVERGED,
+    NAMES,
     STEPS_MOST,
     CameraView,
+    Lens,
     Misfit,
     Pose,
     misfit,

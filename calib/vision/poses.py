@@ -24,12 +24,12 @@ from calib.boards import MARKERS
 from calib.errors import VisionError
 from calib.points.points import CAMERA_FRAME, COVARIANCE, ORIENTATION, Points, make_points, triangles
 from calib.vision.intrinsics import robust_noise_px
-from calib.vision.lens import Lens
-from calib.vision.placed import (
+from calib.vision.lens import (
     CONVERGED,
     HERE,
     STEPS_MOST,
     CameraView,
+    Lens,
     Misfit,
     Pose,
     best_poses,

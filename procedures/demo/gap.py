@@ -18,7 +18,7 @@ import numpy as np
 from calib.design.candidates import spread_poses
 from calib.errors import CalibrationError
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
-from calib.gap.plan.collision_free_box import collision_free_box
+from calib.gap.plan.motions import collision_free_box
 from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
 from calib.gap.report import GapReport, gap_parts
 from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap

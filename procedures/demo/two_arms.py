@@ -32,7 +32,7 @@ from calib.closed_chain.conduct import conduct, contact_plan
 from calib.closed_chain.pair_problem import Contacts, read_contacts
 from calib.design.planning import short_path
 from calib.errors import CalibrationError
-from calib.identify.open_combinations import open_in_words
+from calib.identify.determinability import open_in_words
 from calib.report.page import (
     AFTER,
     BEFORE,

@@ -17,8 +17,7 @@ from benchmarks.gap.dynamic.cases import Asked, Case, made
 from benchmarks.gap.dynamic.hidden import FOREIGN, LISTED, LISTED_BY_JOINT
 from benchmarks.gap.dynamic.score import arm_of, log_of
 from benchmarks.studies import say
-from calib.gap.finding import EffectName, GapFinding
-from calib.gap.model_update import as_totals, with_totals
+from calib.gap.finding import EffectName, GapFinding, as_totals, with_totals
 from calib.gap.series.find import examine
 from control.model.arm import Arm, Effect
 from control.model.effects import EFFECTS

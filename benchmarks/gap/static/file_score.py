@@ -32,10 +32,9 @@ from calib.arm_problem.assembly import BASE, Choice
 from calib.arm_problem.joint_effects import LAWS
 from calib.arrays import Array, Mask
 from calib.boards import best_motion
-from calib.calibration.calibrate import CalibrationPlan, identified
-from calib.calibration.outcome import calibrated_arm
+from calib.calibration.calibrate import CalibrationPlan, calibrated_arm, identified
 from calib.errors import CalibrationError
-from calib.gap.model_update import with_totals
+from calib.gap.finding import with_totals
 from calib.gap.poses.recordings import split
 from calib.gap.workflow import Recordings, find_gap_in, write_gap
 from calib.points.arm_points import base_points_for

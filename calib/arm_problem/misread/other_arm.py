@@ -22,9 +22,9 @@ from itertools import chain, combinations
 
 import numpy as np
 
+from calib.arm_problem.arm_model import Bounds, dh_parameters
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.misread.points import Doubt
-from calib.arm_problem.parameters import Bounds, dh_parameters
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array, norms, slim_product
 from calib.points.points import Points

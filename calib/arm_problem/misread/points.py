@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calib.arm_problem.assembly import started_tool, with_started_frames
 from calib.arm_problem.observations import Observations
 from calib.arm_problem.posed import PosedProblem
 from calib.arm_problem.problem import ArmProblem
-from calib.arm_problem.starts import started_tool, with_started_frames
 from calib.arrays import Array, frozen, norms
 from calib.errors import UnusablePointsError
 from control.kinematics.rotation import matrices, quaternions

@@ -11,13 +11,20 @@ import numpy as np
 from calib.arm_problem.joint_effects import LAWS
 from calib.arrays import Array
 from calib.gap.effects import encoder, gear, links, loads, motor
-from calib.gap.effects.columns import known_law, unlisted
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, Role, Sought
+from calib.gap.effects.record import (
+    EffectRecord,
+    InPoses,
+    InSeries,
+    PoseScene,
+    Role,
+    Sought,
+    known_law,
+    unlisted,
+)
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import Block, Key, Term, parameters_of
-from calib.gap.residuals.scene import OperatingPoint, SeriesScene
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.scene import OperatingPoint, SeriesScene, SeriesTerm
 from calib.gap.signals.terms import Law, place
 from control.model.arm import Arm
 from control.model.effects import EFFECTS

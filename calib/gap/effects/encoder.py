@@ -10,11 +10,21 @@ from typing import Literal
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.columns import FINER, by_angle, straight, with_own
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, Sought, harmonics
+from calib.gap.effects.record import (
+    FINER,
+    EffectRecord,
+    InPoses,
+    InSeries,
+    PoseScene,
+    Sought,
+    by_angle,
+    harmonics,
+    straight,
+    with_own,
+)
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.term import Term, ToParameters, Traits, like
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.scene import SeriesTerm
 from calib.gap.signals.terms import AngleLaw, Form, Law, Values
 from control.model.arm import Arm
 from control.model.effects import COUPLED, COUPLED_TO, EFFECTS

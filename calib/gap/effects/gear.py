@@ -9,14 +9,17 @@ import numpy as np
 from scipy.special import erf
 
 from calib.arrays import Array
-from calib.gap.effects.columns import Bent, by_angle, by_load, secants
 from calib.gap.effects.record import (
+    Bent,
     EffectRecord,
     InPoses,
     InSeries,
     NO_TORQUE_Nm,
     PoseScene,
+    by_angle,
+    by_load,
     harmonics,
+    secants,
 )
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.constants import CLEAR_SHARE, WOUND_SHARE

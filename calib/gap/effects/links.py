@@ -16,8 +16,7 @@ from calib.arm_problem.assembly import BASE_FRAME, Choice, base_frame_of
 from calib.arm_problem.frames import rotation_of, rotation_vector, seen_less_far_m
 from calib.arm_problem.link_bending import Bending, beams, bending, link_frames
 from calib.arrays import Array
-from calib.gap.effects.columns import straight
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, in_poses, stated_kg
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, in_poses, stated_kg, straight
 from calib.gap.finding import GEOMETRY, LINK_KEYS, EffectName, Parameters
 from calib.gap.posterior.term import Term, ToParameters, parameters_of, sized
 from calib.gap.signals.terms import Form, Law

@@ -15,8 +15,17 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.link_bending import LinkFrames, link_frames
 from calib.arrays import Array
-from calib.gap.effects.columns import by_angle, by_current, straight
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, NO_TORQUE_Nm, PoseScene, in_poses
+from calib.gap.effects.record import (
+    EffectRecord,
+    InPoses,
+    InSeries,
+    NO_TORQUE_Nm,
+    PoseScene,
+    by_angle,
+    by_current,
+    in_poses,
+    straight,
+)
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import MISSING_MOST
 from calib.gap.posterior.term import Term, ToParameters, inverse, like, on_joint

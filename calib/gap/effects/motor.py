@@ -8,8 +8,11 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from calib.arrays import Array
-from calib.gap.effects.columns import (
+from calib.gap.effects.record import (
     Bent,
+    EffectRecord,
+    InSeries,
+    Sought,
     by_angle,
     by_currents,
     by_direction,
@@ -20,11 +23,9 @@ from calib.gap.effects.columns import (
     straight,
     with_own,
 )
-from calib.gap.effects.record import EffectRecord, InSeries, Sought
 from calib.gap.finding import EffectName, Parameters
 from calib.gap.posterior.term import Traits, parameters_of, values_of
-from calib.gap.residuals.scene import OperatingPoint, Response
-from calib.gap.residuals.term import SeriesTerm, scaled
+from calib.gap.residuals.scene import OperatingPoint, Response, SeriesTerm, scaled
 from calib.gap.signals.body import sorted_terms
 from calib.gap.signals.terms import Form, Law, Values, motor_ahead
 from control.model.arm import Arm

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,16 +12,26 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.finding import EffectName, Parameters
-from calib.gap.posterior.constants import USUAL
-from calib.gap.posterior.term import NO_TRAITS, Term, Traits, on_joint, parameters_of
-from calib.gap.residuals.scene import OperatingPoint, RowConditions
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.posterior.constants import SPEAKS_FOR, USUAL
+from calib.gap.posterior.term import NO_TRAITS, Block, Term, Traits, on_joint, parameters_of
+from calib.gap.residuals.scene import (
+    Curve,
+    OperatingPoint,
+    Response,
+    RowConditions,
+    SeriesScene,
+    SeriesTerm,
+    departed,
+    scaled,
+    size_of,
+    stacked,
+)
 from calib.gap.signals.terms import Form, Law, typical
 from calib.points.points import Points
 from control.dynamics.static_pose import RestingPose, gravity_Nm, resting
 from control.errors import MissingModel
 from control.model.arm import Arm
-from control.model.effects import moved_joint
+from control.model.effects import followed_joint, linear_values, moved_joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,3 +195,233 @@ class Sought:
 def harmonics(angle: Array, *orders: int) -> list[Array]:
     """Sine and cosine of each order."""
     return [f(order * angle) for order in orders for f in (np.sin, np.cos)]
+
+
+# The ways in which a real part departs from its law: functions of its own variable, by which the law is multiplied.
+
+
+def _unit(values: Array) -> Array:
+    """Over the root mean square."""
+    size = float(np.sqrt(np.mean(values**2)))
+    return values / size if size > 0.0 else values
+
+
+def by_angle(at: RowConditions, j: int) -> Array:
+    """Two harmonics of the joint's turn, and what is slower over its travel."""
+    q = at.q[:, j]
+    return np.array([np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)])
+
+
+def by_speed(at: RowConditions, j: int) -> Array:
+    """Its absolute value and its square."""
+    v = _unit(at.speed[:, j])
+    return np.array([np.abs(v), v**2])
+
+
+def by_direction(at: RowConditions, j: int) -> Array:
+    """One way and the other."""
+    return at.direction[:, j][None]
+
+
+def by_load(at: RowConditions, j: int) -> Array:
+    """Of what the gear transmits: its absolute value, its root and its square."""
+    load = np.abs(_unit(at.load_Nm[:, j]))
+    return np.array([load, np.sqrt(load), load**2])
+
+
+def by_current(at: RowConditions, j: int) -> Array:
+    """Of the motor: its absolute value and its square."""
+    i = _unit(at.current_A[:, j])
+    return np.array([np.abs(i), i**2])
+
+
+def by_currents(at: RowConditions, j: int) -> Array:
+    """Of all motors together."""
+    return _unit(np.sum(np.abs(at.current_A), axis=1))[None]
+
+
+def departures(
+    scene: SeriesScene, shapes: Sequence[Shape], joint: int, law: Response
+) -> tuple[dict[int, Array], Array]:
+    """Columns of a law's departures on a joint (0-based), each as large as the law; every channel for itself.
+
+    With them what departures change that looks like the law itself, a part of each for every shape of a variable (`departed`), of
+    the channel that shows the law best. A motor that saturates gives less torque, and its back-EMF is as before. What currents
+    show of a gear is mostly how its angle changes, with the noise of that: where the tip shows the angle, it alone says how the
+    gear departs.
+    """
+    if not shapes or not law:
+        return {}, np.zeros((0, 1, 1))
+    parts, alike, largest = [], np.zeros((0, 1, 1)), 0.0
+    channels = list(dict.fromkeys(scene.cells[cell].channel for cell in law))
+    for channel in channels:
+        own = {cell: columns for cell, columns in law.items() if scene.cells[cell].channel == channel}
+        wanted = {cell: [one(scene.beside[cell], joint) for one in shapes] for cell in own}
+        bent, taken = departed(own, {cell: np.concatenate(some) for cell, some in wanted.items()})
+        if bent:
+            parts.append(bent)
+        if (size := float(np.linalg.norm(size_of(own)))) > largest:
+            counts = [len(some) for some in next(iter(wanted.values()))]
+            alike, largest = taken / np.sqrt(np.repeat(counts, counts))[:, None, None], size
+    return (stacked(parts) if parts else {}), alike
+
+
+def filled(
+    sought: Sought,
+    term: SeriesTerm,
+    laws: Response,
+    nuisances: Sequence[Response] = (),
+    more: Response | None = None,
+    towards: tuple[float, float] | None = None,
+) -> Iterator[SeriesTerm]:
+    """A term with its columns, from its law's response per usual size; `more`: departures beside those of its variable.
+
+    `towards`: the law's first value at which its response is a secant, and that at which the first nuisance has it.
+    """
+    if not laws:
+        return
+    series, joint = sought.series, (followed_joint(sought.key.effect, sought.key.joint) or 1) - 1
+    bent, alike = departures(sought.around.scene, series.departs, joint, laws)
+    departs = [own for own in (bent, more or {}) if own]
+    count, bends = (sum(next(iter(own.values())).shape[1] for own in some) for some in ([laws], departs))
+    now = term.now if term.now is None else np.insert(term.now, count, np.zeros(bends))
+    yield dataclasses.replace(
+        term, words=str(term.key), laws=count, departures=bends, variable=series.variable, traits=sought.record.traits,
+        response=stacked([laws, *departs, *nuisances]), alike=alike, now=now,
+        curve=None if towards is None else Curve(count + bends, *towards, term.size),
+    )  # fmt: skip
+
+
+def unlisted(one: SeriesTerm) -> SeriesTerm:
+    """What is off the list is still in the world: the law as a block of its own."""
+    key = one.key
+    joint, effect = (key.joint or 0, key.effect) if isinstance(key, EffectName) else (key.joint, key.variable)
+    words = f"{one.words} (left out of the list)"
+    return dataclasses.replace(one, key=Block(joint, effect), words=words, law=None)
+
+
+def known_law(record: EffectRecord, name: EffectName, given: Mapping[str, float]) -> Law | None:
+    """The law of an `[[effect]]`; None for one that time series do not show."""
+    series = record.series
+    if series is None:
+        return None
+    if series.known is not None:
+        return series.known(series, name, given)
+    values = linear_values(name.effect, given)
+    if not values:
+        return None
+    nought = (0.0,) * (series.form.count - len(values))
+    return Law(name, series.form, (*values, *nought), given.get("order", 0.0))
+
+
+def straight(sought: Sought) -> Iterator[SeriesTerm]:
+    """Every form of a law that the rows follow in a straight line, or nearly so; later, the form that was found."""
+    for form in sought.forms:
+        yield from _straight(sought, form)
+
+
+def _straight(sought: Sought, form: Form) -> Iterator[SeriesTerm]:
+    around, key, own, size = sought.around, sought.key, sought.own, sought.size(form)
+    count = form.count or 4 * len(around.scene.arm.links)
+    law = Law(key, form, (0.0,) * count)
+    base, at = around.without(key)
+    start = law.values if own is None else own.values
+    if count == 1 and start[0]:  # a secant from nought to what was found
+        moved, steps = [law.at((start[0],))], [start[0]]
+    else:
+        steps = [0.3 * size] * count
+        moved = [law.at((*law.values[:k], step, *law.values[k + 1 :])) for k, step in enumerate(steps)]
+    columns = [
+        (around.scene.columns.residual((*base, there)) - at) / step
+        for there, step in zip(moved, steps, strict=True)
+    ]
+    least = sought.series.least(around.scene.arm, law)
+    term = SeriesTerm(
+        key, size=size, law=lambda c: law.at(tuple((c[:count] * size).tolist())), is_positive=math.isfinite(least),
+        least=max(least, -1e6) / size, now=None if own is None else np.array(start) / size,
+    )  # fmt: skip
+    yield from filled(sought, term, scaled(around.scene.split(np.stack(columns, axis=1)), size))
+
+
+FINER = (1.0, 1.2)  # times what was found, the next time: the second says how the first bends
+
+
+@dataclass(frozen=True, slots=True)
+class Bent:
+    """A law that the rows follow in no straight line: starts of its first value; what the others are like, with the standard
+    deviations to which that is known before any data, and how large they may be.
+    """
+
+    starts: tuple[float, ...]
+    others: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()
+    upper: tuple[float, ...] = ()
+    most: float = math.inf  # of the first value
+
+
+def _stepped(values: tuple[float, ...], steps: Sequence[float]) -> list[tuple[float, ...]]:
+    """Values, and the same with a step of each but the first."""
+    one_more = [(*values[: k + 1], values[k + 1] + step, *values[k + 2 :]) for k, step in enumerate(steps)]
+    return [values, *one_more]
+
+
+def secants(sought: Sought, bent: Bent) -> Iterator[SeriesTerm]:
+    """The secant from nought to each start, how the next start's differs from it, and what the other values' steps do.
+
+    These are counted from what the others are like before any data, wherever the model of this linearisation has them: else each
+    linearisation would add as much again to what is known of them.
+    """
+    around, own, form = sought.around, sought.own, sought.series.form
+    rows, (base, at) = around.scene.columns, around.without(sought.key)
+    first = bent.starts if own is None else tuple(own.values[0] * k for k in FINER)
+    others = bent.others if own is None else own.values[1:]
+    steps = tuple(
+        step if value + step <= upper else -step
+        for value, step, upper in zip(others, bent.steps, bent.upper, strict=True)
+    )
+    asked = [_stepped((v, *others), steps) for v in first]
+    law, size = Law(sought.key, form, asked[0][0]), sought.size(form)
+    if form.is_gear:
+        rows.physics.following.foresee(base, [law.at(values) for some in asked for values in some])
+    moved = [[rows.residual((*base, law.at(values))) for values in some] for some in asked]
+    secants = [(some[0] - at) * (size / v) for some, v in zip(moved, first, strict=True)]
+    for k, value in enumerate(first if own is None else first[:1]):
+        near = k + 1 if k + 1 < len(first) else k - 1
+        bends = secants[near] - secants[k]
+        columns = [secants[k], bends * value / size, *(one - moved[k][0] for one in moved[k][1:])]
+        parts = [around.scene.split(column[:, None]) for column in columns]
+        parts[1:] = [one or scaled(parts[0], 0.0) for one in parts[1:]]
+        reach = SPEAKS_FOR[0] * value, min(SPEAKS_FOR[1] * value, bent.most)
+
+        def law_of(c: Array, reach: tuple[float, float] = reach) -> Law:
+            more = np.array(bent.others) + np.array(steps) * c[len(c) - len(steps) :]
+            return law.at((float(np.clip(c[0] * size, *reach)), *np.clip(more, 0.0, bent.upper).tolist()))
+
+        now = None
+        if own is not None and math.isclose(own.values[0], value):
+            now = np.array([value / size, 0.0, *((np.array(others) - bent.others) / steps)])
+        term = SeriesTerm(
+            sought.key, size=size, law=law_of, variant=value, is_positive=True, least=reach[0] / size, most=reach[1] / size,
+            now=now,
+        )  # fmt: skip
+        yield from filled(sought, term, parts[0], parts[1:], towards=(value, first[near]))
+
+
+def with_own(
+    sought: Sought, form: Form, value: float, within: float, columns: tuple[Response, Response]
+) -> Iterator[SeriesTerm]:
+    """A law of a size and one other value, from its response there and how that changes as this value grows by a share `within`.
+
+    The share is followed between 0.6 and 1.6 of the value.
+    """
+    key, own, size, is_positive = sought.key, sought.own, sought.size(form), form.lower[0] == 0.0
+
+    def law_of(c: Array) -> Law:
+        own_size = max(float(c[0]), 0.0) if is_positive else float(c[0])
+        share = within * float(c[-1]) / own_size if own_size else 0.0
+        return Law(key, form, (float(c[0]) * size, value * float(np.clip(1.0 + share, 0.6, 1.6))))
+
+    is_there = own is not None and abs(value / own.values[1] - 1.0) < 1e-9
+    now = np.array([own.values[0] / size]) if own is not None and is_there else None
+    term = SeriesTerm(key, size=size, law=law_of, variant=value, is_positive=is_positive, now=now)
+    yield from filled(sought, term, columns[0], [columns[1]])

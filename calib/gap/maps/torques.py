@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from calib.arm_problem.measured_maps import along
+from calib.arm_problem.joint_effects import along
 from calib.arrays import Array, Mask, rms
 from calib.gap.finding import MapCheck
 from calib.gap.maps.choose import (

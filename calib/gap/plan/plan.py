@@ -17,8 +17,17 @@ import numpy as np
 from calib.arrays import Array
 from calib.design.candidates import joint_box, spread_poses
 from calib.errors import CalibrationError
-from calib.gap.plan.collision_free_box import CollisionFreeBox, clear, collision_free_box
-from calib.gap.plan.motions import MotionLimits, demand, multisine, poses_of, ramps, shake
+from calib.gap.plan.motions import (
+    CollisionFreeBox,
+    MotionLimits,
+    clear,
+    collision_free_box,
+    demand,
+    multisine,
+    poses_of,
+    ramps,
+    shake,
+)
 from control.dynamics.static_pose import gravity_Nm
 from control.errors import MissingModel
 from control.model.arm import Arm

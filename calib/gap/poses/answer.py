@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from calib.arm_problem.parameters import dh_names
+from calib.arm_problem.arm_model import dh_names
 from calib.arrays import Mask
 from calib.gap.effects.catalogue import SHARED, is_load
 from calib.gap.effects.links import FRAME
@@ -22,8 +22,8 @@ from calib.gap.finding import (
     MeasuredMaps,
     NamedEffect,
     Parameters,
+    is_possible,
 )
-from calib.gap.model_update import is_possible
 from calib.gap.poses.cautions import about_fit, about_orientations, about_outliers
 from calib.gap.poses.file import File, follows, placed
 from calib.gap.poses.floor import Floor

@@ -15,15 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from calib.arm_problem.assembly import BASE, Choice, problem_of
-from calib.arm_problem.joint_effects import DRIFT, LAWS, resting_points
-from calib.arm_problem.measured_maps import node_values, spline_columns
+from calib.arm_problem.joint_effects import DRIFT, LAWS, node_values, resting_points, spline_columns
 from calib.arrays import Mask
-from calib.calibration.calibrate import CalibrationPlan, identified
-from calib.calibration.outcome import calibrated_arm
+from calib.calibration.calibrate import CalibrationPlan, calibrated_arm, identified
 from calib.gap.effects.catalogue import RECORDS
 from calib.gap.effects.links import FRAME
-from calib.gap.finding import EffectName, Parameters
-from calib.gap.model_update import effect_of, with_totals
+from calib.gap.finding import EffectName, Parameters, effect_of, with_totals
 from calib.gap.poses.linear import Fit
 from calib.gap.posterior.term import parameters_of
 from calib.identify.identification import Identification

@@ -13,8 +13,7 @@ from calib.arrays import Array, Mask, frozen
 from calib.gap.effects.catalogue import is_load, pose_terms
 from calib.gap.effects.links import FRAME, beyond_linear_m
 from calib.gap.effects.record import PoseScene, load_of
-from calib.gap.finding import EffectName
-from calib.gap.model_update import effect_of, with_totals
+from calib.gap.finding import EffectName, effect_of, with_totals
 from calib.gap.poses.currents import holding_currents
 from calib.gap.poses.floor import flank_covariance
 from calib.gap.poses.linear import Fit, Left, Linear, by_joints

@@ -17,7 +17,7 @@ from calib.gap.posterior.constants import FLOOR_DOUBT, LAW_MOST, REMAINS, SILENT
 from calib.gap.posterior.decide import left_with, nameable
 from calib.gap.posterior.evidence import Evidence
 from calib.gap.posterior.term import Block, Key
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.scene import SeriesTerm
 from calib.gap.series.blocks import CAMERA
 from calib.gap.series.file import Identified, identified
 from calib.gap.series.linear import SeriesFit, left

@@ -14,8 +14,7 @@ from calib.arrays import Array
 from calib.gap.effects.motor import COULOMB
 from calib.gap.posterior.constants import USUAL
 from calib.gap.posterior.term import Block, smooth
-from calib.gap.residuals.scene import OperatingPoint, Response, RowConditions, SeriesScene
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.scene import OperatingPoint, Response, RowConditions, SeriesScene, SeriesTerm
 from calib.gap.signals.terms import typical
 
 ZERO_rad, PLACE_m, CAMERA_s = 3e-4, 3e-4, 5e-4  # sizes worth a word, as those of forms

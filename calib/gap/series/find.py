@@ -13,9 +13,17 @@ from calib.arrays import Array
 from calib.gap.effects.catalogue import SHARED, known_laws, role_of
 from calib.gap.effects.links import FRAME
 from calib.gap.effects.motor import ORDERS
-from calib.gap.finding import GEOMETRY, DrawnLaw, EffectName, GapFinding, OpenQuestion, Unknown
+from calib.gap.finding import (
+    GEOMETRY,
+    DrawnLaw,
+    EffectName,
+    GapFinding,
+    OpenQuestion,
+    Unknown,
+    as_totals,
+    updated_arm,
+)
 from calib.gap.log import Log
-from calib.gap.model_update import as_totals, updated_arm
 from calib.gap.posterior.constants import REMAINS
 from calib.gap.posterior.told import Told
 from calib.gap.residuals.rows import ResidualRows, RowTable, without_motion

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.gap.effects.catalogue import comes_round, is_gear, series_of, series_terms, usual
-from calib.gap.effects.columns import departures
+from calib.gap.effects.record import departures
 from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import (
     DEPARTURES,
@@ -26,8 +26,7 @@ from calib.gap.posterior.constants import (
 from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key
-from calib.gap.residuals.scene import OperatingPoint, SeriesScene
-from calib.gap.residuals.term import SeriesTerm, scaled
+from calib.gap.residuals.scene import OperatingPoint, SeriesScene, SeriesTerm, scaled
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.blocks import ACCELERATION, blocks_of, torque_size
 from calib.gap.series.linear import (

@@ -15,8 +15,7 @@ from calib.gap.posterior.decide import Decision, decide
 from calib.gap.posterior.evidence import Evidence, Gram, Places, Weighed
 from calib.gap.posterior.search import MergingSearch
 from calib.gap.posterior.term import Key
-from calib.gap.residuals.scene import OperatingPoint, SeriesScene
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.scene import OperatingPoint, SeriesScene, SeriesTerm
 from calib.gap.residuals.whitening import Noise, fitted
 from calib.gap.series.split import Picked, RowSplit
 from calib.gap.signals.terms import Law

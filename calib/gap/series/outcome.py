@@ -11,7 +11,7 @@ from calib.gap.effects.catalogue import series_of
 from calib.gap.finding import DrawnLaw, EffectName, GapFinding
 from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.residuals.rows import ChannelRows, RowTable
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.scene import SeriesTerm
 from calib.gap.series.linear import SeriesFit, left
 from calib.gap.series.split import Picked
 from calib.gap.signals.motion import MotionGap

@@ -14,7 +14,7 @@ from calib.gap.finding import EffectName
 from calib.gap.posterior.constants import CREDIBLE_LEAST, GROWS, LAW_MOST, REMAINS, SURE_sd
 from calib.gap.posterior.decide import is_exact
 from calib.gap.posterior.term import Block, Key
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.scene import SeriesTerm
 from calib.gap.series.blocks import CAMERA
 from calib.gap.series.linear import SeriesFit, left
 from calib.gap.series.outcome import gap

@@ -9,8 +9,15 @@ from pathlib import Path
 
 from calib.ageing import geometry_of
 from calib.arm_problem.assembly import Choice
-from calib.calibration.calibrate import Calibrated, CalibrationPlan, LeaveOut, calibrate, points_in_base
-from calib.calibration.outcome import write_calibrated_arm, write_calibration_json
+from calib.calibration.calibrate import (
+    Calibrated,
+    CalibrationPlan,
+    LeaveOut,
+    calibrate,
+    points_in_base,
+    write_calibrated_arm,
+    write_calibration_json,
+)
 from calib.calibration.report import calibration_report, judgement_json, summary_text
 from calib.closed_chain.calibrate import PairPlan, calibrate_pair, choose_contacts, pair_text, write_pair
 from calib.closed_chain.pair_problem import Contacts, names_of, read_contacts

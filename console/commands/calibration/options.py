@@ -23,8 +23,8 @@ from calib.ageing import (
     measured_at,
     require_appendable,
 )
+from calib.arm_problem.arm_model import Bounds
 from calib.arm_problem.frames import Frame
-from calib.arm_problem.parameters import Bounds
 from calib.boards import read_boards
 from calib.errors import CalibrationError
 from control.errors import ArmError

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration.design_trial import ARM, table_points
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, Bounds
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.parameters import Bounds
 from calib.design.information import CRITERIA, NAMES, criterion_of, uncertainty_of
 from calib.errors import CalibrationError
 from calib.identify.identification import identify

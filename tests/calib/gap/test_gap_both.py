@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calib.gap.both import brought_together, changed_between
 from calib.gap.finding import (
     EffectName,
     GapFinding,
@@ -17,10 +16,11 @@ from calib.gap.finding import (
     NamedEffect,
     Unknown,
     gap_content,
+    updated_arm,
 )
-from calib.gap.model_update import updated_arm
 from calib.gap.posterior.told import Told
 from calib.gap.words import in_words
+from calib.gap.workflow import brought_together, changed_between
 from control.model.description import load_arm
 from control.model.maps import CorrectionMap
 

@@ -19,9 +19,10 @@ from calib.gap.finding import (
     OpenQuestion,
     Remainder,
     Unknown,
+    as_totals,
+    updated_arm,
     write_gap_json,
 )
-from calib.gap.model_update import as_totals, updated_arm
 from control.model.arm import Effect
 from control.model.description import load_arm, save_arm
 from control.model.maps import CorrectionMap

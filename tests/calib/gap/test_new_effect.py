@@ -12,11 +12,9 @@ import pytest
 
 from benchmarks.gap.static.cases import ARM, case
 from calib.gap.effects.catalogue import RECORDS
-from calib.gap.effects.columns import by_angle
 from calib.gap.effects.motor import friction, torque_of
-from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, harmonics
-from calib.gap.finding import EffectName
-from calib.gap.model_update import updated_arm
+from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, by_angle, harmonics
+from calib.gap.finding import EffectName, updated_arm
 from calib.gap.poses.find import find as find_in_poses
 from calib.gap.posterior.term import Term
 from calib.gap.series.find import find as find_in_series

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.calibration.coverage import Session, studied
 from calib.identify.determinability import Sensitivity
-from calib.identify.estimates import leverages, noise_scale, uncertainty
+from calib.identify.identification import leverages, noise_scale, uncertainty
 from calib.identify.objective import Huber, LeastSquares, SumOfCoordinates, SumOfDistances
 from tests.calib.simulated import RIGHT, board_points, problem_of, true_dh
 

@@ -5,14 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, Parameter
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.observations import Observations
-from calib.arm_problem.parameters import Parameter
 from calib.arm_problem.problem import ArmProblem
-from calib.identify.determinability import determinability, null_space
+from calib.identify.determinability import determinability, null_space, open_in_words
 from calib.identify.identification import identify
-from calib.identify.open_combinations import open_in_words
 from tests.calib.simulated import RIGHT, NOISE_m, board_points, true_dh
 
 UNPLACED = dataclasses.replace(RIGHT, table=dataclasses.replace(RIGHT.table, known_pose=False))

@@ -13,7 +13,7 @@ from benchmarks.calibration.chains import (
     board_session,
     deviations,
 )
-from calib.arm_problem.parameters import Bounds
+from calib.arm_problem.arm_model import Bounds
 from calib.arrays import norms
 from calib.errors import CalibrationError, UnusablePointsError
 from calib.identify.objective import LeastSquares, SumOfDistances

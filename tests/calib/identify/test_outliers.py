@@ -5,8 +5,7 @@ import pytest
 
 from calib.arm_problem.arm_model import ArmModel
 from calib.identify.linear_fit import LinearFit
-from calib.identify.outliers import FALSE_ALARM, find_outliers, outlier_test
-from calib.identify.suspects import find_suspects
+from calib.identify.outliers import FALSE_ALARM, find_outliers, find_suspects, outlier_test
 from control.model.table import cavities, table_of
 from tests.calib.simulated import RIGHT, NOISE_m, board_points, seated, solved, true_dh, with_rows
 

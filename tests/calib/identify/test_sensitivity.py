@@ -5,10 +5,10 @@ import pytest
 
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.expansion import Problem
-from calib.arm_problem.weighted import whole_problem
+from calib.arm_problem.posed import whole_problem
 from calib.identify import suspects
 from calib.identify.determinability import Sensitivity, determinability
-from calib.identify.estimates import uncertainty
+from calib.identify.identification import uncertainty
 from calib.identify.objective import SumOfDistances
 from calib.points.points import Points, make_points
 from tests.calib.identify.test_orientations import BASE, session

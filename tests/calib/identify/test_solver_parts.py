@@ -5,9 +5,9 @@ import pytest
 
 from calib.arrays import SERIAL, norms, slim_product
 from calib.errors import CalibrationError
-from calib.identify.budget import WithDistances
 from calib.identify.descent import step_in_box
 from calib.identify.objective import HUBER_BEND, LeastSquares, SumOfCoordinates, objective_named, value_of
+from calib.identify.solver import WithDistances
 from tests.calib.identify.problems import problem_with_everything_free
 
 OBJECTIVES = {

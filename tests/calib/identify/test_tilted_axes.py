@@ -10,9 +10,9 @@ from benchmarks.gap.static.cases import ARM, case
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import problem_of
 from calib.arm_problem.parallel_axes import tilt_row, with_tilt_behind
+from calib.identify.linear_fit import tilted_axes
 from calib.identify.objective import LeastSquares
 from calib.identify.solver import minimise
-from calib.identify.tilted_axes import tilted_axes
 
 
 @pytest.mark.parametrize(("tilt_rad", "said"), [(0.0, []), (0.003, [3.0])])

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.weighted import whole_problem
+from calib.arm_problem.posed import whole_problem
 from calib.calibration.calibrate import CalibrationPlan, calibrate, points_in_base
 from calib.errors import CalibrationError, PointsFileError, UnusablePointsError
 from calib.identify.identification import identify

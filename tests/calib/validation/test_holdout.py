@@ -5,14 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.arm_model import ArmModel, Bounds
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.joint_effects import known_corrections, resting_points
 from calib.arm_problem.link_bending import known_bending
-from calib.arm_problem.parameters import Bounds
 from calib.arrays import frozen, norms
-from calib.calibration.calibrate import CalibrationPlan, calibrate, identified
-from calib.calibration.outcome import calibrated_arm
+from calib.calibration.calibrate import CalibrationPlan, calibrate, calibrated_arm, identified
 from calib.errors import CalibrationError
 from calib.identify.identification import fit
 from calib.identify.objective import LeastSquares

@@ -9,7 +9,7 @@ import pytest
 from calib.arm_problem.assembly import problem_of
 from calib.identify.identification import identify
 from calib.identify.objective import LeastSquares
-from calib.identify.suspects import find_suspects
+from calib.identify.outliers import find_suspects
 from calib.points.points import make_points
 from calib.validation.holdout import Fold, HeldOut, held_out
 from calib.validation.statistics import mean_half_width

@@ -6,8 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.arrays import frozen
-from calib.vision.lens import Lens
-from calib.vision.placed import HERE, Pose
+from calib.vision.lens import HERE, Lens, Pose
 from calib.vision.targets import Charuco, PrintedTarget, SeenCorners, Sighting, Sightings, Tags
 from hil_mocks.arm_pictures import PrintedSheet, Webcam
 

@@ -12,7 +12,7 @@ from calib.errors import VisionError
 from calib.results import made_today
 from calib.vision.advice import advice
 from calib.vision.intrinsics import LensFit, fit_lens, read_camera, write_camera
-from calib.vision.placed import Pose
+from calib.vision.lens import Pose
 from calib.vision.targets import Sightings
 from tests.calib.vision.scenes import BOARD, NOISE_px, drawn_pose, lens_of, sightings
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from calib.errors import VisionError
 from calib.points.points import make_points
 from calib.vision.intrinsics import fit_lens
-from calib.vision.placed import CameraView, Pose, misfit
+from calib.vision.lens import CameraView, Pose, misfit
 from calib.vision.poses import CameraPictures, MeasuredPose, measure_poses, motion_covariance, with_pictures
 from calib.vision.targets import PrintedTarget, Tags
 from tests.calib.vision.scenes import BOARD, TAG, drawn_pose, lens_of, sighting, sightings

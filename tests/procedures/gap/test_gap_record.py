@@ -14,8 +14,7 @@ import pytest
 from calib.errors import CalibrationError
 from calib.gap.leads import gears_by_leads
 from calib.gap.log import Log, read_log
-from calib.gap.plan.collision_free_box import collision_free_box
-from calib.gap.plan.motions import MotionLimits, multisine
+from calib.gap.plan.motions import MotionLimits, collision_free_box, multisine
 from calib.gap.plan.plan import PlannedRun, PlannedVisit, RecordingPlan
 from calib.points.points import Points
 from calib.points.reading import read_points

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.gap.static.cases import ARM, Hidden, case
-from calib.arm_problem.joint_effects import known_corrections
-from calib.arm_problem.measured_maps import along, node_values, spline_columns
+from calib.arm_problem.joint_effects import along, known_corrections, node_values, spline_columns
 from calib.gap.maps.choose import CHECKED_sd, helps
 from calib.gap.workflow import Recordings, find_gap_in, write_gap
 from control.dynamics.feedforward import torque_model

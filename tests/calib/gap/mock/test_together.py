@@ -3,8 +3,7 @@
 import pytest
 
 from benchmarks.gap.mock.together import names_of, recorded
-from calib.gap.finding import EffectName
-from calib.gap.model_update import updated_arm
+from calib.gap.finding import EffectName, updated_arm
 from calib.gap.workflow import GapOutcome, find_gap
 from control.model.description import load_arm
 from hil_mocks.plant.effects import EffectEntry

@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibrationError
-from calib.gap.plan.collision_free_box import CLEARANCE_m, clear, collision_free_box
 from calib.gap.plan.foresight import as_recorded, in_words
-from calib.gap.plan.motions import MotionLimits, demand, multisine, poses_of, ramps, shake
+from calib.gap.plan.motions import (
+    CLEARANCE_m,
+    MotionLimits,
+    clear,
+    collision_free_box,
+    demand,
+    multisine,
+    poses_of,
+    ramps,
+    shake,
+)
 from calib.gap.plan.plan import REFERENCE, APPROACH_rad, PlanRequest, recording_plan
 from calib.gap.poses.recordings import split
 from control.dynamics.static_pose import gravity_Nm

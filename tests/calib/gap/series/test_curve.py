@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.residuals.term import Curve
+from calib.gap.residuals.scene import Curve
 
 CURVE = Curve(place=1, start=2e-3, near=2.4e-3, size=1e-3)
 

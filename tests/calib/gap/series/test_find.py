@@ -11,14 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.arm_problem.arm_model import dh_names
 from calib.arm_problem.assembly import BASE_FRAME, Choice, problem_of
 from calib.arm_problem.frames import Frame, rotation_of
-from calib.arm_problem.parameters import dh_names
 from calib.arrays import Array
-from calib.calibration.outcome import calibrated_arm
-from calib.gap.finding import EffectName, GapFinding
+from calib.calibration.calibrate import calibrated_arm
+from calib.gap.finding import EffectName, GapFinding, as_totals
 from calib.gap.log import Log, LoggedRun
-from calib.gap.model_update import as_totals
 from calib.gap.series.find import DynamicOutcome, examine, find
 from calib.gap.signals.recording import UnusableLogError
 from calib.identify.identification import identify

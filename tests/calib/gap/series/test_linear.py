@@ -10,8 +10,7 @@ import pytest
 
 from calib.gap.finding import EffectName
 from calib.gap.residuals.rows import ChannelRows
-from calib.gap.residuals.scene import OperatingPoint, Thin
-from calib.gap.residuals.term import SeriesTerm
+from calib.gap.residuals.scene import OperatingPoint, SeriesTerm, Thin
 from calib.gap.series.linear import SeriesLinear
 from calib.gap.signals.terms import Law
 

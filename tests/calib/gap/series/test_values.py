@@ -15,8 +15,7 @@ from calib.gap.effects.gear import SPRING
 from calib.gap.finding import EffectName
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.residuals.rows import ResidualRows
-from calib.gap.residuals.scene import OperatingPoint, SeriesScene
-from calib.gap.residuals.term import Curve, SeriesTerm
+from calib.gap.residuals.scene import Curve, OperatingPoint, SeriesScene, SeriesTerm
 from calib.gap.residuals.whitening import Noise
 from calib.gap.series.answer import covariance_of_values
 from calib.gap.series.file import jackknife_variance
