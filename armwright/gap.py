@@ -9,8 +9,9 @@ from pathlib import Path
 
 from calib.errors import CalibrationError
 from calib.gap.finding import GapFinding
+from calib.gap.report import GapOutcome
 from calib.gap.words import in_words
-from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
+from calib.gap.workflow import Recordings, find_gap_in, read_recordings, write_gap
 from calib.points.points import Points
 from control.model.arm import Arm
 

@@ -29,36 +29,40 @@ from calib.gap.residuals.rows import ChannelRows
 from calib.gap.series.find import DynamicOutcome
 from calib.gap.words import in_words, listed, unit_of
 from calib.report.page import Section, bullets, page, paragraph, table, tiles, verdict
+from calib.results import Provenance
+from control.model.arm import Arm
 
 MOST_PARAMETERS = 12  # rows of one effect; the geometry has more
 
 
 @dataclass(frozen=True, slots=True)
-class GapReport:
-    """Everything that the page shows. `notes`: sentences about the data and about how poses and time series agree."""
+class GapOutcome:
+    """The finding of both levels together, each level's own, and sentences about the data and the fits.
+
+    `maps`, and the arm with everything named and them, where maps were asked for.
+    """
 
     finding: GapFinding
     static: StaticGap | None
     dynamic: DynamicOutcome | None
-    notes: tuple[str, ...]
-    date: str
-    program_version: str
+    warnings: tuple[str, ...]
     maps: MapsFound | None = None
+    mapped: Arm | None = None
 
 
-def gap_page(report: GapReport) -> str:
+def gap_page(report: GapOutcome, made: Provenance) -> str:
     """The whole page."""
-    about = f"{report.date} · {report.program_version} · {', '.join(report.finding.data)}"
+    about = f"{made.line} · {', '.join(report.finding.data)}"
     return page("The gap", report.finding.arm, about, gap_parts(report))
 
 
-def gap_parts(report: GapReport) -> Iterator[Section | str]:
+def gap_parts(report: GapOutcome) -> Iterator[Section | str]:
     """The page's sections, also for a longer page."""
     found = report.finding
     yield verdict(in_words(found))
     yield tiles(_tiles(found))
-    if report.notes:
-        yield Section("Notes", bullets(report.notes))
+    if report.warnings:
+        yield Section("Notes", bullets(report.warnings))
     yield from _ladders(report)
     yield _effects(found)
     yield from _left(found)
@@ -80,7 +84,7 @@ def _tiles(found: GapFinding) -> Iterator[tuple[str, str, str]]:
     yield "", "yes" if found.unknown is not None else "no", "a residual that no known effect explains"
 
 
-def _ladders(report: GapReport) -> Iterator[Section]:
+def _ladders(report: GapOutcome) -> Iterator[Section]:
     """One per level: their channels differ in kind."""
     for level, name in ((report.static, "Static poses"), (report.dynamic, "Time series")):
         if level is not None:

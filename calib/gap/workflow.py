@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import datetime
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from calib.arm_problem.parallel_axes import numbers_before
@@ -46,14 +44,14 @@ from calib.gap.poses.find import find, look
 from calib.gap.poses.outcome import StaticGap
 from calib.gap.posterior.constants import SILENT_MOST
 from calib.gap.posterior.told import Told
-from calib.gap.report import GapReport, gap_page
-from calib.gap.series.find import DynamicOutcome, decided
+from calib.gap.report import GapOutcome, gap_page
+from calib.gap.series.find import decided
 from calib.points.arm_points import base_points_for
 from calib.points.points import Points
-from calib.results import input_file
+from calib.results import input_file, made_today
 from control.errors import ArmError
 from control.files import write_whole
-from control.model.arm import Arm, Calibration
+from control.model.arm import Arm
 from control.model.description import save_arm
 from control.model.effects import EFFECTS
 from control.plain_text import Advance, silent
@@ -192,21 +190,6 @@ class Recordings:
     log_files: tuple[Path, ...]
     warnings: tuple[str, ...]
     are_torques: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class GapOutcome:
-    """The finding of both levels together, each level's own, and sentences about the data and the fits.
-
-    `maps`, and the arm with everything named and them, where maps were asked for.
-    """
-
-    finding: GapFinding
-    static: StaticGap | None
-    dynamic: DynamicOutcome | None
-    warnings: tuple[str, ...]
-    maps: MapsFound | None = None
-    mapped: Arm | None = None
 
 
 def read_recordings(
@@ -385,31 +368,22 @@ def write_gap(outcome: GapOutcome, arm: Arm, recordings: Recordings, out: Path) 
     The page is last: the result is on disk before anything is drawn, and a page that cannot be drawn says so itself.
     """
     require_free(out)
-    date = datetime.datetime.now(datetime.UTC).date().isoformat()
-    program = f"armwright {version('armwright')}"
-    files = (*recordings.point_files, *recordings.log_files)
-    hashes = {path.name: input_file(path, "").sha256 for path in files}
-    source = arm.path.name if arm.path is not None else arm.name
-    made = Calibration(source, hashes, date, "gap workflow", program)
+    made = made_today(*(input_file(path, "") for path in (*recordings.point_files, *recordings.log_files)))
     out.mkdir(parents=True, exist_ok=True)
     write_gap_json(out / "gap.json", outcome.finding)
-    model = dataclasses.replace(
-        outcome.mapped or _updated(arm, outcome.finding, outcome.static), calibration=made
-    )
+    model = outcome.mapped or _updated(arm, outcome.finding, outcome.static)
+    model = dataclasses.replace(model, calibration=made.of_arm(arm, "gap workflow"))
     save_arm(model, out / "arm.toml")
-    notes = outcome.warnings
-    report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, date, program, outcome.maps)
-    write_whole(out / "report.html", _page(report))
-    return model
-
-
-def _page(report: GapReport) -> str:
-    """The page; without its pictures, and saying so, where one of them fails: what was found is worth more than they are."""
     try:
-        return gap_page(report)
-    except Exception as error:  # whatever a picture stumbles over, the words stand
+        page = gap_page(outcome, made)
+    except (
+        Exception
+    ) as error:  # whatever a picture stumbles over, the words stand: what was found is worth more
         said = f"the pictures could not be drawn ({type(error).__name__}: {error}): please report this"
-        return gap_page(dataclasses.replace(report, static=None, dynamic=None, notes=(*report.notes, said)))
+        bare = GapOutcome(outcome.finding, None, None, (*outcome.warnings, said), outcome.maps)
+        page = gap_page(bare, made)
+    write_whole(out / "report.html", page)
+    return model
 
 
 # A finding that does not contradict itself: what is named is in no set of what may be, and what is left is not passed over.

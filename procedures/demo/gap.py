@@ -20,8 +20,8 @@ from calib.errors import CalibrationError
 from calib.gap.finding import EffectName, GapFinding, NamedEffect
 from calib.gap.plan.motions import collision_free_box
 from calib.gap.plan.plan import PlanRequest, RecordingPlan, recording_plan
-from calib.gap.report import GapReport, gap_parts
-from calib.gap.workflow import GapOutcome, Recordings, find_gap_in, read_recordings, write_gap
+from calib.gap.report import GapOutcome, gap_parts
+from calib.gap.workflow import Recordings, find_gap_in, read_recordings, write_gap
 from calib.report.page import Section, list_section, page, paragraph, table, tiles, verdict
 from calib.report.report import paths_section, verification_section
 from calib.results import Provenance, made_today
@@ -360,10 +360,7 @@ def _parts(circle: Circle, made: Provenance) -> Iterator[Section | str]:
         circle.geometry_alone, "at held-out places: correction off (before) and on (after)"
     )
     yield paths_section(circle.paths)
-    outcome = circle.outcome
-    notes = outcome.warnings
-    report = GapReport(outcome.finding, outcome.static, outcome.dynamic, notes, made.date, made.program)
-    yield from gap_parts(report)
+    yield from gap_parts(circle.outcome)
 
 
 def _tiles(circle: Circle) -> Iterator[tuple[str, str, str]]:

@@ -10,15 +10,9 @@ from typing import TYPE_CHECKING
 from calib.ageing import quantities_of
 from calib.errors import CalibrationError
 from calib.gap.finding import gap_content
+from calib.gap.report import GapOutcome
 from calib.gap.words import in_words
-from calib.gap.workflow import (
-    GapOutcome,
-    find_gap_in,
-    read_recordings,
-    require_effects,
-    require_free,
-    write_gap,
-)
+from calib.gap.workflow import find_gap_in, read_recordings, require_effects, require_free, write_gap
 from console.commands.calibration.options import record_of
 from console.commands.connection import in_control_of
 from console.commands.progress import Bar, answer, warn

@@ -10,8 +10,9 @@ import pytest
 
 from calib.gap import report
 from calib.gap.finding import EffectName, GapFinding, NamedEffect, Unknown
+from calib.gap.report import GapOutcome
 from calib.gap.words import in_words
-from calib.gap.workflow import GapOutcome, Recordings, consistent, write_gap
+from calib.gap.workflow import Recordings, consistent, write_gap
 from control.model.description import load_arm
 
 DRAG, OIL, PLAY = (

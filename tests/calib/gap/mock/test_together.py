@@ -4,7 +4,8 @@ import pytest
 
 from benchmarks.gap.mock.together import names_of, recorded
 from calib.gap.finding import EffectName, updated_arm
-from calib.gap.workflow import GapOutcome, find_gap
+from calib.gap.report import GapOutcome
+from calib.gap.workflow import find_gap
 from control.model.description import load_arm
 from hil_mocks.plant.effects import EffectEntry
 
