@@ -6,7 +6,7 @@ import pytest
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.expansion import Problem
 from calib.arm_problem.posed import whole_problem
-from calib.identify import suspects
+from calib.identify import outliers
 from calib.identify.determinability import Sensitivity, determinability
 from calib.identify.identification import uncertainty
 from calib.identify.objective import SumOfDistances
@@ -60,8 +60,8 @@ def test_very_many_points_are_compared_in_parts_and_keep_their_rows(monkeypatch:
         RIGHT, make_points(points.setup, points.point, points.repeat, points.q_rad, tips), Choice()
     )
     x = (dh - RIGHT.dh).ravel() / problem.scale
-    monkeypatch.setattr(suspects, "PART", 40)
-    found = suspects.find_suspects(problem, x)
+    monkeypatch.setattr(outliers, "PART", 40)
+    found = outliers.find_suspects(problem, x)
     assert [one.row for one in found.outliers] == [41]
     assert found.points_count == len(points)
 
