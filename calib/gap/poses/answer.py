@@ -29,9 +29,9 @@ from calib.gap.poses.file import File, follows, placed
 from calib.gap.poses.floor import Floor
 from calib.gap.poses.held_out import holds_on_others, shows_in_others
 from calib.gap.poses.linear import Left
-from calib.gap.poses.outcome import Looked, StaticGap, drawn_laws
+from calib.gap.poses.outcome import StaticGap, drawn_laws
 from calib.gap.poses.remainder import next_experiment, open_questions, remainders, unknown_part
-from calib.gap.poses.state import Around
+from calib.gap.poses.state import Around, Looked
 from calib.gap.posterior.constants import LAW_MOST, UNMEASURED, SURE_sd
 from calib.gap.posterior.decide import Decision, Estimated, estimated, nameable, share_of
 from calib.gap.posterior.evidence import Weighed
@@ -41,8 +41,9 @@ from control.model.arm import Arm, Effect
 from control.model.effects import linear_values
 
 
-def answered(prepared: Looked, looked: Looked, around: Around, decision: Decision) -> StaticGap:
-    """The finding of a decision, with what its report draws; `prepared` before the search, `looked` with the noise after it."""
+def answered(prepared: Looked, around: Around, decision: Decision) -> StaticGap:
+    """The finding of a decision, with what its report draws; `prepared`: as it was before the search, which has another noise."""
+    looked = around.looked
     best, points, parts = decision.best, looked.points, looked.parts
     warnings = [
         *looked.warnings,
@@ -55,7 +56,7 @@ def answered(prepared: Looked, looked: Looked, around: Around, decision: Decisio
 
     others = looked.told
     firmer = [] if others is None else [name for name in decision.names if others.knows_better(name, told())]
-    decision, estimates, reasons = _borne_out(looked, around, decision, firmer)
+    decision, estimates, reasons = _borne_out(around, decision, firmer)
     left = around.fitted(best)[1]
     floor = looked.refloored(left).floor
     if floor.doubt >= UNMEASURED:
@@ -77,7 +78,7 @@ def answered(prepared: Looked, looked: Looked, around: Around, decision: Decisio
     as_given, refitted = (_square(left, floor, parts.known) for left in (nominal, lefts[0]))
     if pays(as_given, refitted, 3 * int(parts.known.sum()), files[0].found.rank):
         effects.insert(0, NamedEffect(EffectName(GEOMETRY), _geometry(last), gaps[0]))
-    finding = _finding(looked, around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]))
+    finding = _finding(around, decision, reasons, tuple(effects), floor, (nominal, lefts[-1]))
     corrected = {one.joint for one in last.arm.maps}
     held = (*decision.names, *(name for name in beside if name.joint in corrected))
     departing = around.fitted(_named_alone(around, best, held))[1]
@@ -91,7 +92,7 @@ def answered(prepared: Looked, looked: Looked, around: Around, decision: Decisio
             f"on {open_count} of {int(parts.report.sum())} held-out poses nothing tells on which flank a loose gear lies: there"
             " the new arm.toml predicts the middle of its play, and is off by up to half of it"
         )
-    warnings += about_fit(looked.arm, last.found, floor, around.noise_m * best.kappa)
+    warnings += about_fit(looked.arm, last.found, floor, looked.floor.tip_m * best.kappa)
     steps = [*map(str, order), *map(str, last.arm.maps[:1])]
     grown = [(step, own.tip_m) for step, own in zip(steps, lefts[1:], strict=True)]
     return StaticGap(
@@ -183,11 +184,15 @@ def pays(nominal: float, fitted: float, rows: int, parameters: int) -> bool:
 
 
 def _finding(
-    looked: Looked, around: Around, decision: Decision, reasons: Mapping[EffectName, str],
-    effects: tuple[NamedEffect, ...], floor: Floor, ends: tuple[Left, Left],
-) -> GapFinding:  # fmt: skip
+    around: Around,
+    decision: Decision,
+    reasons: Mapping[EffectName, str],
+    effects: tuple[NamedEffect, ...],
+    floor: Floor,
+    ends: tuple[Left, Left],
+) -> GapFinding:
     """`ends`: what is left before and after."""
-    report = looked.parts.report
+    looked, report = around.looked, around.looked.parts.report
     (before_si, after_si), (before, after) = zip(
         *((left.sizes(report), left.times(floor.tip_m, floor.turn_rad, report)) for left in ends), strict=True
     )
@@ -207,7 +212,7 @@ def _finding(
 
 
 def _borne_out(
-    looked: Looked, around: Around, decision: Decision, firmer: Collection[EffectName]
+    around: Around, decision: Decision, firmer: Collection[EffectName]
 ) -> tuple[Decision, Mapping[EffectName, Estimated], Mapping[EffectName, str]]:
     """Without names that the data do not bear out, which become remainders, each with its reason; without blocks that no
     pose that was left out shows.
@@ -217,39 +222,29 @@ def _borne_out(
     kept = [group for group in decision.remainders if _shows_elsewhere(around, best, group)]
     nameless = [k for k, _ in best.members if any(around.terms[k].key in group for group in kept)]
     there = [*decision.names, *(name for names in decision.ambiguous for name in names)]
-    known = {*firmer, *(name for name in estimates if _known(looked.arm, name) is not None)}
-    reasons = {
-        name: why
-        for name, own in estimates.items()
-        if (why := _why_not(around, best, name, own, name in known, nameless, there))
-    }
+
+    def why_not(name: EffectName, own: Estimated) -> str:
+        """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing; that, and what other
+        recordings know better, is not for these poses to bear out.
+        """
+        is_known = name in firmer or _known(around.looked.arm, name) is not None
+        if _is_nothing(own):
+            is_right = is_known or name.effect == FRAME
+            return "" if is_right else f"{name} acts, but these poses do not tell how large it is"
+        if not is_possible(name.effect, own.parameters):
+            return f"{name} was identified with impossible values"
+        if own.departure > LAW_MOST:
+            return f"{name} departs too far from its law"
+        if not is_known and not holds_on_others(around, best, name, there):
+            return f"{name} does not improve held-out poses"
+        if not is_known and _may_be_error_of(around, best, name, nameless):
+            return f"{name} is no larger than the error of the unexplained residual"
+        return ""
+
+    reasons = {name: why for name, own in estimates.items() if (why := why_not(name, own))}
     names = tuple(name for name in decision.names if name not in reasons)
     remainders = (*kept, *((name,) for name in reasons))
     return dataclasses.replace(decision, names=names, remainders=remainders), estimates, reasons
-
-
-def _why_not(
-    around: Around, best: Weighed, name: EffectName, own: Estimated, is_known: bool, nameless: Sequence[int],
-    names: Sequence[EffectName],
-) -> str:  # fmt: skip
-    """Why a name is not given; empty if it is. What the arm's file has is a total, and may be nothing; that,
-    and what other recordings know better, is not for these poses to bear out.
-    """
-    if _is_nothing(own):
-        return (
-            ""
-            if is_known or name.effect == FRAME
-            else f"{name} acts, but these poses do not tell how large it is"
-        )
-    if not is_possible(name.effect, own.parameters):
-        return f"{name} was identified with impossible values"
-    if own.departure > LAW_MOST:
-        return f"{name} departs too far from its law"
-    if not is_known and not holds_on_others(around, best, name, names):
-        return f"{name} does not improve held-out poses"
-    if not is_known and _may_be_error_of(around, best, name, nameless):
-        return f"{name} is no larger than the error of the unexplained residual"
-    return ""
 
 
 def _may_be_error_of(around: Around, best: Weighed, name: EffectName, nameless: Sequence[int]) -> bool:

@@ -21,10 +21,10 @@ from calib.gap.poses.cautions import about_data, cleaned, require_posed
 from calib.gap.poses.floor import FINEST_m, Floor, middle, noise_floor, outlying
 from calib.gap.poses.linear import Fit, Linear
 from calib.gap.poses.nameless import SKEWED
-from calib.gap.poses.outcome import Looked, StaticGap
+from calib.gap.poses.outcome import StaticGap
 from calib.gap.poses.recordings import Split, split
-from calib.gap.poses.state import Around, State
-from calib.gap.posterior.constants import FLOOR_DOUBT, UNMEASURED, SETTLED_sd
+from calib.gap.poses.state import Around, Looked, State
+from calib.gap.posterior.constants import UNMEASURED, SETTLED_sd
 from calib.gap.posterior.decide import Decision, decide, nameable
 from calib.gap.posterior.search import Search
 from calib.gap.posterior.term import Block, Key, Term
@@ -52,15 +52,15 @@ def find(arm: Arm, points: Points, advance: Advance = silent, without: Collectio
 def look(prepared: Looked, advance: Advance = silent, told: Told | None = None) -> StaticGap:
     """The answer of poses whose geometry is fitted; `told` is what other recordings of the arm tell of its effects."""
     prepared = replace(prepared, told=told)
-    looked, around, decision = _searched(prepared, advance)
+    around, decision = _searched(prepared, advance)
     if skewed := _skewed(prepared.arm, decision):
         # geometry that DH rows do not hold: everything beside it is looked at anew
         arm = functools.reduce(with_tilt_behind, skewed, prepared.arm)
         said = (*prepared.warnings, _tilted(arm, skewed))
         prepared = replace(_prepared(arm, prepared.points, prepared.without, said), told=told)
-        looked, around, decision = _searched(prepared, advance)
+        around, decision = _searched(prepared, advance)
     advance("reporting", 0.85)
-    return answered(prepared, looked, around, decision)
+    return answered(prepared, around, decision)
 
 
 def _skewed(arm: Arm, decision: Decision) -> list[int]:
@@ -142,7 +142,7 @@ def _from_the_richest(linear: Linear, parts: Split, residual_m: Array) -> Floor:
     )
 
 
-def _searched(looked: Looked, advance: Advance) -> tuple[Looked, Around, Decision]:
+def _searched(looked: Looked, advance: Advance) -> tuple[Around, Decision]:
     """Look, linearise anew where the best set settles, with the noise that repeats then show, and look again until a set is the
     best at its own place, or was it before.
     """
@@ -151,21 +151,14 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Looked, Around, Decisio
     ]
     blocks: tuple[Term, ...] = ()
 
-    def around_of(state: State, keys: Collection[Key] | None = None) -> Around:
-        noise = looked.floor.tip_m, max(looked.floor.doubt, FLOOR_DOUBT)
-        return Around.of(
-            state, looked.bare_arm, looked.points, looked.parts.known, noise, looked.without, blocks,
-            looked.floor.lever_m, keys, looked.told,
-        )  # fmt: skip
-
     def settled(state: State, keys: Collection[Key]) -> State:
         """The values of a set where they settle, by Gauss and Newton's steps."""
         settling = Settling(FITS_MOST)
         while settling.goes_on:
-            around = around_of(state, keys)
+            around = Around.of(state, looked, blocks, keys)
             further = around.next_state(Search(around.evidence, forced).of(keys), state.follows)
-            moved_m = (further.posed().left().tip_m - state.posed().left().tip_m)[around.rows]
-            if settling.takes(float(np.linalg.norm(moved_m)), SETTLED_sd * around.noise_m):
+            moved_m = (further.posed().left().tip_m - state.posed().left().tip_m)[looked.parts.known]
+            if settling.takes(float(np.linalg.norm(moved_m)), SETTLED_sd * looked.floor.tip_m):
                 state = further
         return state
 
@@ -173,7 +166,7 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Looked, Around, Decisio
     seen: set[frozenset[Key]] = set()
     while True:
         advance("weighing effects", 0.8 - 0.6 / (1.0 + len(seen)))
-        around = around_of(state)
+        around = Around.of(state, looked, blocks)
         blocks = around.blocks
         search = Search(around.evidence, forced)
         found = search.run(starts)
@@ -181,7 +174,7 @@ def _searched(looked: Looked, advance: Advance) -> tuple[Looked, Around, Decisio
         decision = decide(around.evidence, found, apart)
         keys = search.keys(decision.best.members)
         if keys in seen or not keys:
-            return looked, around, decision
+            return around, decision
         seen.add(keys)
         starts = [keys, frozenset(key for key in keys if isinstance(key, EffectName))]
         state = settled(around.next_state(decision.best), keys)

@@ -23,7 +23,7 @@ def holds_on_others(around: Around, best: Weighed, name: EffectName, names: Coll
 
     True where nothing can be left out, and where the tips do not show the effect.
     """
-    labels = parts(around.points, FOLDS)
+    labels = parts(around.looked.points, FOLDS)
     return all(_helps(around, own, name, labels) for own in (best, _laws_alone(around, best, names)))
 
 
@@ -45,8 +45,8 @@ def shows_in_others(around: Around, best: Weighed, block: Block) -> bool:
     What has no name may be of one recording alone; what is there shows in the poses between those that were left out, and
     what a rich fit made of its own noise does not.
     """
-    labels = np.empty(len(around.points), dtype=object)
-    labels[in_turn(around.points)] = [f"{turn % FOLDS}" for turn in range(len(labels))]
+    labels = np.empty(len(around.looked.points), dtype=object)
+    labels[in_turn(around.looked.points)] = [f"{turn % FOLDS}" for turn in range(len(labels))]
     return _helps(around, best, block, labels.astype(str))
 
 
@@ -63,11 +63,11 @@ def _helps(around: Around, best: Weighed, key: Key, labels: npt.NDArray[np.str_]
 
 def _folds(around: Around, labels: npt.NDArray[np.str_]) -> Iterator[tuple[Mask, Mask]]:
     """Poses (m,) that are fitted and those that are left out: every label once, several at a time where there are many."""
-    taken = in_turn(around.points)
-    names = list(dict.fromkeys(labels[taken[around.rows[taken]]].tolist()))
+    taken = in_turn(around.looked.points)
+    names = list(dict.fromkeys(labels[taken[around.looked.parts.known[taken]]].tolist()))
     for first in range(min(FOLDS, len(names))):
         out = np.isin(labels, names[first::FOLDS])
-        yield around.rows & ~out, around.rows & out
+        yield around.looked.parts.known & ~out, around.looked.parts.known & out
 
 
 def _missed(around: Around, found: Weighed, fitted: Mask, left_out: Mask) -> float:
@@ -76,7 +76,7 @@ def _missed(around: Around, found: Weighed, fitted: Mask, left_out: Mask) -> flo
     whole = np.hstack((base, columns))
     spread = [around.evidence.scales[k][0][h] for k, h in found.members]
     precision = np.concatenate([around.linear.precision, *(sd**-2.0 for sd in map(_positive, spread))])
-    values, noise_m = around.linear.y[:, None], around.noise_m
+    values, noise_m = around.linear.y[:, None], around.looked.floor.tip_m
     white = around.linear.whitened(whole, fitted, noise_m)
     y = around.linear.whitened(values, fitted, noise_m)
     x = np.linalg.solve(white.T @ white + np.diag(precision), white.T @ y)

@@ -3,51 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arm_problem.problem import ArmProblem
-from calib.arrays import Array, Mask
+from calib.arrays import Array
 from calib.gap.effects.links import FRAME
 from calib.gap.effects.record import NO_TORQUE_Nm
 from calib.gap.finding import DrawnLaw, EffectName, GapFinding
-from calib.gap.poses.floor import Floor, noise_floor
-from calib.gap.poses.linear import Fit, Left, along_joint, by_joints
+from calib.gap.poses.floor import Floor
+from calib.gap.poses.linear import Fit, along_joint, by_joints
 from calib.gap.poses.recordings import Split
-from calib.gap.poses.state import Around
+from calib.gap.poses.state import Around, Looked
 from calib.gap.posterior.evidence import Weighed
 from calib.gap.posterior.term import Term
 from calib.gap.posterior.told import Told
 from calib.points.points import Points
 from control.model.arm import Arm
-
-
-@dataclass(frozen=True, slots=True)
-class Looked:
-    """What the posterior looks at: the arm, without and with only the loads of the effects that are looked for, the poses and
-    their split, the geometry fitted alone, the noise floor, the outliers `out` (m,), the effects that are left out of the list,
-    sentences about the data, and what other recordings tell.
-    """
-
-    arm: Arm
-    bare_arm: Arm
-    loaded: Arm
-    points: Points
-    parts: Split
-    fit: Fit
-    floor: Floor
-    out: Mask
-    without: Collection[str]
-    warnings: tuple[str, ...]
-    told: Told | None = None
-
-    def refloored(self, left: Left) -> Looked:
-        """With the noise as repeats show it beside what a model leaves: a joint that drifts parts repeats, too."""
-        found = noise_floor(self.arm, self.points, left, self.out)
-        return dataclasses.replace(self, floor=found) if math.isfinite(found.tip_m) else self
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +91,7 @@ def drawn_laws(
 
 def _variable(around: Around, one: Term) -> tuple[Array, str]:
     """The law's own variable at all poses (m,), and its label."""
-    points, joint = around.points, getattr(one.key, "joint", None)
+    points, joint = around.looked.points, getattr(one.key, "joint", None)
     if one.variable.startswith("q") and one.variable[1:].isdigit():
         return np.degrees(points.q_rad[:, int(one.variable[1:]) - 1]), f"{one.variable} [deg]"
     if one.variable == "time":

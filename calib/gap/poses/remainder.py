@@ -26,7 +26,7 @@ def remainders(
         if not own:
             continue
         move = around.moved_m(best, own)
-        size = {"tip_m": rms(move[around.rows])} if move.any() else {}
+        size = {"tip_m": rms(move[around.looked.parts.known])} if move.any() else {}
         blocks = [around.terms[k].words for k in own if not around.terms[k].is_name]
         names = " or ".join(str(key) for key in group if isinstance(key, EffectName))
         unnamed = blocks[0] if blocks else "; ".join(why for key, why in reasons.items() if key in group)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -15,9 +16,11 @@ from calib.gap.effects.links import FRAME, beyond_linear_m
 from calib.gap.effects.record import PoseScene, load_of
 from calib.gap.finding import EffectName, effect_of, with_totals
 from calib.gap.poses.currents import holding_currents
-from calib.gap.poses.floor import flank_covariance
+from calib.gap.poses.floor import Floor, flank_covariance, noise_floor
 from calib.gap.poses.linear import Fit, Left, Linear, by_joints
 from calib.gap.poses.nameless import blocks_of
+from calib.gap.poses.recordings import Split
+from calib.gap.posterior.constants import FLOOR_DOUBT
 from calib.gap.posterior.evidence import Evidence, Weighed
 from calib.gap.posterior.term import Block, Key, Term
 from calib.gap.posterior.told import Told
@@ -76,14 +79,36 @@ def _beside(known: Array | None, more: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
+class Looked:
+    """What the posterior looks at: the arm, without and with only the loads of the effects that are looked for, the poses and
+    their split, the geometry fitted alone, the noise floor, the outliers `out` (m,), the effects that are left out of the list,
+    sentences about the data, and what other recordings tell.
+    """
+
+    arm: Arm
+    bare_arm: Arm
+    loaded: Arm
+    points: Points
+    parts: Split
+    fit: Fit
+    floor: Floor
+    out: Mask
+    without: Collection[str]
+    warnings: tuple[str, ...]
+    told: Told | None = None
+
+    def refloored(self, left: Left) -> Looked:
+        """With the noise as repeats show it beside what a model leaves: a joint that drifts parts repeats, too."""
+        found = noise_floor(self.arm, self.points, left, self.out)
+        return dataclasses.replace(self, floor=found) if math.isfinite(found.tip_m) else self
+
+
+@dataclass(frozen=True, slots=True)
 class Around:
-    """All terms around a state, as the evidence of their sets from the poses `rows`."""
+    """All terms around a state, as the evidence of their sets from the poses that are looked at."""
 
     state: State
-    arm: Arm
-    points: Points
-    rows: Mask
-    noise_m: float
+    looked: Looked
     linear: Linear
     evidence: Evidence
 
@@ -94,37 +119,25 @@ class Around:
 
     @classmethod
     def of(
-        cls,
-        state: State,
-        arm: Arm,
-        points: Points,
-        rows: Mask,
-        noise: tuple[float, float],
-        without: Collection[str],
-        blocks: Sequence[Term] = (),
-        lever_m: float = 0.0,
-        keys: Collection[Key] | None = None,
-        told: Told | None = None,
+        cls, state: State, looked: Looked, blocks: Sequence[Term] = (), keys: Collection[Key] | None = None
     ) -> Around:
-        """`arm`: without the effects that are looked for; `noise`: floor [m] and its doubt; `blocks`: of a look before.
-
-        `lever_m`: of a tip's noise over an orientation's; 0: orientations are not used. `keys`: only these terms. `told`: by
-        other recordings of the arm.
-        """
+        """`blocks`: of a look before; `keys`: only these terms."""
+        arm, points, floor = looked.bare_arm, looked.points, looked.floor
         scene = PoseScene.of(state.fit.shaped(arm), state.loaded, points, state.joint_rad)
         effects: Collection[str] = EFFECTS.keys()
         if keys is not None:  # of those left out of the list the keys are blocks
             effects = {key.effect if isinstance(key, EffectName) else key.variable for key in keys}
-        names = [_unlisted(one, without) for one in pose_terms(scene, effects)]
+        names = [_unlisted(one, looked.without) for one in pose_terms(scene, effects)]
         terms = [
             one for one in (*names, *(blocks or blocks_of(scene, names))) if keys is None or one.key in keys
         ]
-        linear = Linear.around(state.posed(), lever_m, terms, state.linear, state.weight, state.follows)
+        linear = Linear.around(state.posed(), floor.lever_m, terms, state.linear, state.weight, state.follows)
         held = holding_currents(state.fit, arm, points, state.turn_rad, terms)
-        gram = linear.projected(rows, noise[0], None if held is None else held.seen(rows))
-        if told is not None:
-            gram = told.beside(gram, terms, linear.columns_of_terms)
-        return cls(state, arm, points, rows, noise[0], linear, Evidence(gram, terms, noise[1]))
+        rows = looked.parts.known
+        gram = linear.projected(rows, floor.tip_m, None if held is None else held.seen(rows))
+        if looked.told is not None:
+            gram = looked.told.beside(gram, terms, linear.columns_of_terms)
+        return cls(state, looked, linear, Evidence(gram, terms, max(floor.doubt, FLOOR_DOUBT)))
 
     @property
     def blocks(self) -> tuple[Term, ...]:
@@ -145,7 +158,7 @@ class Around:
     def _solved(self, found: Weighed) -> tuple[Fit, Left]:
         size, _ = self.evidence.estimate(found.members, found.kappa)
         move, linear = self.columns([k for k, _ in found.members]) @ size, self.linear
-        x = linear.geometry(self.rows, self.noise_m * found.kappa, move)
+        x = linear.geometry(self.looked.parts.known, self.looked.floor.tip_m * found.kappa, move)
         return self.state.fit.at(x), linear.measured.left(linear.y - linear.base @ x - move)
 
     def moved_m(self, found: Weighed, numbers: Sequence[int]) -> Array:
@@ -166,21 +179,21 @@ class Around:
 
     def gravity_Nm(self) -> Array | None:
         """Gravity's torques under the loads found, (m, n); None for an arm without masses."""
-        return load_of(self.state.loaded, self.points, self.state.joint_rad)
+        return load_of(self.state.loaded, self.looked.points, self.state.joint_rad)
 
     def next_state(self, found: Weighed, follows: Array | None = None) -> State:
         """Linearised anew around a set, its laws evaluated at the geometry and loads found with it.
 
         `follows`: as of a state of the same set before, near enough; else it is found anew, where laws follow the geometry.
         """
-        linear = self.linear
+        linear, looked, noise_m = self.linear, self.looked, self.looked.floor.tip_m
         fit, _ = self._solved(found)
         beyond, extra = np.zeros_like(self.state.moved), np.zeros_like(linear.weight)
         acting, loads = [], []
         for number, own in self.evidence.sizes(found).items():
             one = self.terms[number]
             acting.append((one, own))
-            extra += flank_covariance(linear.measured, one, float(own[0]) / self.noise_m)
+            extra += flank_covariance(linear.measured, one, float(own[0]) / noise_m)
             if one.key == EffectName(FRAME):
                 beyond[:, :3] += beyond_linear_m(one, own, fit.problem.references_m)
             if isinstance(one.key, EffectName) and is_load(one.key.effect) and one.parameters is not None:
@@ -192,7 +205,7 @@ class Around:
 
         def moves(there: Fit, turn_rad: Array) -> tuple[Array, Array]:
             scene = PoseScene.of(
-                there.shaped(self.arm), there.shaped(loaded), self.points, encoder_rad + turn_rad
+                there.shaped(looked.bare_arm), there.shaped(loaded), looked.points, encoder_rad + turn_rad
             )
             # each as it is there, or itself if it is not there
             same = {(one.key, one.variant, one.count): one for one in reversed(pose_terms(scene, effects))}
@@ -208,8 +221,8 @@ class Around:
             return np.asarray(np.einsum("mn,min->mi", turned, by_joint) + shifted)
 
         here = at_tip(turn, moved)
-        change_m = (here - at_tip(*before))[self.rows, :3]
-        if follows is None and float(np.linalg.norm(change_m)) > self.noise_m:
+        change_m = (here - at_tip(*before))[looked.parts.known, :3]
+        if follows is None and float(np.linalg.norm(change_m)) > noise_m:
             # with the arm's shape, of which the unknowns of frames and boards are none
             frames = {name for frame in fit.problem.free_frames for name in frame.parameter_names}
             follows = np.zeros((*moved.shape, len(fit.x)))
