@@ -52,7 +52,7 @@ class Gram:
     left: float
     freedom: float
 
-    def among(self, rows: Array, columns: Array, kappa: float = 1.0) -> Array:
+    def among(self, rows: Places, columns: Places, kappa: float = 1.0) -> Array:
         """G of some columns with others, by tips whose noise is `kappa` times the floor and by currents; of all it is large."""
         across = np.ix_(rows, columns)
         return np.asarray(self.tip[across] / kappa**2 + self.current[across])
