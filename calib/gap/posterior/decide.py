@@ -32,7 +32,7 @@ from calib.gap.posterior.constants import (
     MOSTLY_sd,
     SURE_sd,
 )
-from calib.gap.posterior.evidence import Evidence, Weighed
+from calib.gap.posterior.evidence import Evidence, Places, Weighed
 from calib.gap.posterior.term import Block, Key, Term
 
 
@@ -354,14 +354,12 @@ def nameable(evidence: Evidence) -> tuple[Nameable, ...]:
     return tuple(found)
 
 
-def _taken(evidence: Evidence, columns: Array, rival: int) -> Array:
+def _taken(evidence: Evidence, columns: Places, rival: int) -> Array:
     """What a rival takes at most of G's diagonal at `columns`: all that the root mean square of what is left needs."""
     at, one = evidence.places[rival], evidence.terms[rival]
     sd = np.full(len(at), RIVAL_LEVEL)
     sd[one.laws : one.laws + one.departures] *= RIVAL_DEPARTURE
-    across = sd[:, None] * evidence.gram.among(at, columns)
-    inner = np.eye(len(at)) + sd[:, None] * evidence.gram.among(at, at) * sd
-    return np.asarray(np.einsum("ij,ij->j", across, np.linalg.solve(inner, across)))
+    return np.asarray(np.sum(evidence.taken(at, sd, columns, 1.0)[:, :-1] ** 2, axis=0))
 
 
 def _detectability(seen: Array) -> float:
