@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import select
 import socket
 import subprocess
@@ -60,6 +61,7 @@ class MockProcess(Closing):
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
+                env=os.environ | {"MUJOCO_GL": "disable"},  # else it starts a Python that looks for windows
             )
         try:
             announcement = self._announcement()
