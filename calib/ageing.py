@@ -94,24 +94,12 @@ def geometry_of(problem: ArmProblem, found: Identification) -> GeometryRecord:
     inner = known.basis.T @ known.covariance(found.noise.variance_m2) @ known.basis
     information = known.basis @ np.linalg.inv(inner) @ known.basis.T
     bounded = [k for k, one in enumerate(problem.parameters) if one.has_bound]
-    free = [k for k, one in enumerate(problem.parameters) if not one.has_bound]
-    own = _without(information, bounded, free)
+    own = _about(information, bounded)
     return GeometryRecord(
         tuple(problem.parameters[k].name for k in bounded),
         tuple(found.estimates[k].value for k in bounded),
         tuple(problem.parameters[k].scale for k in bounded),
         tuple(tuple(float(f"{value:.{DIGITS}g}") for value in row) for row in own),
-    )
-
-
-def _without(information: Array, kept: list[int], dropped: list[int]) -> Array:
-    """The information about `kept`, whatever the `dropped` ones are (Schur complement)."""
-    own = information[np.ix_(kept, kept)]
-    if not dropped:
-        return own
-    across = information[np.ix_(kept, dropped)]
-    return np.asarray(
-        own - across @ np.linalg.pinv(information[np.ix_(dropped, dropped)], hermitian=True) @ across.T
     )
 
 

@@ -19,12 +19,11 @@ from calib.arrays import Array, frozen, norms
 from calib.errors import PointsFileError, RegistrationError
 from calib.points.points import COVARIANCE, ORIENTATION, TIP
 from calib.points.reading import IMPORT
-from calib.results import Provenance, array_in, read_json, write_json
+from calib.results import DECIMALS, Provenance, array_in, read_json, write_json
 from control.tables import TableColumn, TableFormat, read_table
 
 FORMAT = "boards/1"
 SD_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-DECIMALS = 12
 ROTATION_TOLERANCE = 1e-6  # of rotation @ rotation.T - 1
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -20,6 +20,8 @@ import numpy as np
 from calib.arrays import Array, frozen
 from control.files import parsed_json, read_text, write_whole
 from control.model.arm import Arm, Calibration
+
+DECIMALS: Final = 12  # of a metre or a radian, in result files
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ from calib.identify.linear_fit import tilted_axes
 from calib.identify.objective import Objective, SumOfDistances
 from calib.identify.outliers import Suspects, find_suspects
 from calib.points.points import STREAM_FRAME, Points, matrices_of, triangles
-from calib.results import Provenance, entries, write_json
+from calib.results import DECIMALS, Provenance, entries, write_json
 from calib.settling import FITS_MOST, Settling
 from calib.validation.holdout import HeldOut, Prediction, held_out
 from calib.validation.verdict import NoiseFloor, Verdict, noise_floor, verdict
@@ -271,9 +271,6 @@ def points_in_base(made: Calibrated) -> Points | None:
 
 
 # Results of a calibration besides the report: the calibrated arm.toml and calibration.json.
-
-
-DECIMALS = 12  # of a metre or a radian, in calibration.json
 
 
 def write_calibrated_arm(

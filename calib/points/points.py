@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ REQUIRED = ("setup", "point", "repeat")
 TIP = ("x_m", "y_m", "z_m")
 ORIENTATION = ("qw", "qx", "qy", "qz")
 SCALARS = ("t_s", "payload_kg")
+ARRAYS = ("q_rad", "tip_m", "direction", "current_A", *SCALARS, "orientation", "covariance")  # of all poses
 # In the column `frame`: positions and orientations are in a frame of unknown place, of a camera (files of
 # `armwright camera`), or of the arm's [camera.stream], which a calibration then places.
 CAMERA_FRAME, STREAM_FRAME = OWN_FRAMES = ("camera", "stream")
@@ -87,22 +89,12 @@ class Points:
 
     def chosen(self, rows: Sequence[int] | npt.NDArray[np.intp]) -> Points:
         """The poses of these rows, in this order."""
-        k = [int(row) for row in rows]
-        some = make_points(
-            [self.setup[i] for i in k],
-            [self.point[i] for i in k],
-            [self.repeat[i] for i in k],
-            self.q_rad[k],
-            self.tip_m[k],
-            self.direction[k],
-            self.current_A[k],
-            self.t_s[k],
-            self.payload_kg[k],
-            {name: tuple(column[i] for i in k) for name, column in self.extra.items()},
-            self.orientation[k],
-            self.covariance[k],
-        )
-        return replace(some, is_as_given=self.is_as_given, began_s=self.began_s, lines=self.lines[k])
+        k = np.asarray(rows, dtype=np.intp)
+        whole: dict[str, Any] = {name: _known(own := getattr(self, name)[k], own.shape) for name in ARRAYS}
+        for name in REQUIRED:
+            whole[name] = tuple(getattr(self, name)[row] for row in k.tolist())
+        extra = {name: tuple(column[row] for row in k.tolist()) for name, column in self.extra.items()}
+        return replace(self, **whole, extra=MappingProxyType(extra), lines=self.lines[k])
 
 
 def make_points(
@@ -156,25 +148,19 @@ def joined(parts: Sequence[Points]) -> Points:
     if not others:
         return first
     shared = [name for name in first.extra if all(name in part.extra for part in others)]
-    whole = make_points(
-        [name for part in parts for name in part.setup],
-        [name for part in parts for name in part.point],
-        [number for part in parts for number in part.repeat],
-        np.concatenate([part.q_rad for part in parts]),
-        np.concatenate([part.tip_m for part in parts]),
-        np.concatenate([part.direction for part in parts]),
-        np.concatenate([part.current_A for part in parts]),
-        np.concatenate([part.t_s for part in parts]),
-        np.concatenate([part.payload_kg for part in parts]),
-        {name: tuple(cell for part in parts for cell in part.extra[name]) for name in shared},
-        np.concatenate([part.orientation for part in parts]),
-        np.concatenate([part.covariance for part in parts]),
-    )
-    began_s = float(np.fmin.reduce([part.began_s for part in parts]))
+    whole: dict[str, Any] = {
+        name: tuple(word for part in parts for word in getattr(part, name)) for name in REQUIRED
+    }
+    for name in ARRAYS:
+        own = np.concatenate([getattr(part, name) for part in parts])
+        whole[name] = _known(own, own.shape)
+    extra = {name: tuple(cell for part in parts for cell in part.extra[name]) for name in shared}
     return replace(
-        whole,
+        first,
+        **whole,
+        extra=MappingProxyType(extra),
         is_as_given=all(part.is_as_given for part in parts),
-        began_s=began_s,
+        began_s=float(np.fmin.reduce([part.began_s for part in parts])),
         lines=np.concatenate([part.lines for part in parts]),
     )
 
