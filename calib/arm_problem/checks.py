@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arm_problem.assembly import Choice, problem_of, referenced
-from calib.arm_problem.misread.other_arm import doubts_of_arm
-from calib.arm_problem.misread.points import AS_GIVEN, Doubt, doubts_of_reading, doubts_of_turns
+from calib.arm_problem.misread import AS_GIVEN, Doubt, doubts_of_arm, doubts_of_reading, doubts_of_turns
 from calib.arm_problem.problem import ArmProblem
 from calib.arrays import Array
 from calib.errors import UnusablePointsError

@@ -202,7 +202,7 @@ def read_recordings(
     """All files, read strictly; CalibrationError where one cannot be used, or where there is none.
 
     `current_unit`: one of calib.gap.log.UNITS, in which the columns i1_A ... are written. `is_as_given`: the points mean what
-    they say (`calib.arm_problem.misread.points`).
+    they say (`calib.arm_problem.misread`).
     """
     motors = with_ideal_drives(arm) if current_unit == TORQUES else arm
     if current_unit != AMPERES:

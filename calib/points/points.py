@@ -38,7 +38,7 @@ class Points:
     unknown. orientation (m, 4): unit quaternion w, x, y, z of the measured target in the same frame as tip_m, NaN where not
     measured. covariance (m, 12): of the position and of the orientation, upper triangles as in calib.points.points, NaN where
     unknown. `extra` holds columns beyond the format, as text. is_as_given: the user said that the file means what it says,
-    whatever it looks like (`calib.arm_problem.misread.points`). began_s: when the recording began of which these are poses, by
+    whatever it looks like (`calib.arm_problem.misread`). began_s: when the recording began of which these are poses, by
     default the earliest of them, NaN without times. lines (m,): of the poses in their file, for errors.
     """
 

@@ -8,7 +8,7 @@ import pytest
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import Choice, problem_of
 from calib.arm_problem.checks import require_columns_meant, require_sound, require_usable
-from calib.arm_problem.misread.other_arm import doubts_of_arm
+from calib.arm_problem.misread import doubts_of_arm
 from calib.arm_problem.observations import Observations
 from calib.arm_problem.problem import ArmProblem
 from calib.errors import CalibrationError, UnusablePointsError

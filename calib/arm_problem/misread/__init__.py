@@ -1,1 +1,0 @@
-"""Is the file what its columns say: units, signs, columns, zeros, and the right arm?"""
