@@ -1,188 +1,283 @@
-"""Gears seen directly: how far a motor is ahead of its joint, where both have an encoder, as a channel of the posterior.
+"""Gears seen directly: how far a motor is ahead of its joint, where both have an encoder, by what the gear transmits.
 
-With the joint's own encoder the link's motion is measured, and with it the torque tau that the gear gives it. A pair of counts is
-then like a pose whose gear carries tau in place of gravity's torque alone, and
+With the joint's own encoder the link's motion is measured, and with it the torque tau that the gear gives it. At each pair of
+counts
 
-    lead = a - s x + q' t + noise          [rad],
+    lead = a + c (tau + r) + w/2 flank(tau + r) - b q2 + t q'          [rad]
 
-with the laws s of a spring, a play and a belt that poses have too: their sizes x, every friction behind the gear that lays it on
-other flanks, and how sure each flank is (`effects/gear.py`, `effects/encoder.py`). Free beside them are the offset a of each run,
-as leads begin anew when drives come on, and the time t between the two counts. No other channel sees these effects of a joint
-whose encoder is behind its gear, and no lead sees another joint's: the evidence of its leads is all there is of a gear, and sets
-are weighed as everywhere. The noise of a pair is that of the counts' steps and moments, of the flank that it may not lie on, and
-of friction, which holds a soft gear anywhere in its band; what is left is whitened as rows of time series are
-(`residuals/whitening.py`). No motor's current is needed.
+with the compliance c of its spring [rad/(N m)], its play w [rad], the ratio b of a belt that passes joint 3, the time t between
+the two counts [s], and the friction r = f sgn(q') on the link, behind the gear, which stays as it was at rest.
+flank(x) = tanh(x / (u max |x|)): a link without load may lie on either, so that a pair's variance is that of the counts' steps,
+of the moments at which they were made, and w^2/4 (1 - flank^2). f and u are searched; a is one for all runs, or one for each, as
+the data say: leads begin anew when drives come on. Nothing is simulated, and no motor's current is needed.
+
+The sets of {c, w, b} are weighed by the Bayesian information criterion (Schwarz, 1978), with as many independent samples as the
+autocorrelation of what is left leaves, and by the prior of a name. An effect is named whose sets have nearly all of the weight,
+as everywhere in gap, if they also predict pairs better that were not fitted.
 """
 
 from __future__ import annotations
 
-import dataclasses
+import itertools
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array, rms
-from calib.gap.effects.catalogue import pose_terms, series_of
-from calib.gap.effects.record import PoseScene
-from calib.gap.finding import EffectName, NamedEffect, as_total
+from calib.arrays import Array
+from calib.gap.effects.gear import LOOSE, SPRING
+from calib.gap.finding import EffectName, NamedEffect
 from calib.gap.log import Log, LoggedRun
-from calib.gap.posterior.constants import FLOOR_DOUBT
-from calib.gap.posterior.decide import decide, estimated, nameable
-from calib.gap.posterior.evidence import Evidence, Gram, Member
-from calib.gap.posterior.search import Search
-from calib.gap.residuals.rows import SLOW_rad_s
-from calib.gap.residuals.whitening import Noise, RowOrder, fitted
+from calib.gap.posterior.constants import CERTAIN, NAME_PRIOR
 from calib.gap.signals.filters import filters_for
-from calib.points.points import make_points
-from control.dynamics.static_pose import moving_Nm, resting
+from control.dynamics.dynamics import Dynamics
 from control.errors import MissingModel
 from control.model.arm import Arm
+from control.model.effects import COUPLED, COUPLED_TO
 
-GEARS = ("joint_compliance", "backlash", "belt_coupling")
+FRICTIONS = (
+    0.0,
+    0.01,
+    0.02,
+    0.03,
+    0.05,
+    0.07,
+    0.1,
+    0.14,
+    0.2,
+    0.3,
+    0.4,
+)  # f, of the largest torque that is transmitted
+UNCERTAIN = (0.01, 0.03, 0.1)  # u: within it a flank is not certain
+FEWEST = 50  # pairs of counts
 LATE_s = 0.007  # within which the motor's board answers, evenly
+PASSES = 3  # of a fit: how sure a flank is goes by the play
+TURNS_rad_s = 0.02  # as fast as this, friction has its full size
+SMALLEST = {
+    "joint_compliance": SPRING.smallest,
+    "backlash": LOOSE.smallest,
+    "belt_coupling": LOOSE.smallest,
+}  # worth a name
+LAW = {"joint_compliance": "stiffness_Nm_rad", "backlash": "width_rad", "belt_coupling": "ratio"}
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """The m pairs of counts of a joint, run after run, and how the arm moves at them.
+    """The pairs of one joint (0-based), m over all runs: lead, torque without rotor, speed, angle of joint 2, number of run."""
 
-    `lead_rad` (m,) with the deviation `sd_rad` of its steps and moments, in `order`; `free` (m, k): what is in every lead
-    besides; `scene`: the arm at them, its encoder taken to be the motor's.
-    """
-
+    joint: int
     lead_rad: Array
-    sd_rad: Array
-    order: RowOrder
-    free: Array
-    scene: PoseScene
-
-    @classmethod
-    def of(cls, arm: Arm, log: Log, j: int) -> Pairs | None:
-        """Of joint j (0-based); None where no motion has any."""
-        parts = [part for number, run in enumerate(log.runs) for part in _of_run(run, j, number)]
-        if not parts:
-            return None
-        lead, at, q, speed, acceleration, last, payload = map(np.concatenate, zip(*parts, strict=True))
-        run, sample = at.T.astype(np.intp)
-        drive, motor = arm.drives[j], arm.drives[j].at_motor
-        steps_rad = [2.0 * math.pi / one.counts_per_joint_turn for one in (drive, motor)]
-        sd = np.sqrt((sum(step**2 for step in steps_rad) + (LATE_s * speed[:, j]) ** 2) / 12.0)
-        kept = tuple(one for one in arm.effects if one.effect not in GEARS)
-        bare = dataclasses.replace(
-            arm, drives=tuple(motor if one is drive else one for one in arm.drives), effects=kept
-        )
-        nowhere, names = np.full((len(q), 3), np.nan), [str(k) for k in range(len(q))]
-        points = make_points(names, names, [1] * len(q), q, nowhere, last, payload_kg=payload)
-        moving = moving_Nm(bare, q, speed, acceleration, payload)
-        scene = PoseScene(bare, bare, points, q, resting(bare, q, last, None, payload, moving))
-        order = RowOrder.of(run, sample, int(np.median(np.diff(sample))), 1)
-        offsets = run[:, None] == np.unique(run)
-        return cls(lead, sd, order, np.column_stack((speed[:, j], offsets)), scene)
-
-    def gram(self, columns: Array, variance: Array, noise: Noise) -> Gram:
-        """What evidence needs of columns (m, c), where pairs have a variance (m,)."""
-        count = self.free.shape[1]
-        rows = np.column_stack((self.free, columns, self.lead_rad)) / np.sqrt(variance)[:, None]
-        white = self.order.whitened(rows, noise)
-        base, rest = np.linalg.qr(white[:, :count])[0], white[:, count:]
-        rest -= base @ (base.T @ rest)
-        seen = rest.T @ rest
-        none = np.zeros_like(seen)[:-1]
-        freedom = float(len(rows) - count)
-        return Gram(seen[:-1, :-1], seen[:-1, -1], none[:, :-1], none[:, -1], float(seen[-1, -1]), freedom)
-
-    def left_rad(self, moved_rad: Array, variance: Array) -> Array:
-        """What moves (m,) and what is free leave of the leads, (m,)."""
-        left, weight = self.lead_rad - moved_rad, variance**-0.5
-        return np.asarray(left - self.free @ np.linalg.lstsq(weight[:, None] * self.free, weight * left)[0])
+    torque_Nm: Array
+    speed_rad_s: Array
+    direction: Array  # of the last motion: a link that rests is held by friction as it was before
+    q2_rad: Array
+    run: Array
+    begun: Array  # which offset it has
+    sd_rad: Array  # by the steps of both encoders, and by the time between the two counts, which varies
 
 
-def _of_run(run: LoggedRun, j: int, number: int) -> Iterator[tuple[Array, ...]]:
-    """Lead, run, sample, angles, speeds, accelerations, last directions and payload at each pair, but for the ends, where filters
-    see too little.
+@dataclass(frozen=True, slots=True)
+class Flank:
+    """How a link lies in its gear: the friction behind it [N m], and u."""
+
+    friction_Nm: float
+    uncertain: float
+
+
+@dataclass(frozen=True, slots=True)
+class GearFit:
+    """A set of effects fitted by least squares: coefficients, their covariance for independent samples, what is left (m,).
+
+    What is left is in standard deviations of each pair.
     """
-    column = run.extra.get(f"lead{j + 1}_rad")
+
+    effects: tuple[str, ...]
+    flank: Flank
+    found: Array
+    covariance: Array
+    left: Array
+    log_sd: float  # mean logarithm of the pairs' variances
+
+    @property
+    def variance(self) -> float:
+        """Of what is left; none for a spring or play below nought, which no gear has."""
+        signed = [
+            value
+            for value, effect in zip(self.found, self.effects, strict=False)
+            if effect != "belt_coupling"
+        ]
+        if any(value <= 0.0 for value in signed):
+            return math.inf
+        return max(float(np.mean(self.left**2)), 1e-30) * math.exp(self.log_sd)
+
+    @property
+    def independent(self) -> float:
+        """How many samples are as good as independent, by the correlation of neighbours."""
+        left = self.left
+        alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-30)
+        alike = min(max(alike, 0.0), 0.999)
+        return max(len(left) * (1.0 - alike) / (1.0 + alike), 2.0)
+
+
+def gears_by_leads(arm: Arm, log: Log) -> tuple[NamedEffect, ...]:
+    """What the leads of a log (columns `lead1_rad` ...) show of the gears between two encoders; nothing where there are none."""
+    try:
+        dynamics = Dynamics(arm)
+    except MissingModel:
+        return ()
+    named: list[NamedEffect] = []
+    for j, drive in enumerate(arm.drives):
+        if drive.motor_counts_per_rev is not None and (pairs := _pairs(arm, dynamics, log, j)) is not None:
+            named += _named(arm, pairs)
+    return tuple(named)
+
+
+def _pairs(arm: Arm, dynamics: Dynamics, log: Log, joint: int) -> Pairs | None:
+    found = [part for k, run in enumerate(log.runs) for part in _of_run(arm, dynamics, run, joint, k)]
+    if sum(len(part[0]) for part in found) < FEWEST:
+        return None
+    lead, torque, speed, direction, q2, run = (np.concatenate(column) for column in zip(*found, strict=True))
+    steps_rad = (
+        2.0 * math.pi / one.counts_per_joint_turn for one in (arm.drives[joint], arm.drives[joint].at_motor)
+    )
+    sd_rad = np.sqrt((sum(step**2 for step in steps_rad) + (LATE_s * speed) ** 2) / 12.0)
+    return Pairs(joint, lead, torque, speed, direction, q2, run, np.zeros(len(run)), sd_rad)
+
+
+def _of_run(
+    arm: Arm, dynamics: Dynamics, run: LoggedRun, joint: int, number: int
+) -> Iterator[tuple[Array, ...]]:
+    """Lead, torque, speed, angle of joint 2 and the run's number at each pair, but for the ends, where filters see too little."""
+    column = run.extra.get(f"lead{joint + 1}_rad")
     if column is None or len(run) < 3:
         return
     lead_rad = np.array([float(text) if text else math.nan for text in column])
     period_s = float(np.median(np.diff(run.t_s)))
     filters = filters_for(1.0 / period_s)
     t_s = np.arange(run.t_s[0], run.t_s[-1], period_s)
-    states = filters.states(np.stack([np.interp(t_s, run.t_s, q) for q in run.q_rad.T], axis=1))
+    q, speed, acceleration = filters.states(
+        np.stack([np.interp(t_s, run.t_s, q) for q in run.q_rad.T], axis=1)
+    )
+    payload_kg = np.interp(t_s, run.t_s, run.payload_kg)
+    drive = arm.drives[joint]
+    torque = dynamics.torques(q, speed, acceleration, payload_kg)[:, joint]
+    torque -= drive.gear_ratio**2 * drive.rotor_inertia_kg_m2 * acceleration[:, joint]
     edge_s = len(filters.state[0]) // 2 * period_s
     is_seen = np.isfinite(lead_rad) & (run.t_s > t_s[0] + edge_s) & (run.t_s < t_s[-1] - edge_s)
-    # off or braked, it may be in a hand or at its end stop: that torque is not the gear's
-    if run.is_commanded:
-        is_seen &= np.nan_to_num(run.voltage_V[:, j]) != 0.0
+    if (
+        run.is_commanded
+    ):  # off or braked, it may be in a hand or at its end stop: that torque is not the gear's
+        is_seen &= np.nan_to_num(run.voltage_V[:, joint]) != 0.0
     seen = np.flatnonzero(is_seen)
-    moves = np.where(np.abs(states[1]) > SLOW_rad_s, np.sign(states[1]), 0.0)
-    at_last = np.maximum.accumulate(np.where(moves != 0.0, np.arange(len(moves))[:, None], 0), axis=0)
-    # a link that rests is held by friction as it was before
-    last = np.take_along_axis(moves, at_last, axis=0)
-
-    def at(values: Array) -> Array:
-        return np.stack([np.interp(run.t_s[seen], t_s, one) for one in values.T], axis=1)
-
-    if len(seen):
-        which = np.column_stack((np.full(len(seen), float(number)), seen))
-        yield lead_rad[seen], which, *map(at, states), np.sign(at(last)), run.payload_kg[seen]
+    at_s = run.t_s[seen]
+    second = q[:, COUPLED_TO - 1] if q.shape[1] >= COUPLED_TO else np.zeros(len(q))
+    moves = np.where(np.abs(speed[:, joint]) > TURNS_rad_s, np.sign(speed[:, joint]), 0.0)
+    last = np.maximum.accumulate(np.where(moves != 0.0, np.arange(len(moves)), 0))
+    beside = (np.interp(at_s, t_s, values) for values in (torque, speed[:, joint], moves[last], second))
+    yield lead_rad[seen], *beside, np.full(len(seen), float(number))
 
 
-def gears_by_leads(arm: Arm, log: Log) -> tuple[NamedEffect, ...]:
-    """What the leads of a log (columns `lead1_rad` ...) show of the gears between two encoders; nothing where there are none."""
-    try:
-        found = [
-            (j, pairs)
-            for j, drive in enumerate(arm.drives)
-            if drive.motor_counts_per_rev is not None and (pairs := Pairs.of(arm, log, j)) is not None
-        ]
-    except MissingModel:
-        return ()
-    return tuple(name for j, pairs in found for name in _named(arm, pairs, j))
-
-
-def _named(arm: Arm, pairs: Pairs, j: int) -> Iterator[NamedEffect]:
-    """The effects of the gear of joint j (0-based) that stand, with their totals."""
-    shown = [one for one in pose_terms(pairs.scene, GEARS) if getattr(one.key, "acts_on", None) == j + 1]
-    terms = [one.law_alone() for one in shown]  # a play that grows with the load is a spring to any lead
-    columns = -np.concatenate([one.slope_rad[:, :, j] for one in terms if one.slope_rad is not None]).T
-    held = 0.0 if pairs.scene.pose is None else pairs.scene.pose.held_Nm[:, j] ** 2
-    wavers = [
-        held * (one.key == EffectName("joint_compliance", j + 1)) if one.doubt is None else one.doubt
-        for one in terms
-    ]
-
-    def variance(sizes: Mapping[int, Array]) -> Array:
-        """Of every pair, (m,), beside effects of these sizes by their terms' numbers."""
-        moved = (wavers[k] * (terms[k].size * size[0]) ** 2 for k, size in sizes.items())
-        return np.asarray(sum(moved, pairs.sd_rad**2))
-
-    noise, tried = Noise.white(int(pairs.order.run[-1]) + 1), set[tuple[Member, ...]]()
-    usual = variance({k: np.ones(1) for k in {one.key: k for k, one in enumerate(terms)}.values()})
-    before, own_variance = rms(pairs.left_rad(np.zeros(len(columns)), usual)), usual
-    while True:
-        evidence = Evidence(pairs.gram(columns, own_variance, noise), terms, FLOOR_DOUBT)
-        apart = {one.name: one.confusable_with for one in nameable(evidence)}
-        decision = decide(evidence, Search(evidence).run(), apart)
-        sizes, moved = evidence.sizes(decision.best), np.zeros(len(columns))
-        for number, size in sizes.items():
-            moved += columns[:, evidence.places[number]] @ size
-        own_variance = variance(sizes)
-        left = pairs.left_rad(moved, own_variance)
-        noise = fitted(pairs.order, left / np.sqrt(own_variance), np.ones(len(left), dtype=bool))
-        if decision.best.members in tried:
-            break
-        tried.add(decision.best.members)
-    for name in decision.names:
-        own, series = estimated(evidence, decision.best, name), series_of(name.effect)
-        if series is None or float(np.linalg.norm(own.value)) < series.form.smallest:
+def _named(arm: Arm, pairs: Pairs) -> Iterator[NamedEffect]:
+    """The effects that stand, with their values from all runs."""
+    runs = np.unique(pairs.run)
+    kept = np.isin(pairs.run, runs[2::3]) if len(runs) > 2 else _last_third(pairs.run)
+    effects = ["joint_compliance", "backlash", *(["belt_coupling"] if pairs.joint == COUPLED - 1 else [])]
+    sets = [some for size in range(len(effects) + 1) for some in itertools.combinations(effects, size)]
+    with_own = replace(pairs, begun=pairs.run)
+    richest = [_best(one, sets[-1], ~kept) for one in (pairs, with_own)]
+    independent = min(richest, key=lambda fit: fit.variance).independent
+    a_value = math.log(independent)
+    costs = [independent * math.log(fit.variance) + a_value * len(fit.found) for fit in richest]
+    pairs = pairs if costs[0] <= costs[1] else with_own
+    tried = [_best(pairs, some, ~kept) for some in sets]
+    a_name = a_value - 2.0 * math.log(NAME_PRIOR)
+    criteria = np.array([independent * math.log(fit.variance) + a_name * len(fit.effects) for fit in tried])
+    weights = np.exp(-0.5 * (criteria - criteria.min()))
+    inclusion = {one: float(weights[[one in some for some in sets]].sum() / weights.sum()) for one in effects}
+    fit = tried[sets.index(tuple(one for one in effects if inclusion[one] >= CERTAIN))]
+    before, after = (_predicted_rad(pairs, one, kept) for one in (tried[0], fit))
+    if not after < before:
+        return
+    whole = _fit(pairs, fit.effects, fit.flank, np.ones(len(kept), dtype=bool))
+    sds = np.sqrt(np.diag(whole.covariance) * len(kept) / whole.independent)
+    given = {effect.effect: effect.parameters for effect in arm.effects if effect.joint is None}
+    for effect, value, sd in zip(fit.effects, whole.found.tolist(), sds.tolist(), strict=False):
+        if abs(value) < SMALLEST[effect]:
             continue
-        # of a belt the loop has taken off what the file says
-        known = [one for one in arm.effects if name.joint is None and one.effect == name.effect]
-        parameters = as_total(name.effect, known[0].parameters, own.parameters) if known else own.parameters
-        yield NamedEffect(
-            name, parameters, rms(left) / before, {"lead_before_rad": before, "lead_after_rad": rms(left)},
-            decision.probability[name],
-        )  # fmt: skip
+        name = EffectName(effect, None if effect == "belt_coupling" else pairs.joint + 1)
+        if effect == "joint_compliance":
+            value, sd = 1.0 / value, sd / value**2
+        elif effect == "belt_coupling":  # the loop has taken off what the file says of it
+            value += given.get(effect, {}).get("ratio", 0.0)
+        evidence = {"lead_before_rad": before, "lead_after_rad": after}
+        yield NamedEffect(name, {LAW[effect]: (value, sd)}, after / before, evidence, inclusion[effect])
+
+
+def _last_third(run: Array) -> np.ndarray:
+    """The later part of each of few runs."""
+    kept = np.zeros(len(run), dtype=bool)
+    for one in np.unique(run):
+        rows = np.flatnonzero(run == one)
+        kept[rows[2 * len(rows) // 3 :]] = True
+    return kept
+
+
+def _best(pairs: Pairs, effects: tuple[str, ...], rows: np.ndarray) -> GearFit:
+    """The fit with the likeliest flanks."""
+    largest_Nm = float(np.abs(pairs.torque_Nm).max())
+    flanks = [Flank(share * largest_Nm, u) for share in FRICTIONS for u in UNCERTAIN]
+    fits = [_fit(pairs, effects, flank, rows) for flank in (flanks if effects else flanks[:1])]
+    return min(fits, key=lambda fit: fit.variance)
+
+
+def _loaded_Nm(pairs: Pairs, flank: Flank) -> Array:
+    return np.asarray(pairs.torque_Nm + flank.friction_Nm * pairs.direction)
+
+
+def _side(loaded_Nm: Array, flank: Flank) -> Array:
+    return np.asarray(np.tanh(loaded_Nm / (flank.uncertain * np.abs(loaded_Nm).max())))
+
+
+def _columns(pairs: Pairs, effects: Sequence[str], flank: Flank) -> Array:
+    """Of the effects, of the counts' moments, and of the offsets: (m, k)."""
+    loaded_Nm = _loaded_Nm(pairs, flank)
+    laws = {
+        "joint_compliance": loaded_Nm,
+        "backlash": 0.5 * _side(loaded_Nm, flank),
+        "belt_coupling": -pairs.q2_rad,
+    }
+    offsets = (pairs.begun[:, None] == np.unique(pairs.begun)[None]).astype(np.float64)
+    return np.column_stack([*(laws[effect] for effect in effects), pairs.speed_rad_s, offsets])
+
+
+def _sd_rad(pairs: Pairs, effects: tuple[str, ...], flank: Flank, found: Array) -> Array:
+    """Of each pair, with the doubt about its flank: it may lie on the other one, half a play away from where none lies."""
+    if "backlash" not in effects:
+        return pairs.sd_rad
+    half_rad = 0.5 * found[effects.index("backlash")]
+    return np.asarray(
+        np.hypot(pairs.sd_rad, half_rad * np.sqrt(1.0 - _side(_loaded_Nm(pairs, flank), flank) ** 2))
+    )
+
+
+def _fit(pairs: Pairs, effects: tuple[str, ...], flank: Flank, rows: np.ndarray) -> GearFit:
+    whole, sd_rad = _columns(pairs, effects, flank), pairs.sd_rad
+    for _ in range(PASSES):
+        columns, lead = whole[rows] / sd_rad[rows, None], pairs.lead_rad[rows] / sd_rad[rows]
+        found, *_ = np.linalg.lstsq(columns, lead, rcond=None)
+        left, used_rad = lead - columns @ found, sd_rad[rows]
+        sd_rad = _sd_rad(pairs, effects, flank, found)
+    covariance = np.linalg.pinv(columns.T @ columns) * np.mean(left**2)
+    return GearFit(effects, flank, found, covariance, left, float(np.mean(2.0 * np.log(used_rad))))
+
+
+def _predicted_rad(pairs: Pairs, fit: GearFit, kept: np.ndarray) -> float:
+    """Root mean square of what a fit leaves of pairs that it did not use, about their means where no offset is known."""
+    laws = len(fit.effects) + 1  # and the counts' moments
+    left = pairs.lead_rad - _columns(pairs, fit.effects, fit.flank)[:, :laws] @ fit.found[:laws]
+    weight, squares = pairs.sd_rad**-2.0 * kept, 0.0
+    for one in np.unique(pairs.begun[kept]):
+        own = weight * (pairs.begun == one)
+        squares += float(own @ (left - own @ left / own.sum()) ** 2)
+    return math.sqrt(squares / float(weight.sum()))
