@@ -18,7 +18,7 @@ from hil_mocks.scenario import load_scenario
 
 BOARD = Charuco(5, 7, 0.03, 0.0225)
 DOTS_A_METRE, MARGIN_m = 6000.0, 0.01
-LENS, POSES = 16, 40
+LENS, POSES, OTHERS = 16, 40, 12  # the last to verify at
 NEAREST_m, FARTHEST_m = 0.35, 1.3
 FACING = 0.6  # cosine between the line of sight and the board's normal
 ACROSS, UPWARD = (
@@ -27,12 +27,12 @@ ACROSS, UPWARD = (
 )  # of the distance: how far from the middle of the picture the whole board is still in it
 
 
-def main(built: str, folder: str, scenario: str) -> None:
-    """Folders `lens` and `arm` of pictures, and angles.csv with what the encoders said."""
-    arm, draw, webcam, out = load_arm(built), np.random.default_rng(6), Webcam(), Path(folder)
+def main(built: str, pictures: str, scenario: str) -> None:
+    """Folders `lens`, `arm` and `others` of pictures; angles.csv and others.csv: what the encoders said at the last two."""
+    arm, draw, webcam, out = load_arm(built), np.random.default_rng(6), Webcam(), Path(pictures)
     grey = BOARD.drawn(DOTS_A_METRE, MARGIN_m)
     width_m = grey.shape[1] / DOTS_A_METRE
-    for name in ("lens", "arm"):
+    for name in ("lens", "arm", "others"):
         (out / name).mkdir(parents=True)
     for k in range(LENS):
         away_m = draw.uniform(0.28, 0.6)
@@ -58,7 +58,7 @@ def main(built: str, folder: str, scenario: str) -> None:
     )
     pictured = PicturedArm(arm.links, arm.dh_convention, grey, width_m, mount, camera, webcam, deviations)
     poses: list[list[float]] = []
-    while len(poses) < POSES:
+    while len(poses) < POSES + OTHERS:
         q_rad = np.clip(rest + draw.normal(0.0, 0.45, arm.joint_count), lower, upper).tolist()
         place = pictured.target(q_rad)
         away_m = float(np.linalg.norm(place.position_m))
@@ -66,12 +66,18 @@ def main(built: str, folder: str, scenario: str) -> None:
         is_facing = place.rotation[:, 2] @ place.position_m > FACING * away_m
         if is_facing and NEAREST_m < away_m < FARTHEST_m and x < ACROSS and y < UPWARD:
             poses.append(q_rad)
-    names = [f"p{k:02d}" for k in range(POSES)]
-    for name, q in zip(names, poses, strict=True):
-        file = out / "arm" / f"{picture_name('free', name, 1)}.png"
-        file.write_bytes(png_of(pictured.picture(q, draw)))
-    points = make_points(["free"] * POSES, names, [1] * POSES, np.array(poses), np.full((POSES, 3), np.nan))
-    write_points(out / "angles.csv", points)
+    for folder, angles, taken in (
+        ("arm", "angles.csv", poses[:POSES]),
+        ("others", "others.csv", poses[POSES:]),
+    ):
+        count = len(taken)
+        names = [f"{folder}{k:02d}" for k in range(count)]
+        for name, q in zip(names, taken, strict=True):
+            file = out / folder / f"{picture_name('free', name, 1)}.png"
+            file.write_bytes(png_of(pictured.picture(q, draw)))
+        unseen_m = np.full((count, 3), np.nan)
+        points = make_points(["free"] * count, names, [1] * count, np.array(taken), unseen_m)
+        write_points(out / angles, points)
 
 
 if __name__ == "__main__":
