@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from calib.arm_problem.arm_model import ANGLE_BOUND_rad, ArmModel, LENGTH_BOUND_m
 from calib.arm_problem.frames import cross_matrix, rotation_of
@@ -253,7 +254,8 @@ def _linearised(both: _Overlap, x: Array, turn: Array, shift: Array) -> tuple[Ar
     return turned + shift - slopes.tips, jacobian
 
 
-STILL_rad_s = 0.005
+# An arm that hunts about its place rests: point and angles are means over the same time.
+STILL_rad, STILL_s = 1e-3, 0.2
 LEAP_rad, FASTEST_rad_s = 0.02, 50.0  # between samples; beyond both it is no motion
 SLOPE_s = 0.05  # over which speeds are taken: a count of an encoder is no speed
 
@@ -307,13 +309,17 @@ class JointMotion:
         return np.asarray((t_s >= self.t_s[0]) & (t_s <= self.t_s[-1]) & (gap < 2.0 * SLOPE_s), dtype=float)
 
     def rests(self, least_s: float) -> list[tuple[float, float]]:
-        """Begin and end of every time in which no joint moved for `least_s`."""
-        still = (np.abs(self.speed_rad_s) < STILL_rad_s).all(axis=1)
+        """Begin and end of every time of `least_s` or more in which no joint turned by STILL_rad and a count within STILL_s."""
+        changes = np.abs(np.diff(self.q_rad, axis=0))
+        count_rad = np.min(changes, axis=0, where=changes > 0.0, initial=np.inf)
+        window = max(round(STILL_s / float(np.median(np.diff(self.t_s)))), 1)
+        spread = maximum_filter1d(self.q_rad, window, axis=0) - minimum_filter1d(self.q_rad, window, axis=0)
+        still = (spread < STILL_rad + np.where(np.isfinite(count_rad), count_rad, 0.0)).all(axis=1)
         edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(int)))
-        spans = zip(edges[::2], edges[1::2] - 1, strict=True)
-        return [
-            (float(self.t_s[a]), float(self.t_s[b])) for a, b in spans if self.t_s[b] - self.t_s[a] >= least_s
-        ]
+        half_s = 0.5 * STILL_s
+        begins = np.maximum(self.t_s[edges[::2]] - half_s, self.t_s[0]).tolist()
+        ends = np.minimum(self.t_s[edges[1::2] - 1] + half_s, self.t_s[-1]).tolist()
+        return [(a, b) for a, b in zip(begins, ends, strict=True) if b - a >= least_s]
 
 
 def after_leaps(t_s: Array, q_rad: Array) -> int:

@@ -107,6 +107,19 @@ def test_rests_become_poses_whose_covariances_are_right_and_hidden_ones_are_said
     assert 0.5 < made_of.weighted < 1.6
 
 
+@pytest.mark.parametrize("hunting_rad", [0.0, 3e-4])
+@pytest.mark.parametrize("count_rad", [1e-5, 1.5e-3])
+def test_an_arm_rests_that_hunts_about_its_place_or_whose_counts_flicker(
+    hunting_rad: float, count_rad: float
+) -> None:
+    made = both(7, span_s=40.0)
+    hunt = hunting_rad * np.sin(2.0 * np.pi * 4.0 * made.t_s)  # at up to 7.5 mrad/s
+    q_rad = np.round((made.q_rad + hunt[:, None]) / count_rad) * count_rad
+    counted, still = JointMotion(made.t_s, q_rad, q_rad).rests(0.7), motion_of(made).rests(0.7)
+    assert len(counted) == len(still) >= 18
+    assert np.array(counted) == pytest.approx(np.array(still), abs=0.15)
+
+
 def test_a_body_of_markers_is_seen_while_three_of_them_are() -> None:
     made = both(8, span_s=8.0)
     markers = np.array(made.markers_m)
