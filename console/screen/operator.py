@@ -40,7 +40,8 @@ class RuntimeLost(Exception):
 class RuntimeLink:
     """A runtime's socket on an event loop. `on_status(status or None)` is called after every poll; None: lost.
 
-    A runtime that has another arm than `arm` is watched and stopped, but not commanded; its status warns of it.
+    A runtime that has another arm than `arm` is watched and stopped, but not commanded; its status warns of it. One with
+    another number of joints is a lost link.
     """
 
     def __init__(self, path: Path, arm: Arm, on_status: Callable[[Message | None], Awaitable[None]]) -> None:
@@ -113,6 +114,8 @@ class RuntimeLink:
             while True:
                 begun_s = asyncio.get_running_loop().time()
                 answer = await self.ask("status")
+                if self._another and len(answer["q_rad"]) != self._arm.joint_count:
+                    raise RuntimeLost(self._another)  # no panel has its joints
                 if self._another:
                     answer["warnings"] = [self._another, *answer["warnings"]]
                 self.status = answer

@@ -15,6 +15,7 @@ from textual.pilot import Pilot
 from console.screen.app import ConsoleApp
 from console.screen.dashboard import CommandBox
 from console.screen.operating import Choose
+from console.screen.operator import RuntimeLink
 from console.user_config import shows_degrees
 from control.safety.fault import Fault, Reaction
 from control.safety.table import Mode
@@ -276,6 +277,29 @@ def test_a_runtime_with_another_arm_is_watched_and_stopped_and_not_commanded(tmp
 
     with holding_cell() as cell:
         asyncio.run(run(cell))
+
+
+def test_a_runtime_with_another_number_of_joints_is_a_lost_link_that_says_so(tmp_path: Path) -> None:
+    seen: list[object] = []
+
+    async def hear(status: object) -> None:
+        seen.append(status)
+
+    async def run(cell: Cell) -> None:
+        served = Served(cell, tmp_path)
+        link = RuntimeLink(served.path, replace(RIGHT, links=RIGHT.links[:2], drives=RIGHT.drives[:2]), hear)
+        pump, talk = asyncio.create_task(served.run()), asyncio.create_task(link.run())
+        while not seen:
+            await asyncio.sleep(0.01)
+        for task in (pump, talk):
+            task.cancel()
+        await asyncio.gather(pump, talk, return_exceptions=True)
+        served.vanish()
+        assert "has changed since the runtime read it" in link.why_lost
+
+    with holding_cell() as cell:
+        asyncio.run(run(cell))
+    assert set(seen) == {None}
 
 
 def test_a_runtime_that_is_there_and_does_not_answer_is_a_lost_link(tmp_path: Path) -> None:
