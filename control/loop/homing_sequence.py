@@ -27,6 +27,7 @@ from control.motion.setpoint import SetPoint
 
 DITHER_counts = 2  # a held joint without friction hunts by one count, which still is rest
 SETTLE_S = 0.1
+SETTLE_LIMIT_S = 10.0
 SLOW_FRACTION = 0.3  # of the seeking speed, at the edge and the index that give the zero
 TURN_TOLERANCE = (
     0.35  # of the encoder's turn, between the index and its position in arm.toml; half a turn is ambiguous
@@ -112,7 +113,7 @@ class JointHoming:
         self._edge_rad: float | None = None  # where the switch became active first
         self._since_active_rad = home.backoff_rad
         self._forth = home.sense
-        self._quiet_s = 0.0
+        self._settling_s = self._quiet_s = 0.0
         self._rest_count = 0
 
     def step(self, feedback: Feedback, elapsed_s: float) -> float:
@@ -202,6 +203,14 @@ class JointHoming:
         latched = self._counter.index_count(self._joint)
         is_quiet = self.speed_set_rad_s == 0.0 and abs(count - self._rest_count) <= DITHER_counts
         self._quiet_s = self._quiet_s + elapsed_s if is_quiet else 0.0
+        self._settling_s += elapsed_s
+        if self._settling_s > SETTLE_LIMIT_S:
+            raise HomingFailed(
+                self._home.name,
+                f"its index was found, but it does not come to rest: it still moved in the last of {SETTLE_LIMIT_S:g} s",
+                "it hunts, by gains too high for the play or spring between its motor and its encoder: lower those of its"
+                " [drive.pid], or take the file from before tuning, then `armwright tune --bandwidth 5`",
+            )
         if not is_quiet:
             self._rest_count = count
         if self._quiet_s >= SETTLE_S and latched is not None:

@@ -50,6 +50,7 @@ class Joint:
     active_in: range = range(0)  # cycles in which its switch says active, wherever the joint is
     cycle: int = 0
     has_index: bool = True
+    hunts_counts: int = 1  # a held joint hunts by a count
     is_armed: bool = False
     latched: int | None = None
     shifts: list[int] = field(default_factory=list)
@@ -90,7 +91,7 @@ def home(joint: Joint, how: JointHome = HOME, limit_s: float = 60.0) -> list[Pha
     set_point, phases = at_rest((joint.q_rad,)), [Phase.RELEASE]
     for cycle in range(int(limit_s / PERIOD_S)):
         joint.cycle = cycle
-        feedback.count[0] = joint.count() + cycle % 2  # a held joint hunts by a count
+        feedback.count[0] = joint.count() + cycle % 2 * joint.hunts_counts
         feedback.channel_flags[0] = HOME_SWITCH if joint.is_active() else 0
         following = sequence.step(set_point, feedback, PERIOD_S)
         assert (
@@ -177,6 +178,13 @@ def test_a_missing_index_ends_the_search_after_two_motor_turns() -> None:
     with pytest.raises(HomingFailed, match="no index pulse within two turns of the encoder"):
         home(joint)
     assert joint.q_rad < HOME.switch_rad + 2.2 * TURN_rad
+    assert joint.shifts == []
+
+
+def test_a_joint_that_hunts_is_not_waited_for_without_end() -> None:
+    joint = Joint(0.0, hunts_counts=30)
+    with pytest.raises(HomingFailed, match=r"does not come to rest.*tune --bandwidth"):
+        home(joint)
     assert joint.shifts == []
 
 
