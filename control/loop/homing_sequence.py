@@ -25,7 +25,8 @@ from control.hardware.interface import Feedback
 from control.hardware.words import HOME_SWITCH
 from control.motion.setpoint import SetPoint
 
-DITHER_counts = 2  # a held joint without friction hunts by one count, which still is rest
+# By as much a held joint may hunt at rest: without friction by a count, with play or friction by more.
+HUNTS_counts, HUNTS_rad = 2, 1e-3
 SETTLE_S = 0.1
 SETTLE_LIMIT_S = 10.0
 SLOW_FRACTION = 0.3  # of the seeking speed, at the edge and the index that give the zero
@@ -71,6 +72,7 @@ class JointHome:
     sense: float  # 1 or -1: the direction in which the switch becomes active
     edge_rad: float  # by which the switch may move
     turn_rad: float  # from one index to the next
+    count_rad: float
     index_count: int
     repeat_counts: int = (
         0  # of an absolute encoder, after which it says the same again: its place within them is known
@@ -201,7 +203,8 @@ class JointHoming:
     def _settle(self, count: int, elapsed_s: float) -> float:
         step = self._go(0.0, elapsed_s)
         latched = self._counter.index_count(self._joint)
-        is_quiet = self.speed_set_rad_s == 0.0 and abs(count - self._rest_count) <= DITHER_counts
+        most = HUNTS_counts + HUNTS_rad / self._home.count_rad
+        is_quiet = self.speed_set_rad_s == 0.0 and abs(count - self._rest_count) <= most
         self._quiet_s = self._quiet_s + elapsed_s if is_quiet else 0.0
         self._settling_s += elapsed_s
         if self._settling_s > SETTLE_LIMIT_S:

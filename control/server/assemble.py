@@ -369,6 +369,7 @@ def _homes(arm: Arm) -> list[tuple[int, JointHome]]:
                     sense=drive.home.sense,
                     edge_rad=_edge_tolerance_rad(drive),
                     turn_rad=drive.encoder_turn_rad,
+                    count_rad=1.0 / abs(JointMap(drive).counts_per_radian),
                     index_count=JointMap(drive).count(drive.home.index_rad),
                     repeat_counts=round(arm.turn_of_home_rad(drive) * abs(JointMap(drive).counts_per_radian)),
                 ),

@@ -33,6 +33,7 @@ HOME = JointHome(
     sense=1.0,
     edge_rad=0.35 * TURN_rad,
     turn_rad=TURN_rad,
+    count_rad=1.0 / COUNTS_PER_RAD,
     index_count=2300,
 )
 
@@ -181,7 +182,13 @@ def test_a_missing_index_ends_the_search_after_two_motor_turns() -> None:
     assert joint.shifts == []
 
 
-def test_a_joint_that_hunts_is_not_waited_for_without_end() -> None:
+def test_a_joint_that_hunts_by_a_milliradian_rests() -> None:
+    joint = Joint(0.0, hunts_counts=10)
+    home(joint)
+    assert is_homed(joint)
+
+
+def test_a_joint_that_hunts_by_more_is_not_waited_for_without_end() -> None:
     joint = Joint(0.0, hunts_counts=30)
     with pytest.raises(HomingFailed, match=r"does not come to rest.*tune --bandwidth"):
         home(joint)
