@@ -39,7 +39,10 @@ def test_a_hidden_effect_is_found_and_its_gap_closes(hidden) -> None:
     assert names(found) == [name_of(hidden)]
     value, _ = found.finding.effects[-1].parameters[FIRST[hidden.effect]]
     assert value == pytest.approx(hidden.value, rel=0.1)
-    assert found.finding.gap_after < 1.1
+    assert found.finding.gap_explained < 1.1
+    # Where a pose does not tell the flank of a loose gear, the file has the middle of its play, as the controller does.
+    share = 0.1 if hidden.effect == "backlash" else 1.1 / found.finding.gap_before
+    assert found.finding.gap_after < share * found.finding.gap_before
     assert found.finding.unknown is None
     assert found.finding.ambiguous == ()
 
