@@ -341,8 +341,10 @@ class Arm:
         gripper = self.gripper
         if gripper is None or not gripper.board:
             return self.drives
+        kind = next(KINDS[board.kind] for board in self.boards if board.name == gripper.board)
         own = Drive(
             joint=self.joint_count + 1,
+            pid=DrivePid("position" if kind.limits_force else "voltage"),
             gear_ratio=1.0,
             encoder_counts_per_rev=max(gripper.encoder_counts_per_rev, 1),
             torque_constant_Nm_A=gripper.torque_constant_Nm_A,

@@ -246,9 +246,10 @@ def _require_wide_window(node: Cia402Drive, drive: Drive, following_error_rad: f
 
 def _require_mode(node: Cia402Drive, drive: Drive) -> None:
     """WrongIdentity where the drive says that it does not have the mode that it is to be driven in."""
-    mode, called = (CYCLIC_TORQUE, "cyclic synchronous torque")  # of a gripper, too
-    if drive.pid.mode == "position":
-        mode, called = (CYCLIC_POSITION, "cyclic synchronous position")
+    mode, called = {
+        "position": (CYCLIC_POSITION, "cyclic synchronous position"),
+        "current": (CYCLIC_TORQUE, "cyclic synchronous torque"),
+    }[drive.pid.mode]
     has = node.read_if_there(MODES)
     if has and not has >> (mode - 1) & 1:
         raise WrongIdentity(
