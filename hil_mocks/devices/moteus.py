@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hil_mocks.devices.motor_inputs import BRAKE, OPEN, Frame, Output
-from hil_mocks.devices.servo_motor import ServoMotor
+from hil_mocks.devices.servo_motor import TUNED_SPEED_GAIN, ServoMotor
 
 STOPPED, FAULT, PWM, VOLTAGE, VOLTAGE_FOC, VOLTAGE_DQ, CURRENT, POSITION, TIMEOUT = (
     0,
@@ -148,7 +148,9 @@ class MoteusMock:
         self._expires_s = math.inf
         self._shift_turns = 0.0
         self._target = 0.0  # to which the position goes by the limit of acceleration
-        self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns)
+        self._motor = ServoMotor(
+            self.setup.torque_constant_Nm_A, self._read_turns, speed_gain=TUNED_SPEED_GAIN
+        )
         self.settings = dict(self._written_settings)
         self.home_state = self.setup.home_state
         self.kept: dict[int, float] = dict.fromkeys(KEPT, 0)

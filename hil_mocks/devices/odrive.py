@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hil_mocks.devices.motor_inputs import OPEN, Frame, Output
-from hil_mocks.devices.servo_motor import ServoMotor
+from hil_mocks.devices.servo_motor import TUNED_SPEED_GAIN, ServoMotor
 
 VERSION, HEARTBEAT, ESTOP, GET_ERROR, WRITE_SDO, READ_SDO, ADDRESS, STATE, ENCODER = 0, 1, 2, 3, 4, 5, 6, 7, 9
 SENSORLESS_ERROR = READ_SDO  # of firmware 0.5
@@ -103,7 +103,9 @@ class OdriveMock:
         self.limit_A, self._limit_turns_s = self.setup.limit_A, math.inf
         self._torque_Nm = self._current_A = 0.0
         self._supply_V = 24.0
-        self._motor = ServoMotor(self.setup.torque_constant_Nm_A, self._read_turns)
+        self._motor = ServoMotor(
+            self.setup.torque_constant_Nm_A, self._read_turns, speed_gain=TUNED_SPEED_GAIN
+        )
         self._arms_at_s = math.inf
         self._heard_s = start_s
         self._boots_until_s = -math.inf if now_s is None else now_s + BOOT_S

@@ -11,6 +11,7 @@ from hil_mocks.devices.motor_inputs import Output
 # Simulation/SO101/joints_properties.xml). A softer loop swings past its goal with half a kilogram in the hand. A stiffer one
 # draws too much in a strong motor, as the gain counts in shares of the motor's own voltage per speed.
 POSITION_RATE, SPEED_GAIN, SPEED_INTEGRAL, SPEED_FILTER_S = 15.0, 2.0, 15.0, 0.003
+TUNED_SPEED_GAIN = 3.4  # of a board that its owner tunes to the motor (ODrive, moteus)
 LIMITED_FADE = 0.99  # of the integral, each period
 
 
@@ -21,13 +22,17 @@ class ServoMotor:
     """
 
     def __init__(
-        self, volts_per_rad_s: float, read_turns: Callable[[], float], seen_turns: float = 0.0
+        self,
+        volts_per_rad_s: float,
+        read_turns: Callable[[], float],
+        seen_turns: float = 0.0,
+        speed_gain: float = SPEED_GAIN,
     ) -> None:
         self._volts_per_turn_s = volts_per_rad_s * 6.283185307179586
         self._read_turns, self._seen_turns = read_turns, seen_turns
         self.turns = self.goal_turns = read_turns()
         self.speed_turns_s = self.goal_turns_s = 0.0
-        self.position_rate = POSITION_RATE
+        self.position_rate, self._speed_gain = POSITION_RATE, speed_gain
         self._step_s = 0.001
         self._ticked_s: float | None = None
         self._integral_V = self.ramp_turns_s = 0.0
@@ -60,7 +65,7 @@ class ServoMotor:
         off_turns = self.goal_turns - self.turns
         wanted = self.position_rate * off_turns + self.goal_turns_s
         error_V = self._volts_per_turn_s * (wanted - self.speed_turns_s)
-        wanted_V = self._volts_per_turn_s * wanted + SPEED_GAIN * error_V + self._integral_V
+        wanted_V = self._volts_per_turn_s * wanted + self._speed_gain * error_V + self._integral_V
         limited_V = min(max(wanted_V, -supply_V), supply_V)
         if is_current_limited:
             self._integral_V *= LIMITED_FADE

@@ -53,7 +53,9 @@ ARMS = {
 
 
 def holding(arm: Arm) -> AbstractContextManager[Cell]:
-    return holding_cell(scenario(gripper=GripperTable(start=0.9)), arm, period_s=1.0 / arm.usual_rate_Hz)
+    return holding_cell(
+        scenario(None, gripper=GripperTable(start=0.9)), arm, period_s=1.0 / arm.usual_rate_Hz
+    )
 
 
 def state(cell: Cell) -> str:
