@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.arm_problem.arm_model import Parameter
-from calib.arm_problem.frames import left_jacobian
+from calib.arm_problem.frames import left_jacobian, turned_slope
 from calib.arrays import Array, slim_product
 
 ALL = slice(None)
@@ -102,14 +102,16 @@ class Expansion:
         for place, rows in enumerate(self.frame_rows):
             turn = slice(c + 6 * place + 3, c + 6 * place + 6)
             whole[turn, turn] = frame_curvature(self.arms[rows], weight[:, rows], self.frame_turns_rad[place])
-        if self.corrections:
+        if any(slope.any() for slope in self.corrections):
             self._bend_joints(whole, weight)
         return self._scaled(whole)
 
     def _bend_joints(self, whole: Array, weight: Array) -> None:
         """Second derivatives by the C corrections: through the n joints' angles, pose by pose."""
-        c, theta = self.chain_count, list(self.theta_places)
+        c = self.chain_count
         slopes = np.stack(self.corrections).transpose(0, 2, 1)  # (C, n, m)
+        turned = np.flatnonzero(slopes.any(axis=(0, 2)))  # an effect turns one joint or two, not all of them
+        theta, slopes = [self.theta_places[joint] for joint in turned], slopes[:, turned]
         bends = np.stack([joint_curvature(self.columns[:c], weight, self.is_modified, one) for one in theta])
         flat = slopes.reshape(len(slopes), -1)
         mixed = -slim_product(flat, bends.transpose(1, 0, 2).reshape(c, -1))
@@ -140,7 +142,6 @@ def _bend(bend: Array | None, columns: Array, out: Array) -> None:
 # A rotation about an axis e moves everything beyond it, so with the derivative J_b of the tip by a parameter b beyond the
 # rotation a, or by a itself, d2 tip / da db = e x J_b; a translation changes no derivative beyond it. With weights p the sum
 # over poses is (p x e) . J_b: one product of matrices.
-DIFFERENCE_rad = 1e-6
 Order = npt.NDArray[np.intp]
 
 
@@ -183,14 +184,7 @@ def frame_curvature(arms: Array, weight: Array, turn_rad: Array) -> Array:
     torque = np.array(
         [moments[2, 1] - moments[1, 2], moments[0, 2] - moments[2, 0], moments[1, 0] - moments[0, 1]]
     )
-    found = turns.T @ moments.T @ turns - np.trace(moments) * turns.T @ turns
-    for b, unit in enumerate(np.eye(3)):
-        step = DIFFERENCE_rad * unit
-        found[:, b] += (
-            (left_jacobian(turn_rad + step) - left_jacobian(turn_rad - step)).T
-            @ torque
-            / (2.0 * DIFFERENCE_rad)
-        )
+    found = turns.T @ (moments.T - np.trace(moments) * np.eye(3)) @ turns + turned_slope(turn_rad, torque)
     return np.asarray(0.5 * (found + found.T))
 
 

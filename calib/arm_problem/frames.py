@@ -7,6 +7,7 @@ decouples translations and rotations.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,6 +97,26 @@ def left_jacobian(vector_rad: Array) -> Array:
         + (1.0 - np.cos(angle)) / angle**2 * cross
         + (angle - np.sin(angle)) / angle**3 * cross @ cross
     )
+
+
+def turned_slope(vector_rad: Array, torque: Array) -> Array:
+    """Derivative (3, 3) of J(w)' t by w, with the J of `left_jacobian` and a fixed t (3,).
+
+    J' t = t - a w x t + b w x (w x t), with a = (1 - cos |w|) / |w|^2 and b = (|w| - sin |w|) / |w|^3.
+    """
+    w, square = vector_rad, float(vector_rad @ vector_rad)
+    if square < 0.01:  # where the quotients lose their digits; the next terms are below 1e-11
+        a, b = 0.5 - square / 24.0 + square**2 / 720.0, 1.0 / 6.0 - square / 120.0 + square**2 / 5040.0
+        by_a = -1.0 / 12.0 + square / 180.0 - square**2 / 6720.0
+        by_b = -1.0 / 60.0 + square / 1260.0 - square**2 / 60480.0
+    else:
+        angle = math.sqrt(square)
+        a, b = (1.0 - math.cos(angle)) / square, (angle - math.sin(angle)) / (square * angle)
+        by_a, by_b = (1.0 - b * square - 2.0 * a) / square, (a - 3.0 * b) / square
+    twist, arm = cross_matrix(w), cross_matrix(torque)
+    across = twist @ torque
+    along = by_b * (twist @ across) - by_a * across
+    return np.asarray(np.outer(along, w) + a * arm - b * (cross_matrix(across) + twist @ arm))
 
 
 def cross_matrix(vector: Array) -> Array:

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.calibration.chains import MODIFIED, MODIFIED_DH
 from calib.arm_problem.arm_model import ArmModel, Bounds
 from calib.arm_problem.assembly import Choice, problem_of
-from calib.arm_problem.frames import Frame, left_jacobian, rotation_of, rotation_vector
+from calib.arm_problem.frames import Frame, left_jacobian, rotation_of, rotation_vector, turned_slope
 from calib.arm_problem.observations import Observations
 from calib.arm_problem.problem import ArmProblem
 from calib.errors import CalibrationError, UnusablePointsError
@@ -102,6 +102,17 @@ def test_rotations_go_there_and_back(seed) -> None:
     small = 1e-6 * np.array([0.3, -1.0, 0.5])
     turned = rotation_of(left_jacobian(vector) @ small) @ rotation
     np.testing.assert_allclose(rotation_of(vector + small), turned, atol=1e-11)
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-3, 0.0999, 0.1001, 3.0])
+def test_how_a_turned_torque_follows_the_turn_is_its_difference(angle_rad) -> None:
+    rng = np.random.default_rng(4)
+    vector, torque = rng.normal(size=(2, 3))
+    vector *= angle_rad / np.linalg.norm(vector)
+    steps = 1e-4 * np.eye(3)  # large: near nought the Jacobian's own quotients keep few digits
+    ahead, behind = ([left_jacobian(vector + way * step).T @ torque for step in steps] for way in (1.0, -1.0))
+    slopes = (np.array(ahead) - np.array(behind)).T / 2e-4
+    np.testing.assert_allclose(turned_slope(vector, torque), slopes, atol=3e-9)
 
 
 def session_points(arm, rng, frames, visits=6, tool_m=None):
