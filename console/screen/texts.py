@@ -97,7 +97,7 @@ def joint_rows(status: Message, arm: Arm, selected: str, width: int, in_degrees:
             spans += ((text.rjust(cells), "muted" if ages[j] is not None else look),)
         spans += (_drive_state(str(status["drive_state"][j]), ages[j]),)
         if gauge >= GAUGE_least:
-            spans += _gauge(status["q_rad"][j], drive, gauge)
+            spans += _gauge(status, drive, j, gauge)
         rows.append(spans)
     return rows
 
@@ -173,26 +173,26 @@ def _drive_state(state: str, age_s: float | None) -> Span:
     return f"  {state[: DRIVE - 2]:<{DRIVE - 2}}", "plain" if state == "OPERATION ENABLED" else "muted"
 
 
-def _gauge(q: float, drive: Drive, width: int) -> Row:
+def _gauge(status: Message, drive: Drive, j: int, width: int) -> Row:
     """A gauge of an angle within its range."""
-    lower, upper = drive.joint_lower_rad, drive.joint_upper_rad
+    q, lower, upper = status["q_rad"][j], drive.joint_lower_rad, drive.joint_upper_rad
     if not math.isfinite(upper - lower) or not math.isfinite(q):
         return row((f"{'no range':^{width}}", "muted"))
+    if not status["is_homed"]:
+        return row((f"{'not homed':^{width}}", "muted"))
     room = width - 2
     at = min(max(round((q - lower) / (upper - lower) * (room - 1)), 0), room - 1)
-    look = _near("", _range_use(q, lower, upper))[1]
+    look = _near("", _range_use(status, drive, j))[1]
     sign: Span = ("●", look if look != "plain" else "accent")
     return row(("├" + "─" * at, "muted"), sign, ("─" * (room - 1 - at) + "┤", "muted"))
 
 
 def _angle(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
-    q = status["q_rad"][j]
-    return _near(f"{q:+z.4f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad))
+    return _near(f"{status['q_rad'][j]:+z.4f}", _range_use(status, drive, j))
 
 
 def _degrees(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
-    q = status["q_rad"][j]
-    return _near(f"{math.degrees(q):+z.2f}", _range_use(q, drive.joint_lower_rad, drive.joint_upper_rad))
+    return _near(f"{math.degrees(status['q_rad'][j]):+z.2f}", _range_use(status, drive, j))
 
 
 def _error(status: Message, drive: Drive, arm: Arm, j: int) -> Span:
@@ -229,10 +229,12 @@ COLUMNS = (
 )
 
 
-def _range_use(q: float, lower: float, upper: float) -> float:
-    """0 in the middle of a range, 1 at its ends."""
-    half = 0.5 * (upper - lower)
-    return abs(q - lower - half) / half if half > 0.0 and math.isfinite(half) else 0.0
+def _range_use(status: Message, drive: Drive, j: int) -> float:
+    """0 in the middle of a joint's range, 1 at its ends; 0 before homing, when nobody knows where it is."""
+    half = 0.5 * (drive.joint_upper_rad - drive.joint_lower_rad)
+    if not status["is_homed"] or not 0.0 < half < math.inf:
+        return 0.0
+    return float(abs(status["q_rad"][j] - drive.joint_lower_rad - half)) / half
 
 
 def _near(text: str, share: float) -> Span:

@@ -16,6 +16,7 @@ from console.screen.drawing import (
     BINS,
     THEME,
     BIN_s,
+    DrawnScene,
     History,
     Panel,
     Plot,
@@ -74,6 +75,19 @@ def test_a_stale_joint_has_a_sign_and_its_age_and_the_others_have_not() -> None:
     assert "?" not in rows[1] + rows[3]
     scene = Skeleton(RIGHT).scene(status["joint_rad"], 0, [False, True, False])
     assert [sign for _, sign, _ in scene.joints] == ["1", "?", "3"]
+
+
+def test_no_joint_is_beyond_its_range_before_homing_tells_where_it_is() -> None:
+    far = {"q_rad": [9.0, 0.0, 0.0]}
+    known, unknown = (
+        text_of(joint_rows(status_of(is_homed=is_homed, **far), RIGHT, "J1", 140))
+        for is_homed in (True, False)
+    )
+    assert "!+9.0000" in known
+    assert "!" not in unknown
+    assert unknown.count("not homed") == 3
+    views = (view(DrawnScene([], [], []), 23, 8, 0.5) for view in (side_view, top_view))
+    assert all("pose not known" in text_of(view) for view in views)
 
 
 def test_a_runtime_that_does_not_tell_ages_shows_no_joint_as_stale() -> None:
