@@ -1,9 +1,10 @@
 """Walks a journey: a page whose commands are typed in a folder of its own, with real processes, and whose words must come.
 
 An indented line with `$ ` is a command for the shell, one with `> ` what is typed while it runs; the other indented lines
-under it are words that it says, in this order (`...`: anything). A command that ends with `&` runs on once it has said
-them, and is ended with the journey. `# status 1` is the exit status where it is not 0. `{NAME}` in a command is a word of
-the arm (arms.toml), or one that a command has said where `{NAME}` stands among its words.
+under it are words that it says, in this order (`...`: anything); `> ^C` interrupts it when it has said those before it. A
+command that ends with `&` runs on once it has said them, and is ended with the journey. `# status 1` is the exit status where
+it is not 0. `{NAME}` in a command is a word of the arm (arms.toml), or one that a command has said where `{NAME}` stands among
+its words.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ class Step:
     command: str
     typed: list[str] = field(default_factory=list)
     says: list[str] = field(default_factory=list)
+    says_first: list[str] = field(default_factory=list)  # until it is interrupted
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,8 @@ class Journey:
                 if step:
                     yield step
                 step = Step(number, line[6:])
+            elif step and line == "    > ^C":
+                step.says_first, step.says = step.says, []
             elif step and line.startswith("    > "):
                 step.typed.append(line[6:])
             elif step and line.startswith("    "):
@@ -114,14 +118,8 @@ def walk(journey: Journey, arm: str, folder: Path) -> Walk:
                     word for word in re.findall(r" (--[a-z-]+)", command) if word not in NO_DECISION
                 ]
             done.answers += len(step.typed)
-            _take(
-                Step(step.line, command, step.typed, step.says),
-                f"{journey.page.name}:{step.line}",
-                folder,
-                around,
-                words,
-                running,
-            )
+            step.command = command
+            _take(step, f"{journey.page.name}:{step.line}", folder, around, words, running)
     finally:
         for process in reversed(running):
             if process.poll() is None:
@@ -150,23 +148,34 @@ def _take(
     if process.stdin:
         process.stdin.write("".join(f"{line}\n" for line in step.typed).encode())
         process.stdin.close()
-    end_s = time.monotonic() + LIMIT_s
     if command.endswith("&"):
         running.append(process)
-        while process.poll() is None and not _found(step.says, said, words) and time.monotonic() < end_s:
-            time.sleep(0.05)
+        _hear(step.says, said, words, process)
         status = process.poll() or 0
     else:
+        if step.says_first and _hear(step.says_first, said, words, process):
+            os.killpg(process.pid, signal.SIGINT)
         try:
             process.wait(LIMIT_s)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
-    if (process.poll() or 0) != status or not _found(step.says, said, words):
-        wanted = "\n".join(step.says)
+    says = step.says_first + step.says
+    if (process.poll() or 0) != status or not _found(says, said, words):
+        wanted = "\n".join(says)
         got = said.read_text(encoding="utf-8", errors="replace")[-4000:]
         raise Stumble(
             f"{where}: $ {command}\nstatus {process.poll()}, expected {status} and the words\n{wanted}\ngot\n{got}"
         )
+
+
+def _hear(says: list[str], said: Path, words: dict[str, str], process: subprocess.Popen[bytes]) -> bool:
+    """Wait for words while the process runs; whether they came."""
+    end_s = time.monotonic() + LIMIT_s
+    while not _found(says, said, words):
+        if process.poll() is not None or time.monotonic() > end_s:
+            return False
+        time.sleep(0.05)
+    return True
 
 
 def _found(says: list[str], said: Path, words: dict[str, str]) -> bool:
