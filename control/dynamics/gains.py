@@ -19,6 +19,19 @@ w = 40 rad/s leaves the reference arm at least 50 degrees of phase margin (40 wi
 most 1.65 in every pose, the crossover at 28 to 72 rad/s. In current mode no
 back-EMF damps and the derivative has to, so delay costs more: w = 25 rad/s leaves 44 degrees at the design inertia
 and only 15 at joint 1 with the arm retracted. The loop scales the PID by `InertiaScale`, which restores the 44.
+
+An encoder on the joint has the play of the gear inside the loop. To a sine of amplitude A of the motor, a joint that rubs or is
+damped answers with the gain (play b; Gelb and Vander Velde 1968, no. 48)
+
+    N(A) = 1/2 + (arcsin c + c sqrt(1 - c^2)) / pi - j (1 - c^2) / pi,   c = 1 - b/A,
+
+and a cycle stands where L(jw) N(A) = -1 for the loop L. The speed of the joint is late by the play, and kd with it; that of
+the motor is not, and back-EMF damps by it: kd = 0. And it is the integral that drives the cycle: without it there is none,
+and the slower it is, the smaller is the joint's share of the play. So `gains_behind_play` puts the poles at -w, -(a - w - r
+w) and -r w, r = INTEGRAL_POLE, w at most a / (2 + r): the joint's share is a fifth, where three poles at -40 leave it up to a
+half. A joint that its weight presses against a flank rests there. One without any friction or load floats in its play,
+whatever the gains: the motor pushes it, it coasts to the other flank, and is pushed back. On the mock a thousandth of the
+motor's torque as friction ends that.
 """
 
 from collections.abc import Sequence
@@ -36,6 +49,7 @@ POLE_rad_s = 40.0
 CURRENT_MODE_POLE_rad_s = 25.0
 POLE_PERIOD_S = 0.002  # of the loop for which the poles were chosen
 _POSES = 200
+INTEGRAL_POLE = 0.05  # of an encoder behind play, over the others: see the top
 DERIVATIVE_FILTER_S = 0.001  # half a cycle: just enough to smooth the encoder's quantisation
 
 
@@ -72,11 +86,24 @@ def gains_of(arm: Arm, joint: int, period_s: float = POLE_PERIOD_S) -> Gains:
 
 
 def volt_gains_of(arm: Arm, joint: int) -> Gains:
-    """Return the gains in volts with which a motor board holds a joint (1-based), whatever the drive's mode."""
-    if arm.drive(joint).pid.mode != "current":
-        return gains_of(arm, joint)
-    drives = tuple(replace(drive, pid=DrivePid()) for drive in arm.drives)
-    return gains_of(replace(arm, drives=drives), joint)
+    """Return the gains in volts with which a motor board holds a joint (1-based) by its own encoder, in any mode."""
+    drives = (
+        replace(drive, pid=DrivePid()) if drive.pid.mode == "current" else drive
+        for drive in (drive.at_motor for drive in arm.drives)
+    )
+    return gains_of(replace(arm, drives=tuple(drives)), joint)
+
+
+def has_play_in_loop(drive: Drive) -> bool:
+    """Whether the loop sees the joint beyond its gear, and the motor's back-EMF damps by the motor's own speed."""
+    return drive.encoder_on == "joint" and drive.pid.mode == "voltage"
+
+
+def gains_behind_play(b: float, a: float, filter_s: float, pole_rad_s: float) -> Gains:
+    """Return the gains for an encoder behind play, of a joint q'' = b u - a q'."""
+    w = min(pole_rad_s, a / (2.0 + INTEGRAL_POLE))
+    integral, fast = INTEGRAL_POLE * w, a - (1.0 + INTEGRAL_POLE) * w
+    return Gains((w * fast + integral * (w + fast)) / b, integral * w * fast / b, 0.0, filter_s)
 
 
 def placed_gains(
@@ -88,7 +115,7 @@ def placed_gains(
 ) -> Gains:
     """Return the gains that put three poles at -pole for a joint of this inertia.
 
-    `leaves_third`: only two, if its back-EMF damps more than three such poles would.
+    `leaves_third`: only two, if its back-EMF damps more than three such poles would. An encoder behind play has other poles.
     """
     constant = drive.gear_ratio * drive.torque_constant_Nm_A
     if drive.pid.mode == "current":
@@ -96,6 +123,8 @@ def placed_gains(
     else:
         b = constant / (drive.resistance_ohm * inertia_kg_m2)
         a = constant * b
+    if has_play_in_loop(drive):
+        return gains_behind_play(b, a, filter_s, pole_rad_s)
     w = pole_rad_s
     third = max(w, a - 2.0 * w) if leaves_third else w
     return Gains((w * w + 2.0 * w * third) / b, w * w * third / b, max(3.0 * w - a, 0.0) / b, filter_s)

@@ -211,8 +211,8 @@ class JointHoming:
             raise HomingFailed(
                 self._home.name,
                 f"its index was found, but it does not come to rest: it still moved in the last of {SETTLE_LIMIT_S:g} s",
-                "it hunts, by gains too high for the play or spring between its motor and its encoder: lower those of its"
-                " [drive.pid], or take the file from before tuning, then `armwright tune --bandwidth 5`",
+                "it hunts, by gains too high for the play or spring between its motor and its encoder: leave kp, ki and kd out of"
+                " its [drive.pid], so that they come from the model, or lower them",
             )
         if not is_quiet:
             self._rest_count = count

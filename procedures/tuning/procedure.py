@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.report.page import AFTER, BEFORE, Section, bullets, page, pair, paragraph, svg, table
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.gains import Gains, gains_of
+from control.dynamics.gains import Gains, gains_of, has_play_in_loop
 from control.dynamics.tuning import LoopDesign, Margins, MarginsUnmet, MotorFit, Tuner, fit_motor, margins
 from control.errors import ArmError, MissingModel
 from control.files import write_whole
@@ -255,6 +255,12 @@ def _designed(
     options: TuningOptions,
     pose: tuple[float, ...],
 ) -> _Chosen:
+    if has_play_in_loop(arm.drive(joint)) and measured.distortion > NOT_LINEAR:
+        raise NotTuned(
+            f"joint {joint}: {measured.distortion:.0%} of its response is nonlinear (limit {NOT_LINEAR:.0%}), and its encoder is"
+            " behind the gear: it has play or friction, in which gains from a response hunt; leave kp, ki and kd out of its"
+            " [drive.pid], so that they come from the model, and tune the others with --joint"
+        )
     fit = fit_motor(measured.response)
     ratios = inertia_ratios(arm, joint, pose)
     tuner = Tuner(measured.response, fit, 1.0 / arm.usual_rate_Hz, before.gains.derivative_filter_s, ratios)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from control.dynamics.dynamics import Dynamics
-from control.dynamics.gains import Gains, POLE_rad_s, gains_of, placed_gains
+from control.dynamics.gains import Gains, POLE_rad_s, gains_of, placed_gains, volt_gains_of
 from control.errors import MissingModel
 from control.model.arm import Arm, Drive, DrivePid
 from control.model.description import load_arm
@@ -54,6 +54,44 @@ def test_the_poles_are_where_they_were_asked_for(mode: str) -> None:
     damping = 0.0 if mode == "current" else constant * gain
     poles = np.roots([1.0, damping + gain * gains.kd, gain * gains.kp, gain * gains.ki])
     assert poles == pytest.approx([-POLE_rad_s] * 3, rel=1e-4)
+
+
+def _share_of_play(b: float, a: float, gains: Gains) -> float:
+    """Amplitude of the joint over half the play, in the cycle that L N(A) = -1 foretells; N by simulating a hysteresis."""
+    omega = np.geomspace(0.05, 200.0, 4000)
+    s = 1j * omega
+    loop = (gains.kp + gains.ki / s + gains.kd * s) * b / (s * (s + a)) * np.exp(-2.0 * PERIOD_S * s)
+    amplitudes = 1.0 + np.geomspace(1e-4, 30.0, 300)  # of the motor, over half the play
+    turn = np.linspace(0.0, 4.0 * np.pi, 4001)
+    motor = np.outer(amplitudes, np.sin(turn))
+    joint = np.zeros_like(motor)
+    for k in range(1, len(turn)):
+        joint[:, k] = np.clip(joint[:, k - 1], motor[:, k] - 1.0, motor[:, k] + 1.0)
+    gain = (2j * joint[:, 2000:-1] * np.exp(-1j * turn[2000:-1])).mean(axis=1) / amplitudes
+    off = np.abs(1.0 + np.outer(gain, loop))
+    best = np.unravel_index(off.argmin(), off.shape)
+    assert off[best] < 0.02
+    return float(amplitudes[best[0]] * abs(gain[best[0]]))
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3])
+def test_a_cycle_in_play_moves_a_joint_by_little_of_it_with_the_gains_for_an_encoder_behind(
+    joint: int,
+) -> None:
+    drive = dataclasses.replace(RIGHT.drive(joint), encoder_on="joint")
+    inertia, constant = 0.5, drive.gear_ratio * drive.torque_constant_Nm_A
+    b = constant / (drive.resistance_ohm * inertia)
+    behind = placed_gains(drive, inertia, 0.001)
+    before = placed_gains(RIGHT.drive(joint), inertia, 0.001)
+    assert behind.kd == 0.0
+    assert _share_of_play(b, constant * b, behind) < 0.2
+    assert _share_of_play(b, constant * b, before) > 0.3
+
+
+def test_a_board_that_holds_by_the_encoder_on_the_motor_has_the_gains_for_that() -> None:
+    both = dataclasses.replace(RIGHT.drive(2), encoder_on="joint", motor_counts_per_rev=2048)
+    arm = dataclasses.replace(RIGHT, drives=(RIGHT.drives[0], both, RIGHT.drives[2]))
+    assert volt_gains_of(arm, 2) == gains_of(RIGHT, 2) != gains_of(arm, 2)
 
 
 def test_gains_of_the_file_win_and_the_rest_is_derived() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,8 +18,6 @@ from calib.arm_problem.joint_effects import effect_key, known_corrections
 from calib.errors import CalibrationError
 from calib.points.points import Points
 from console.main import main
-from control.dynamics.dynamics import Dynamics
-from control.dynamics.gains import placed_gains
 from control.dynamics.joint_side import JointSide, usable_range_rad
 from control.model.arm import Arm, Effect
 from control.model.arm_checks import check_arm
@@ -26,7 +25,8 @@ from control.model.description import load_arm
 from control.model.reader import Rejected
 from control.safety.table import Mode
 from hil_mocks.scenario import EffectTable
-from tests.cell import Cell, open_cell, scenario
+from tests.cell import PERIOD_S, Cell, open_cell, scenario
+from tests.thirds import third_of
 
 PLAY_rad, STIFFNESS_Nm_rad, BELT = 0.006, 600.0, 0.02
 TRANSMISSION = (
@@ -50,14 +50,9 @@ def arm_of_four(side: str) -> Arm:
         return load_arm(file)
 
 
-def slow(arm: Arm, pole_rad_s: float = 12.0) -> Arm:
-    """With a loop in which play does not hunt (docs/questions.md), and friction that the arm's file knows."""
-    drives = []
-    for drive in arm.drives:
-        inertia_kg_m2 = float(Dynamics(arm).mass_matrix((0.0,) * 4)[drive.joint - 1][drive.joint - 1])
-        gains = placed_gains(drive, inertia_kg_m2, 0.001, pole_rad_s)
-        drives.append(replace(drive, pid=replace(drive.pid, kp=gains.kp, ki=gains.ki, kd=gains.kd)))
-    return replace(arm, drives=tuple(drives), effects=FRICTION)
+def known_friction(arm: Arm) -> Arm:
+    """With the mock's friction in its file."""
+    return replace(arm, effects=FRICTION)
 
 
 @contextmanager
@@ -82,14 +77,54 @@ def worst_rad(cell: Cell) -> float:
 
 @pytest.mark.parametrize("side", ["joint", "motor"])
 def test_a_joint_with_its_own_encoder_rests_where_it_is_sent_whatever_is_in_its_gear(side: str) -> None:
-    with holding_four(slow(arm_of_four(side)), knows_zero=False) as cell:
+    with holding_four(known_friction(arm_of_four(side)), knows_zero=False) as cell:
         error_rad = worst_rad(cell)
         assert cell.mode is Mode.HOLDING
         assert error_rad < PLAY_rad / 6 if side == "joint" else error_rad > PLAY_rad
 
 
+HARDLY_RUBS = tuple(
+    EffectTable(e.effect, e.joint or 0, {"torque_Nm": 0.1 * e.parameters["torque_Nm"]}) for e in FRICTION
+)
+# Joint, its play in rad, whether there is an encoder on its motor, too.
+WITH_PLAY = (
+    (2, 0.006, False),
+    (3, 0.015, True),
+    (4, 0.015, False),
+    (1, 0.015, True),
+    (2, 0.015, False),
+    (1, 0.002, False),
+)
+
+
+@pytest.mark.parametrize("case", third_of(WITH_PLAY))
+def test_an_arm_homes_holds_moves_and_follows_with_play_before_its_encoder_by_the_gains_of_the_model(
+    case: tuple[int, float, bool],
+) -> None:
+    joint, play_rad, has_both = case
+    arm = arm_of_four("joint")
+    play = EffectTable("backlash", joint, {"width_rad": play_rad})
+    rest, steps = arm.rest.q_rad if arm.rest else None, 250
+    hidden = scenario(rest, homed=False, effect=(play, *HARDLY_RUBS))
+    with open_cell(hidden, with_both(arm) if has_both else arm) as cell:
+        cell.client.enable()
+        cell.client.home()
+        assert worst_rad(cell) < 1e-3
+        at_rad: list[float] = []
+        cell.watchers.append(lambda: at_rad.append(float(cell.rig.joint_rad()[joint - 1])))
+        cell.run(1.0)
+        assert np.ptp(at_rad) < 1e-3
+        for step in range(steps):
+            turned_rad = 0.03 * (1.0 - math.cos(2.0 * math.pi * step / steps))
+            cell.client.follow([q + turned_rad for q in PLACES[-1]])
+            cell.run(PERIOD_S)
+        cell.client.stop()
+        cell.run(1.0)
+        assert (cell.mode, cell.faults) == (Mode.HOLDING, [])
+
+
 def test_an_encoder_that_stands_on_a_moving_joint_is_found_once_play_cannot_explain_it() -> None:
-    with holding_four(slow(arm_of_four("joint"))) as cell:
+    with holding_four(known_friction(arm_of_four("joint"))) as cell:
         cell.start_move(PLACES[0], 0.3)
         cell.run(0.6)
         before_rad = cell.rig.joint_rad()
@@ -128,17 +163,23 @@ def with_both(arm: Arm, counts: int = 2048) -> Arm:
 
 
 def test_two_encoders_show_the_play_and_the_spring_between_motor_and_joint() -> None:
-    arm = with_both(slow(arm_of_four("joint")))
+    arm = with_both(known_friction(arm_of_four("joint")))
     with holding_four(arm) as cell:
         leads: list[list[float]] = [[], [], [], []]
         true: list[list[float]] = [[], [], [], []]
 
+        motors_rad = [0.0] * 4
+
         def watch() -> None:
             speed_rad_s = cell.runtime.parts.measurement.speed_rad_s
             for joint, lead in enumerate(cell.runtime.parts.motor_leads.lead_rad):
-                if lead == lead and abs(speed_rad_s[joint]) < 0.01:  # in motion the two are of two moments
+                motor_rad = cell.rig.robot.plant.motor_rad(joint)
+                motor_rad_s = (motor_rad - motors_rad[joint]) / PERIOD_S
+                motors_rad[joint] = motor_rad
+                # In motion the two are of two moments; a motor may move while its joint stands.
+                if lead == lead and max(abs(speed_rad_s[joint]), abs(motor_rad_s)) < 0.01:
                     leads[joint].append(lead)
-                    true[joint].append(cell.rig.robot.plant.motor_rad(joint) - cell.rig.joint_rad()[joint])
+                    true[joint].append(motor_rad - cell.rig.joint_rad()[joint])
 
         cell.watchers.append(watch)
         worst_rad(cell)
@@ -153,7 +194,7 @@ def test_two_encoders_show_the_play_and_the_spring_between_motor_and_joint() -> 
 
 @pytest.mark.parametrize("share", [0.8, 1.2])
 def test_an_encoder_that_slips_by_more_than_play_and_springs_is_found_by_the_other(share: float) -> None:
-    arm = with_both(slow(arm_of_four("joint")))
+    arm = with_both(known_friction(arm_of_four("joint")))
     with holding_four(arm) as cell:
         slack_rad = arm.limits.transmission_slack_rad
         cell.run(0.5)
@@ -171,7 +212,7 @@ def in_position_mode(arm: Arm) -> Arm:
 
 
 def test_a_motor_board_closes_its_position_loop_on_the_encoder_of_the_motor() -> None:
-    with holding_four(in_position_mode(with_both(slow(arm_of_four("joint"))))) as cell:
+    with holding_four(in_position_mode(with_both(known_friction(arm_of_four("joint"))))) as cell:
         cell.client.move_joints(PLACES[0], 0.3)
         cell.run(1.0)
         off_rad = np.subtract(cell.rig.joint_rad(), PLACES[0])

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from console.main import main
+from control.dynamics.gains import gains_of
 from control.dynamics.tuning import MarginsUnmet, MotorFit
 from control.errors import ArmError
 from control.model.arm import DrivePid
@@ -101,6 +105,27 @@ def test_a_poor_response_is_refused_with_what_to_do() -> None:
     usable(answered(), 0.9)
     with pytest.raises(PoorResponse, match=r"coherence reaches 0\.9 at .* give a larger --amplitude"):
         usable(answered(noise_rad=3e-3), 0.9)
+
+
+@pytest.mark.parametrize(
+    ("side", "bend", "is_tuned"), [("motor", 1.0, True), ("joint", 0.0, True), ("joint", 1.0, False)]
+)
+def test_a_joint_whose_encoder_is_behind_play_is_not_tuned_by_its_response(
+    side: str, bend: float, is_tuned: bool
+) -> None:
+    arm = with_drive(RIGHT, 1, encoder_on=side)
+    good, before = (
+        usable(answered(bend=bend), 0.9),
+        cast(Any, SimpleNamespace(gains=gains_of(arm, 1))),
+    )
+    assert (good.distortion > procedure.NOT_LINEAR) is (bend > 0.0)
+    context = (
+        nullcontext()
+        if is_tuned
+        else pytest.raises(NotTuned, match="behind the gear: it has play or friction")
+    )
+    with context:
+        procedure._designed(arm, 1, before, good, TuningOptions((1,)), (0.0, 0.15, 0.75))
 
 
 def test_inertias_are_relative_to_those_of_the_pose() -> None:
