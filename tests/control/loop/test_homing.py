@@ -190,7 +190,7 @@ def test_a_joint_that_hunts_by_a_milliradian_rests() -> None:
 
 def test_a_joint_that_hunts_by_more_is_not_waited_for_without_end() -> None:
     joint = Joint(0.0, hunts_counts=30)
-    with pytest.raises(HomingFailed, match=r"does not come to rest.*tune --bandwidth"):
+    with pytest.raises(HomingFailed, match=r"does not come to rest.*come from the model, or lower them"):
         home(joint)
     assert joint.shifts == []
 
