@@ -31,6 +31,7 @@ class IndexLatches:
         self._send = send
         self._latches: dict[int, int] = {}
         self._armed: dict[int, float] = {}  # channel: when its latch was last asked for [s]
+        self._none_latched_s = -math.inf  # when the board last said that no index has latched
         self._arming: tuple[int, int] | None = None  # (request sequence, channel) of ARM_INDEX under way
         self._watch_asked: Sequence[int] = ()
         self._watched: list[int] = []  # channels whose indices are watched, the next one to arm first
@@ -98,14 +99,14 @@ class IndexLatches:
     def _ask_for_lost_latches(self, now_s: float, latest: wire.Report | None) -> None:
         f0, f1, f2 = latest.flags if latest else (0, 0, 0)
         if not self._latches and not (f0 | f1 | f2) & _INDEX_LATCHED:  # so it is in almost every cycle
-            self._armed = dict.fromkeys(self._armed, now_s)
+            self._none_latched_s = now_s
             return
         for channel, asked_s in tuple(self._armed.items()):
             if channel in self._latches:
                 del self._armed[channel]
             elif not latest or not latest.flags[channel] & _INDEX_LATCHED:
                 self._armed[channel] = now_s
-            elif now_s - asked_s > _LATCH_REPEAT_s:
+            elif now_s - max(asked_s, self._none_latched_s) > _LATCH_REPEAT_s:
                 self._armed[channel] = now_s
                 self._send(channel, IndexAction.SEND_AGAIN)
 

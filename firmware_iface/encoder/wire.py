@@ -264,9 +264,9 @@ class Decoder:
         return parse(raw)
 
     def _report(self, framed: bytearray) -> Report | None:
-        # Reports come every cycle: one unpack for body and CRC.
+        # Reports come every cycle: one unpack for body and CRC, and no constructor, which is a Python function.
         sequence, time_us, f0, f1, f2, count0, count1, count2, crc = _CHECKED_REPORT.unpack(framed)
         if crc_hqx(framed[:-2], CRC_START) != crc:
             self.crc_errors += 1
             return None
-        return Report(sequence, time_us, (f0, f1, f2), (count0, count1, count2))
+        return tuple.__new__(Report, (sequence, time_us, (f0, f1, f2), (count0, count1, count2)))
