@@ -5,13 +5,13 @@ The other joints follow their encoders, so each elastic joint is one equation fo
 with tau the link torque that a rigid gear would transmit, M the inertia that the joint turns, g its gravity's slope.
 The spring of a soft gear with play stands on its flanks: k (delta -+ width / 2) + d delta' beyond one of them, nought between.
 Of the joint's Coulomb and viscous friction a share acts on the link; the rest is the motor's.
-All runs and several sets of parameters at once: the loop over time costs the same for one as for thirty.
+All runs and several sets of parameters at once, a column each: the loop over time costs nearly the same for one as for thirty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from control.model.effects import SMOOTH_rad_s
 SUBSTEPS = 4  # of a sample: a flank is met within 0.5 ms at 500 samples a second
 SUBSTEP_s = 0.0006  # more of them where samples are further apart
 SPRING_SUBSTEPS = 2  # the trapezoidal rule is content with fewer
+CHUNK = 64  # samples that are spread out to rows at a time: they stay in the processor's cache, however long a log is
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +37,6 @@ class LinkDrive:
     )
     coulomb_Nm: float = 0.0
     viscous_Nm_s_rad: float = 0.0
-
-    @property
-    def has_friction(self) -> bool:
-        """Whether there is any to be shared."""
-        return self.speed_rad_s is not None and (self.coulomb_Nm != 0.0 or self.viscous_Nm_s_rad != 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,61 +56,80 @@ def elastic(of: LinkDrive, stiffness_Nm_rad: float, damping_Nm_s_rad: float, sha
 
 def elastics(of: LinkDrive, springs: Sequence[tuple[float, ...]]) -> list[LinkPlay]:
     """`elastic` for several sets of stiffness, damping, the friction's share on the link and, of gears with play, its width."""
-    stiffness, d, share, *widths = (np.array(column)[:, None] for column in zip(*springs, strict=True))
-    width = widths[0] if widths else np.zeros_like(stiffness)
-    is_loose, flank = bool(width.any()), 0.5 * width
+    columns = _Columns(of, len(springs))
+    stiffness, d, share, *widths = (columns.of(own) for own in zip(*springs, strict=True))
+    flank = 0.5 * widths[0] if widths else np.zeros_like(stiffness)
+    is_loose = bool(flank.any())
     hard = float(stiffness.min()) > 4.0 * float(of.inertia_kg_m2.max()) / of.period_s**2
     steps = _substeps(of) if is_loose else 1 if hard else SPRING_SUBSTEPS
-    h = of.period_s / steps
-    torque, inertia, slope = (
-        _fine(part, steps) for part in (of.torque_Nm, of.inertia_kg_m2, of.slope_Nm_rad)
-    )
-    link_friction = _LinkFriction(of, share, steps)
+    # as vectors, since a number beside a vector costs as much again as the sum
+    h = np.full_like(stiffness, of.period_s / steps)
     half, quarter = 0.5 * h, 0.25 * h * h
-    stiff = slope[:, None] + stiffness
-    mass = inertia[:, None] + half * d + quarter * stiff
-    delta = -(torque[0] + stiffness * np.sign(torque[0]) * flank) / stiff[0]
-    speed, acceleration = np.zeros_like(delta), np.zeros_like(delta)
-    result = np.empty((3, *stiff.shape))
-    rows = zip(torque, slope, inertia, stiff, mass, link_friction.speeds, *result, strict=True)
-    for pull, tilt, light, hard, heavy, motor, x, v, a in rows:
-        np.multiply(acceleration, half, out=v)
-        v += speed
-        np.multiply(acceleration, quarter, out=x)
-        x += delta
-        x += h * speed
-        if is_loose:  # on a flank only where the spring would push the link that flies on
-            flying = light + quarter * tilt
-            fall = (pull + tilt * x) / flying
-            ahead = x - quarter * fall
-            side = np.clip(ahead, -flank, flank)
-            push = stiffness * (ahead - side) + d * (v - half * fall)
-            touches = (ahead - side) * push > 0.0
-            np.multiply(tilt, x, out=a)
-            a += np.where(touches, stiffness * (x - side) + d * v, 0.0)
-            heavy = np.where(touches, heavy, flying)
-        else:
-            np.multiply(hard, x, out=a)
-            a += d * v
-        a += pull
-        if link_friction.is_on:
-            friction, steep = link_friction.at(motor + v)
-            a += friction
-            heavy = heavy + half * steep
-        a /= heavy
-        np.negative(a, out=a)
-        v += half * a
-        x += quarter * a
-        delta, speed, acceleration = x, v, a
-    delta, speed, acceleration = result[:, ::steps]
-    into = delta - np.clip(delta, -flank, flank)
-    spring = stiffness * into + d * speed
+    friction = _LinkFriction(of, share)
+    fall, ahead, side, push = (np.empty_like(stiffness) for _ in range(4))
+    touches = np.empty(len(stiffness), dtype=bool)
+    state, found = None, np.empty((3, len(of.torque_Nm), len(stiffness)))
+    for part, torque, inertia, slope, motors in columns.rows(steps):
+        if state is None:
+            delta = -(torque[0] + stiffness * np.sign(torque[0]) * flank) / (slope[0] + stiffness)
+            state = delta, np.zeros_like(delta), np.zeros_like(delta)
+        stiff = slope + stiffness
+        mass, flying = inertia + half * d + quarter * stiff, inertia + quarter * slope
+        result, (delta, speed, acceleration) = np.empty((3, *torque.shape)), state
+        for pull, tilt, back, heavy, light, motor, x, v, a in zip(
+            torque, slope, stiff, mass, flying, motors, *result, strict=True
+        ):
+            np.multiply(acceleration, half, out=v)
+            v += speed
+            np.multiply(acceleration, quarter, out=x)
+            x += delta
+            np.multiply(speed, h, out=a)
+            x += a
+            if is_loose:  # on a flank only where the spring would push the link that flies on
+                np.multiply(tilt, x, out=a)
+                a += pull
+                np.divide(a, light, out=fall)
+                np.multiply(fall, quarter, out=ahead)
+                np.subtract(x, ahead, out=ahead)
+                np.maximum(ahead, -flank, out=side)
+                np.minimum(side, flank, out=side)
+                ahead -= side
+                fall *= half
+                np.subtract(v, fall, out=fall)
+                fall *= d
+                np.multiply(ahead, stiffness, out=push)
+                push += fall
+                push *= ahead
+                np.greater(push, 0.0, out=touches)
+                np.subtract(x, side, out=side)
+                side *= stiffness
+                np.multiply(v, d, out=push)
+                side += push
+                np.add(a, side, out=a, where=touches)
+                np.copyto(light, heavy, where=touches)
+                heavy = light
+            else:
+                np.multiply(back, x, out=a)
+                a += pull
+                np.multiply(v, d, out=push)
+                a += push
+            if friction.is_on:
+                steep = friction.add_to(a, motor, v)
+                steep *= half
+                heavy += steep
+            a /= heavy
+            np.negative(a, out=a)
+            np.multiply(a, half, out=fall)
+            v += fall
+            np.multiply(a, quarter, out=fall)
+            x += fall
+            delta, speed, acceleration = x, v, a
+        state = delta, speed, acceleration
+        found[:, part] = result[:, ::steps]
+    into = found[0] - np.clip(found[0], -flank, flank)
+    spring = stiffness * into + d * found[1]
     transmitted = np.where(is_loose & (into * spring <= 0.0), 0.0, -spring)
-    found = []
-    for place in range(len(springs)):
-        own = (np.ascontiguousarray(part[:, place]) for part in (delta, speed, acceleration, transmitted))
-        found.append(LinkPlay(*own))
-    return found
+    return columns.split(found, transmitted)
 
 
 def _substeps(of: LinkDrive) -> int:
@@ -122,20 +137,65 @@ def _substeps(of: LinkDrive) -> int:
     return max(SUBSTEPS, round(of.period_s / SUBSTEP_s))
 
 
+class _Columns:
+    """A column for each of `count` sets of parameters and each run."""
+
+    def __init__(self, of: LinkDrive, count: int) -> None:
+        speed = np.zeros_like(of.torque_Nm) if of.speed_rad_s is None else of.speed_rad_s
+        self._parts, self._count = (of.torque_Nm, of.inertia_kg_m2, of.slope_Nm_rad, speed), count
+        self._samples, self._runs = of.torque_Nm.shape
+
+    def of(self, values: Sequence[float]) -> Array:
+        """A value of each set for all columns."""
+        return np.repeat(np.array(values, dtype=float), self._runs)
+
+    def rows(self, steps: int) -> Iterator[tuple[slice, Array, Array, Array, Array]]:
+        """Some samples after the others, torque, inertia, slope and the motor's speed there (steps samples, columns), linear
+        between samples.
+        """
+        for start in range(0, self._samples, CHUNK):
+            stop = min(start + CHUNK, self._samples)
+            torque, inertia, slope, motor = (
+                np.tile(_fine(values[start : stop + 1], steps)[: (stop - start) * steps], self._count)
+                for values in self._parts
+            )
+            yield slice(start, stop), torque, inertia, slope, motor
+
+    def split(self, motion: Array, transmitted: Array) -> list[LinkPlay]:
+        """Each set's own, of delta, speed and acceleration (3, samples, columns) and of torques (samples, columns)."""
+        found = []
+        for place in range(self._count):
+            mine = slice(place * self._runs, (place + 1) * self._runs)
+            own = (np.ascontiguousarray(part[:, mine]) for part in (*motion, transmitted))
+            found.append(LinkPlay(*own))
+        return found
+
+
 class _LinkFriction:
-    """Friction on the links, by their speeds; smooth through zero, and its slope for the implicit step."""
+    """The share (columns,) of a joint's friction on its links, by their speeds; smooth through zero, and its slope for the
+    implicit step. Speeds are counted in that up to which it is smooth.
+    """
 
-    def __init__(self, of: LinkDrive, share: Array, steps: int) -> None:
-        self.is_on = of.has_friction and bool(np.any(share > 0.0))
-        self._coulomb, self._viscous = share * of.coulomb_Nm, share * of.viscous_Nm_s_rad
-        own = of.torque_Nm if of.speed_rad_s is None else of.speed_rad_s
-        self.speeds = _fine(own, steps)
+    def __init__(self, of: LinkDrive, share: Array) -> None:
+        self._coulomb, viscous = share * of.coulomb_Nm, share * of.viscous_Nm_s_rad
+        self.is_on = of.speed_rad_s is not None and bool(self._coulomb.any() or viscous.any())
+        self._viscous, self._steep = viscous * SMOOTH_rad_s, self._coulomb / SMOOTH_rad_s
+        self._steepest, self._unit = self._steep + viscous, np.full_like(viscous, 1.0 / SMOOTH_rad_s)
+        self._turning, self._way = np.empty_like(viscous), np.empty_like(viscous)
 
-    def at(self, speed: Array) -> tuple[Array, Array]:
-        """Torque and its slope."""
-        way = np.tanh(speed / SMOOTH_rad_s)
-        dry = self._coulomb * way
-        return dry + self._viscous * speed, (self._coulomb - dry * way) / SMOOTH_rad_s + self._viscous
+    def add_to(self, torque: Array, motor: Array, beyond: Array) -> Array:
+        """Adds it to the torques (columns,) of links that turn `beyond` their motors; its slope, overwritten the next time."""
+        turning, way = self._turning, self._way
+        np.add(motor, beyond, out=turning)
+        turning *= self._unit
+        np.tanh(turning, out=way)
+        turning *= self._viscous
+        torque += turning
+        np.multiply(way, self._coulomb, out=turning)
+        torque += turning
+        way *= way
+        way *= self._steep
+        return np.subtract(self._steepest, way, out=way)
 
 
 def loose(of: LinkDrive, width_rad: float, share: float = 0.0) -> LinkPlay:
@@ -147,64 +207,50 @@ def loose(of: LinkDrive, width_rad: float, share: float = 0.0) -> LinkPlay:
 
 
 def looses(of: LinkDrive, plays: Sequence[tuple[float, float]]) -> list[LinkPlay]:
-    """`loose` for several pairs of width and the friction's share on the link."""
-    steps = _substeps(of)
-    width, share = (np.array(column)[:, None] for column in zip(*plays, strict=True))
-    result = _between_flanks(of, 0.5 * width, _LinkFriction(of, share, steps), steps)
-    found = []
-    for place in range(len(plays)):
-        one = _at_samples(of, result[:, :, place], steps)
-        rubbed = _LinkFriction(of, share[place], 1)
-        if rubbed.is_on:
-            one = replace(
-                one, transmitted_Nm=one.transmitted_Nm + rubbed.at(rubbed.speeds + one.speed_rad_s)[0]
-            )
-        found.append(one)
-    return found
+    """`loose` for several pairs of width and the friction's share on the link.
 
-
-def _between_flanks(of: LinkDrive, half_rad: Array, link_friction: _LinkFriction, steps: int) -> Array:
-    """Delta, speed and acceleration after each of `steps` per sample, (3, steps x samples, plays, runs)."""
-    h = of.period_s / steps
-    torque, inertia, slope = (
-        _fine(part, steps) for part in (of.torque_Nm, of.inertia_kg_m2, of.slope_Nm_rad)
-    )
-    falls, tilts = h * torque / inertia, h * slope / inertia
-    delta = -half_rad * np.sign(torque[0])
-    speed = np.zeros_like(delta)
-    result = np.empty((3, len(torque), *delta.shape))
-    low, fall, lightness = -half_rad, np.empty_like(delta), h / inertia
-    rows = zip(falls, tilts, lightness, link_friction.speeds, result[0], result[1], strict=True)
-    for drop, tilt, light, motor, x, v in rows:
-        np.multiply(tilt, delta, out=fall)
-        fall += drop
-        if link_friction.is_on:
-            friction, steep = link_friction.at(motor + speed)
-            fall += light * friction
-            fall /= 1.0 + light * steep
-        np.subtract(speed, fall, out=v)
-        wanted = v * h
-        wanted += delta
-        np.maximum(wanted, low, out=x)
-        np.minimum(x, half_rad, out=x)
-        v *= x == wanted
-        delta, speed = x, v
-    result[2, 0] = result[1, 0]
-    np.subtract(result[1, 1:], result[1, :-1], out=result[2, 1:])
-    result[2] /= h
-    return result
-
-
-def _at_samples(of: LinkDrive, result: Array, steps: int) -> LinkPlay:
-    """Row n of `result` is the state after step n; the mean over the steps around a sample keeps impacts in time."""
-    count = result.shape[1]
-    early = np.pad(result[2], ((steps // 2, 0), (0, 0)), mode="edge")[:count]
-    early[: steps // 2] = 0.0
-    acceleration = early.reshape(-1, steps, early.shape[1]).mean(axis=1)
-    before_step = np.pad(result[:2], ((0, 0), (1, 0), (0, 0)), mode="edge")[:, :count]
-    delta, speed = before_step[0, ::steps], before_step[1, ::steps]
-    transmitted = of.torque_Nm + of.slope_Nm_rad * delta + of.inertia_kg_m2 * acceleration
-    return LinkPlay(delta, speed, acceleration, transmitted)
+    A sample's acceleration is the mean over the steps around it, half of them before it, which keeps impacts in time.
+    """
+    columns, steps = _Columns(of, len(plays)), _substeps(of)
+    width, share = (columns.of(own) for own in zip(*plays, strict=True))
+    friction, high = _LinkFriction(of, share), 0.5 * width
+    low, h = -high, np.full_like(high, of.period_s / steps)
+    wanted, fall, is_stopped = np.empty_like(high), np.empty_like(high), np.empty(len(high), dtype=bool)
+    samples = len(of.torque_Nm)
+    found, transmitted = np.empty((3, samples + 1, len(high))), np.empty((samples, len(high)))
+    state, middle = None, np.zeros_like(high)
+    for part, torque, inertia, slope, motors in columns.rows(steps):
+        delta, speed = (low * np.sign(torque[0]), np.zeros_like(high)) if state is None else state
+        xs, vs = np.empty_like(torque), np.empty_like(torque)
+        for pull, tilt, heavy, motor, x, v in zip(torque, slope, inertia / h, motors, xs, vs, strict=True):
+            np.multiply(tilt, delta, out=fall)
+            fall += pull
+            if friction.is_on:
+                heavy += friction.add_to(fall, motor, speed)
+            fall /= heavy
+            np.subtract(speed, fall, out=v)
+            np.multiply(v, h, out=wanted)
+            wanted += delta
+            np.maximum(wanted, low, out=x)
+            np.minimum(x, high, out=x)
+            np.not_equal(x, wanted, out=is_stopped)
+            np.copyto(v, 0.0, where=is_stopped)
+            delta, speed = x, v
+        if state is None:
+            found[:2, 0] = xs[0], vs[0]
+        state = delta, speed
+        found[0, part.start + 1 : part.stop + 1] = xs[steps - 1 :: steps]
+        found[1, part.start + 1 : part.stop + 1] = vs[steps - 1 :: steps]
+        halfway = vs[steps - steps // 2 - 1 :: steps]
+        found[2, part] = np.diff(halfway, axis=0, prepend=middle[None]) / of.period_s
+        middle = halfway[-1]
+        delta_there, speed_there, acceleration = found[:, part]
+        pull = torque[::steps] + slope[::steps] * delta_there + inertia[::steps] * acceleration
+        for own, motor, beyond in zip(pull, motors[::steps], speed_there, strict=True):
+            if friction.is_on:
+                friction.add_to(own, motor, beyond)
+        transmitted[part] = pull
+    return columns.split(found[:, :samples], transmitted)
 
 
 def _fine(values: Array, steps: int) -> Array:
