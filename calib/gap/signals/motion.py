@@ -20,7 +20,7 @@ from calib.arrays import Array, rms
 from calib.gap.signals.body import sorted_terms
 from calib.gap.signals.physics import Physics
 from calib.gap.signals.recording import Flags
-from calib.gap.signals.terms import Law, friction_Nm
+from calib.gap.signals.terms import Law, torque_of
 from control.dynamics.gains import gains_of
 from control.errors import MissingModel
 
@@ -46,24 +46,13 @@ class ForwardState:
     motor: Array
     motor_speed: Array
     current_A: Array
-    t_s: Array  # (W,), for laws that change with time
-
-
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """What the laws of friction ask for."""
-
-    q: Array
-    speed: Array
-    acceleration: Array
-    t_s: Array
 
 
 class Forward:
     """One model of the arm, for W motions at once that carry `payload_kg` (W,)."""
 
     def __init__(self, physics: Physics, model: Sequence[Law], payload_kg: Array) -> None:
-        self._physics, self._parts, self._payload = physics, sorted_terms(model), payload_kg
+        self._physics, self._parts = physics, sorted_terms(model)
         self._period = 1.0 / physics.recording.filters.rate_Hz
         self._steps = max(2, round(self._period / STEP_s))
         self._h = self._period / self._steps
@@ -71,10 +60,21 @@ class Forward:
         self._rotor = physics.body.rotor_kg_m2
         self._own_rotor = np.array([0.0 if j in self._gears else J for j, J in enumerate(self._rotor)])
         self._rubbing = [
-            (term, term.index, self._parts.behind(term), physics.gear_ratios[term.index])
+            (
+                term.index,
+                self._parts.behind(term),
+                torque_of(term),
+                physics.gear_ratios[term.index] if term.form.is_of_motor else 1.0,
+            )
             for term in self._parts.friction
         ]
         self._K = physics.torque_per_A * physics.scales(self._parts)
+        self._decay = np.exp(-self._h / np.maximum(physics.lag_s, 1e-9))
+        # the states that a mass matrix and the bias are found by: without acceleration, then with that of one joint
+        n = len(self._rotor)
+        self._dynamics = physics.body.dynamics(self._parts.load)
+        self._pushes = np.repeat(np.vstack([np.zeros((1, n)), np.eye(n)]), len(payload_kg), axis=0)
+        self._carried = np.tile(np.maximum(payload_kg + self._parts.load.payload_kg, 0.0), n + 1)
 
     @property
     def delay(self) -> tuple[int, float]:
@@ -86,13 +86,13 @@ class Forward:
         """One sample, in place: `older_V` until the delay's rest has passed, then `newer_V` (W, n)."""
         bias, inverse, mass = self._body(state)
         rigid = bias + np.einsum("wij,wj->wi", mass, state.acceleration)
-        _, within = self.delay
-        h = self._h
+        hardest = {j: HARDEST / (1.0 / self._rotor[j] + inverse[:, j, j]) / self._h**2 for j in self._gears}
+        (_, within), h, is_ever_off = self.delay, self._h, bool(is_off.any())
         for step in range(self._steps):
-            voltage = older_V if (step + 0.5) * h < within else newer_V
-            state.current_A = np.where(is_off, 0.0, self._current(state, voltage))
-            transmitted = self._transmitted(state, inverse)
-            load = rigid.copy()
+            current = self._current(state, older_V if (step + 0.5) * h < within else newer_V)
+            state.current_A = np.where(is_off, 0.0, current) if is_ever_off else current
+            transmitted = {j: self._transmitted(state, j, hardest[j]) for j in self._gears}
+            load = rigid.copy() if transmitted else rigid
             for j, torque in transmitted.items():
                 load[:, j] = torque
             at_motor, behind = self._frictions(state, load)
@@ -109,56 +109,44 @@ class Forward:
                 motor_speed[:, j] = state.motor_speed[:, j] + h * own
                 motor[:, j] = state.motor[:, j] + h * motor_speed[:, j]
             state.motor_speed, state.motor = motor_speed, motor
-        state.t_s = state.t_s + self._period
 
     def _current(self, state: ForwardState, voltage: Array) -> Array:
         physics = self._physics
         seen = physics.sagged(self._parts, voltage, state.current_A)
         target = (seen - self._K * state.motor_speed) / physics.resistance_ohm
-        lag = np.maximum(physics.lag_s, 1e-9)
-        return np.asarray(target + (state.current_A - target) * np.exp(-self._h / lag))
+        return np.asarray(target + (state.current_A - target) * self._decay)
 
-    def _transmitted(self, state: ForwardState, inverse: Array) -> dict[int, Array]:
-        """Torque of each elastic or loose gear (W,)."""
-        result = {}
-        for j, gear in self._gears.items():
-            ahead = state.motor[:, j] - state.q[:, j]
-            rate = state.motor_speed[:, j] - state.speed[:, j]
-            inertia = 1.0 / (1.0 / self._rotor[j] + inverse[:, j, j])
-            hardest = HARDEST * inertia / self._h**2
-            stiffness, damping = hardest, 2.0 * FLANK_DAMPING * np.sqrt(hardest * inertia)
-            half, is_loose = 0.0, False
-            for term in gear:
-                if term.form.acts == "spring":
-                    stiffness = np.minimum(1.0 / max(term.values[0], 1e-9), hardest)
-                    damping = np.full_like(hardest, max(term.values[1], 0.0))
-                else:
-                    half, is_loose = 0.5 * max(term.values[0], 0.0), True
-            into = ahead - np.clip(ahead, -half, half)
-            torque = stiffness * into + damping * rate
-            result[j] = np.where(is_loose & (into * torque <= 0.0), 0.0, torque)
-        return result
+    def _transmitted(self, state: ForwardState, j: int, hardest: Array) -> Array:
+        """Torque of an elastic or loose gear (W,), which can be as stiff as `hardest` (W,)."""
+        ahead = state.motor[:, j] - state.q[:, j]
+        rate = state.motor_speed[:, j] - state.speed[:, j]
+        stiffness, damping = hardest, 2.0 * FLANK_DAMPING * hardest * self._h / math.sqrt(HARDEST)
+        half, is_loose = 0.0, False
+        for term in self._gears[j]:
+            if term.form.acts == "spring":
+                stiffness = np.minimum(1.0 / max(term.values[0], 1e-9), hardest)
+                damping = np.full_like(hardest, max(term.values[1], 0.0))
+            else:
+                half, is_loose = 0.5 * max(term.values[0], 0.0), True
+        into = ahead - np.clip(ahead, -half, half)
+        torque = stiffness * into + damping * rate
+        return np.where(is_loose & (into * torque <= 0.0), 0.0, torque)
 
     def _frictions(self, state: ForwardState, load_Nm: Array) -> tuple[Array, Array]:
         """At the motors, and behind the gears: (W, n) each."""
         at_motor, behind = np.zeros_like(load_Nm), np.zeros_like(load_Nm)
-        motors = _Motion(state.motor, state.motor_speed, state.acceleration, state.t_s)
-        links = _Motion(state.q, state.speed, state.acceleration, state.t_s)
-        for term, j, share, ratio in self._rubbing:
-            at_motor[:, j] += (1.0 - share) * friction_Nm(term, motors, load_Nm[:, j], ratio)
+        for j, share, torque, ratio in self._rubbing:
+            load = load_Nm[:, j]
+            at_motor[:, j] += (1.0 - share) * torque(state.motor[:, j] * ratio, state.motor_speed[:, j], load)
             if share > 0.0:
-                behind[:, j] += share * friction_Nm(term, links, load_Nm[:, j], ratio)
+                behind[:, j] += share * torque(state.q[:, j] * ratio, state.speed[:, j], load)
         return at_motor, behind
 
     def _body(self, state: ForwardState) -> tuple[Array, Array, Array]:
         """Bias (W, n), inverse of the mass matrices with the rotors that turn with their links, those without rotors."""
         W, n = state.q.shape
-        dynamics = self._physics.body.dynamics(self._parts.load)
-        pushes = np.repeat(np.vstack([np.zeros((1, n)), np.eye(n)]), W, axis=0)
-        carried = np.tile(np.maximum(self._payload + self._parts.load.payload_kg, 0.0), n + 1)
-        found = dynamics.torques(
-            np.tile(state.q, (n + 1, 1)), np.tile(state.speed, (n + 1, 1)), pushes, carried
-        ).reshape(n + 1, W, n)
+        q, speed = (np.tile(own, (n + 1, 1)) for own in (state.q, state.speed))
+        found = self._dynamics.torques(q, speed, self._pushes, self._carried).reshape(n + 1, W, n)
         mass = np.moveaxis(found[1:] - found[0], 0, 2) - np.diag(self._rotor)
         return found[0], np.linalg.inv(mass + np.diag(self._own_rotor)), mass
 
@@ -181,10 +169,7 @@ def begin(
         current = (at("voltage_V") - physics.torque_per_A * motor_speed) / physics.resistance_ohm
     ahead = np.stack([offsets[k][s] for k, s in pairs])
     faster = np.stack([speeds[k][s] for k, s in pairs])
-    times = np.array([recording.runs[k].t_s[s] for k, s in pairs])
-    return ForwardState(
-        motor + ahead, motor_speed + faster, at("acceleration"), motor, motor_speed, current, times
-    )
+    return ForwardState(motor + ahead, motor_speed + faster, at("acceleration"), motor, motor_speed, current)
 
 
 Places = npt.NDArray[np.intp]

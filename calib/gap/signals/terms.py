@@ -172,7 +172,12 @@ def friction_Nm(
     """Torque (m,) that the motor has to add for this term; `ahead_rad` (m,): its angle beyond what its encoder says."""
     j = term.index
     angle = (run.q[:, j] + ahead_rad) * gear_ratio if term.form.is_of_motor else run.q[:, j]
-    return np.asarray(_torque_of(term.form, term.values, term.order)(angle, run.speed[:, j], link_Nm))
+    return np.asarray(torque_of(term)(angle, run.speed[:, j], link_Nm))
+
+
+def torque_of(term: Law) -> Torque:
+    """What a motor has to add for a term, of the angle that it follows, the joint's speed and the transmitted torque."""
+    return _torque_of(term.form, term.values, term.order)
 
 
 @lru_cache(maxsize=TORQUES_KEPT)

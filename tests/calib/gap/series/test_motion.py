@@ -28,7 +28,7 @@ POSE = np.array([[0.3, -0.7, 0.4]])
 def resting() -> ForwardState:
     still = np.zeros((1, 3))
     current = Dynamics(ARM).torques(POSE, still, still) / PHYSICS.torque_per_A
-    return ForwardState(POSE.copy(), still, still.copy(), POSE.copy(), still.copy(), current, np.zeros(1))
+    return ForwardState(POSE.copy(), still, still.copy(), POSE.copy(), still.copy(), current)
 
 
 def run(model: list[Law], samples: int, push_V: float = 0.0) -> ForwardState:
