@@ -29,7 +29,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.arm_problem.link_bending import FLEXURE, Bending, bending
+from calib.arm_problem.arm_model import ArmModel
+from calib.arm_problem.link_bending import FLEXURE, Bending, bending, link_frames
 from calib.arm_problem.observations import Correction
 from calib.arrays import Array, frozen
 from calib.errors import CalibrationError
@@ -311,7 +312,7 @@ class RestingPoints:
         """What a link's bending does to the tip and to the last link, per 1 / EI."""
         arm = with_link_inertia(self._arm)
         loads_kg = np.nan_to_num(self.points.payload_kg) + own_payload_kg(arm)
-        return bending(arm, arm.dh, self.joint_rad, loads_kg, link)
+        return bending(arm, link_frames(ArmModel(arm), arm.dh, self.joint_rad), loads_kg, link)
 
     def led_side(self, joint: int) -> Array:
         """The flank (m,) near which the gear lies after hand guiding, if the motor does not push it, else 0."""

@@ -64,41 +64,53 @@ def bending_m(
     link: int,
     accelerated: Callable[[Array], Array] | None = None,
 ) -> Array:
-    """The displacements of the tip of `bending`, (m, 3) [m N m^2]."""
-    return bending(arm, dh, q_rad, payload_kg, link, accelerated).shift
+    """The displacements of the tip of `bending`, (m, 3) [m N m^2], of a DH table (links, 4) at poses (m, n)."""
+    return bending(arm, link_frames(ArmModel(arm), dh, q_rad), payload_kg, link, accelerated).shift
 
 
 def bending(
     arm: Arm,
-    dh: Array,
-    q_rad: Array,
+    frames: LinkFrames,
     payload_kg: Array,
     link: int,
     accelerated: Callable[[Array], Array] | None = None,
 ) -> Bending:
     """What happens per 1 / EI if `link` (1-based) bends.
 
-    dh (links, 4), q_rad (m, n), payload_kg (m,). `accelerated`: for time series, from the positions (m, 3)
-    of a mass to its accelerations, whose forces also bend. MissingModel if the arm's file has no masses.
+    payload_kg (m,). `accelerated`: for time series, from the positions (m, 3) of a mass to its accelerations, whose forces also
+    bend. MissingModel if the arm's file has no masses.
     """
     if not any(one.mass_kg for one in arm.links):
         raise MissingModel(f"arm {arm.name}: a link's bending needs masses (mass_kg, com_m) of the links")
-    frames = link_frames(ArmModel(arm), dh, q_rad)
     begin, end = _ends_m(arm, frames, link)
     length = np.linalg.norm(end - begin, axis=1, keepdims=True)
     along = (end - begin) / length
     shift, turn = np.zeros_like(begin), np.zeros_like(begin)
+
+    def bend(at: Array, force_N: Array, moment_Nm: Array) -> None:
+        across, moment = _across(force_N, along), _across(moment_Nm, along)
+        shift[:] += across * (at**2 * (3.0 * length - at) / 6.0)
+        shift[:] += cross(moment, along) * (at * length - 0.5 * at**2)
+        turn[:] += cross(along, across) * (0.5 * at**2) + moment * at
+
+    at_end_N, at_end_Nm = np.zeros_like(begin), np.zeros_like(begin)
     for is_beyond, place_m, mass_kg in _masses(arm, frames, payload_kg, link):
         pull = np.asarray(arm.gravity_m_s2) - (0.0 if accelerated is None else accelerated(place_m))
         force_N = mass_kg[:, None] * pull
-        own = np.clip(np.sum((place_m - begin) * along, axis=1, keepdims=True), 0.0, length)
-        at = length if is_beyond else own  # everything beyond acts on the beam's end
-        across = _across(force_N, along)
-        moment = _across(np.cross(place_m - begin - at * along, force_N), along)
-        shift += across * at**2 * (3.0 * length - at) / 6.0
-        shift += np.cross(moment, along) * (at * length - 0.5 * at**2)
-        turn += np.cross(along, across) * 0.5 * at**2 + moment * at
-    return Bending(shift + np.cross(turn, frames.tip_m - end), turn)
+        if is_beyond:  # everything beyond acts on the beam's end
+            at_end_N += force_N
+            at_end_Nm += cross(place_m - end, force_N)
+        else:
+            at = np.clip(np.sum((place_m - begin) * along, axis=1, keepdims=True), 0.0, length)
+            bend(at, force_N, cross(place_m - begin - at * along, force_N))
+    bend(length, at_end_N, at_end_Nm)
+    return Bending(shift + cross(turn, frames.tip_m - end), turn)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """The cross products of vectors (m, 3), without the many cases of NumPy's own, which cost ten times as much."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=1)
 
 
 def _masses(
@@ -111,7 +123,8 @@ def _masses(
             place = frames.point_m(k, np.asarray(one.com_m))
             is_beyond = following is not None and k >= following
             yield is_beyond, place, np.full(len(place), one.mass_kg)
-    yield True, frames.tip_m, payload_kg
+    if payload_kg.any():
+        yield True, frames.tip_m, payload_kg
 
 
 def _across(vectors: Array, along: Array) -> Array:
@@ -131,8 +144,9 @@ def known_bending(
         return None
     arm, loads = with_link_inertia(arm), np.nan_to_num(payload_kg) + own_payload_kg(arm)
     shift, turn = np.zeros((len(q_rad), 3)), np.zeros((len(q_rad), 3))
+    frames = link_frames(ArmModel(arm), arm.dh, q_rad)
     for one in known:
-        found = bending(arm, arm.dh, q_rad, loads, one.joint or 1)
+        found = bending(arm, frames, loads, one.joint or 1)
         shift += found.shift / one.parameters["EI_Nm2"]
         turn += found.turn / one.parameters["EI_Nm2"]
     return Bending(frozen(shift), frozen(turn))
@@ -161,23 +175,18 @@ def link_frames(model: ArmModel, dh: Array, q_rad: Array, tool_m: Array | None =
     axes[:, 0] = np.eye(3)
     angles = iter(q_rad.T)
     for k, ((d, theta, length, alpha), turns) in enumerate(zip(dh, model.joints, strict=True)):
-        about = theta + (next(angles) if turns else np.zeros(m))
-        moves = [(2, d, about), (0, length, np.full(m, alpha))]
+        about = theta + next(angles)[:, None] if turns else theta
+        moves = [(2, d, about), (0, length, alpha)]
         point, turned = origin[:, k], axes[:, k]
         for axis, move, turn in moves[::-1] if model.is_modified else moves:
             point = point + move * turned[:, :, axis]
-            turned = turned @ _turns(axis, turn)
+            before, after = (
+                turned[:, :, axis - 2],
+                turned[:, :, axis - 1],
+            )  # it turns the first towards the second
+            c, s = np.cos(turn), np.sin(turn)
+            turned = turned.copy()
+            turned[:, :, axis - 2], turned[:, :, axis - 1] = before * c + after * s, after * c - before * s
         origin[:, k + 1], axes[:, k + 1] = point, turned
     tool = model.nominal_tool_m if tool_m is None else tool_m
     return LinkFrames(origin, axes, origin[:, -1] + axes[:, -1] @ tool)
-
-
-def _turns(axis: int, angle_rad: Array) -> Array:
-    """Rotations (m, 3, 3) about x (0) or z (2)."""
-    turn = np.zeros((len(angle_rad), 3, 3))
-    i, j = (1, 2) if axis == 0 else (0, 1)
-    turn[:, axis, axis] = 1.0
-    turn[:, i, i] = turn[:, j, j] = np.cos(angle_rad)
-    turn[:, j, i] = np.sin(angle_rad)
-    turn[:, i, j] = -turn[:, j, i]
-    return turn

@@ -14,7 +14,7 @@ import numpy as np
 from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import BASE_FRAME, Choice, base_frame_of
 from calib.arm_problem.frames import rotation_of, rotation_vector, seen_less_far_m
-from calib.arm_problem.link_bending import Bending, beams, bending, link_frames
+from calib.arm_problem.link_bending import Bending, LinkFrames, beams, bending, cross, link_frames
 from calib.arrays import Array
 from calib.gap.effects.record import EffectRecord, InPoses, InSeries, PoseScene, in_poses, stated_kg, straight
 from calib.gap.finding import GEOMETRY, LINK_KEYS, EffectName, Parameters
@@ -29,20 +29,17 @@ def _flexure(record: EffectRecord, scene: PoseScene) -> Iterator[Term]:
     arm, size = with_link_inertia(scene.arm), in_poses(record).size
     if not any(link.mass_kg for link in arm.links):
         return
-    q, hung = scene.joint_rad, stated_kg(scene.points) + own_payload_kg(arm)
+    frames = link_frames(ArmModel(arm), arm.dh, scene.joint_rad)
+    hung, nothing = stated_kg(scene.points) + own_payload_kg(arm), np.zeros(len(scene.points))
     for link in beams(arm):
-        bare = _both(bending(arm, arm.dh, q, np.zeros(len(q)), link))
-        payload = _both(bending(arm, arm.dh, q, hung, link)) - bare
+        bare = _both(bending(arm, frames, nothing, link))
+        payload = _both(bending(arm, frames, hung, link)) - bare
         alone = dataclasses.replace(
             arm, links=tuple(dataclasses.replace(one, mass_kg=one.mass_kg if k == link else 0.0)
                              for k, one in enumerate(arm.links, start=1)),
         )  # fmt: skip
-        own = (
-            _both(bending(alone, arm.dh, q, np.zeros(len(q)), link))
-            if alone.links[link - 1].mass_kg
-            else 0.0 * bare
-        )
-        for variant, weight in enumerate((own, _both(_spread(arm, q, link))) if own.any() else (own,)):
+        own = _both(bending(alone, frames, nothing, link)) if alone.links[link - 1].mass_kg else 0.0 * bare
+        for variant, weight in enumerate((own, _both(_spread(arm, frames, link))) if own.any() else (own,)):
             parts = [weight, bare - own, payload]
             total = np.asarray(sum(parts))
             if np.ptp(total, axis=0).max() == 0.0:
@@ -61,9 +58,8 @@ def _both(bent: Bending) -> Array:
     return np.hstack(bent)
 
 
-def _spread(arm: Arm, q_rad: Array, link: int) -> Bending:
+def _spread(arm: Arm, frames: LinkFrames, link: int) -> Bending:
     """What happens per 1 / EI when a link's own weight is spread evenly along it (q l^4 / 8, q l^3 / 6)."""
-    frames = link_frames(ArmModel(arm), arm.dh, q_rad)
     before = 0 if arm.dh_convention == "modified" else 1
     following = next(
         (k for k, one in enumerate(arm.links, start=1) if k > link and one.joint == "revolute"), None
@@ -79,8 +75,8 @@ def _spread(arm: Arm, q_rad: Array, link: int) -> Bending:
     )
     force = np.broadcast_to(mass * np.asarray(arm.gravity_m_s2), begin.shape)
     across = force - np.sum(force * along, axis=1, keepdims=True) * along
-    turn = np.cross(along, across) * length**2 / 6.0
-    return Bending(across * length**3 / 8.0 + np.cross(turn, frames.tip_m - end), turn)
+    turn = cross(along, across) * length**2 / 6.0
+    return Bending(across * length**3 / 8.0 + cross(turn, frames.tip_m - end), turn)
 
 
 def _links(arm: Arm) -> tuple[int, ...]:

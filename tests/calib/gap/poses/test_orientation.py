@@ -7,8 +7,9 @@ import pytest
 
 from benchmarks.gap.static.cases import RIGS, Design, Hidden, NOISE_m, designed
 from benchmarks.gap.static.physics import Poses, bent, frames_of
+from calib.arm_problem.arm_model import ArmModel
 from calib.arm_problem.assembly import problem_of
-from calib.arm_problem.link_bending import bending
+from calib.arm_problem.link_bending import bending, link_frames
 from calib.gap.finding import EffectName
 from calib.gap.poses.cautions import UNKNOWN_TURNS, about_orientations
 from calib.gap.poses.find import find
@@ -74,7 +75,7 @@ def test_a_bent_link_turns_what_it_carries_as_a_row_of_hinges_does() -> None:
     frames = frames_of(rig, rig.arm.dh, q)
     tip, down = frames[-1][:, :3, 3], np.asarray(rig.arm.gravity_m_s2)
     shift, turn = bent(Hidden("link_flexure", 5, 100.0), at, rig, frames, tip, down)
-    found = bending(rig.arm, rig.arm.dh, q, at.payload, 5)
+    found = bending(rig.arm, link_frames(ArmModel(rig.arm), rig.arm.dh, q), at.payload, 5)
     np.testing.assert_allclose(found.shift / 100.0, shift, atol=0.02 * np.abs(shift).max())
     np.testing.assert_allclose(found.turn / 100.0, turn, atol=0.02 * np.abs(turn).max())
 
