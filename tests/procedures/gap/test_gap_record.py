@@ -34,7 +34,7 @@ from tests.control.loop.test_encoder_places import (
     HIDDEN,
     PLAY_rad,
     arm_of_four,
-    slow,
+    known_friction,
     with_both,
 )
 
@@ -159,7 +159,7 @@ def test_runs_are_whole_on_one_clock_and_repeats_are_told_by_their_set_points(re
 @pytest.mark.nightly
 def test_gears_between_two_encoders_are_named_from_what_was_recorded(tmp_path: Path) -> None:
     """An arm that is not supplied, whose belt makes leads beyond the usual `transmission_slack_rad`, as its fault then says."""
-    both = with_both(slow(arm_of_four("joint")))
+    both = with_both(known_friction(arm_of_four("joint")))
     arm = dataclasses.replace(both, limits=dataclasses.replace(both.limits, transmission_slack_rad=0.1))
     file = tmp_path / "scenario.toml"
     file.write_bytes(scenario_bytes(scenario((0.1, 0.2, 0.3, 0.1), homed=True, effect=HIDDEN)))
